@@ -40,7 +40,7 @@ _LOOK = 0.5
 _IDLE = 0.2
 #: Seconds after a step of a drag in which nobody waits for images.
 _DRAG = 0.3
-#: Seconds in which the first images of another source arrive.
+#: Longest wait, seconds, for the first images after a change of the source.
 _FIRST_IMAGES = 60.0
 
 
@@ -216,7 +216,7 @@ class ViewApp:
         self._say_broken(None)
 
     def compare(self, path: Path | None) -> None:
-        """Show an estimate of a tracker beside the truth of the scene; None: none."""
+        """Show an estimate of a tracker next to the truth of the scene. If None, none."""
         if self.editor is None or not isinstance(self.source, SceneViewSource):
             return
         found = None

@@ -53,12 +53,12 @@ from humansim_ros.view.tracks import (
 _TOGETHER = 250_000_000
 #: Bytes of messages that are kept, by the page and by the reader of tracks.
 _MAX_KEPT, _MAX_TRACKS = 256 << 20, 64 << 20
-#: Most and fewest frames whose visibility is read, and most values of them all.
+#: Most and fewest frames with a visibility that is read, and most values of them all.
 _MOST_VIEWS, _FEWEST_VIEWS, _MOST_VALUES = 600, 30, 20_000
 
 
 class BagViewSource(TopicSource):
-    """A bag that plays in the page; it is read once at the start, to find its frames.
+    """A bag that plays in the page. It is read once at the start, to find its frames.
 
     A frame is a stamp of the joints of people; without people, of the topic with the most messages. What the
     bag does not have is not shown, and ``messages`` says so.
@@ -67,7 +67,7 @@ class BagViewSource(TopicSource):
         path: The bag.
         estimate: Topic of a tracker's estimate; ``*`` stands for the name of a person.
         options: How the estimate is read and compared.
-        humans: Bodies that people may have, beside the built-in ones.
+        humans: Bodies that people may have, next to the built-in ones.
         image_width: Width to which wider images are scaled down, pixels.
 
     Raises:
@@ -345,7 +345,7 @@ class BagTracks:
         stamps: (F,) int64 stamps of the frames, nanoseconds.
         period: Nanoseconds between frames.
         spans: First and last frames in which a person is there, by person.
-        drops: Frames whose image is lost, by camera; absent without.
+        drops: Frames with an image that is lost, by camera; absent without.
         first: Log times of the first messages by topic.
         places: Log times of the messages by topic, of the frames that are read.
         transforms: Transforms of tf.
@@ -442,6 +442,6 @@ class _BagTracks:
 
 
 def _most_views(topics: SeenTopics) -> int:
-    """Most frames whose visibility is read."""
+    """Most frames with a visibility that is read."""
     values = max(1, len(topics.people) * len(topics.cameras))
     return min(_MOST_VIEWS, max(_FEWEST_VIEWS, _MOST_VALUES // values))

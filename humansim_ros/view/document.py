@@ -57,7 +57,7 @@ from humansim_ros.view.scene_keys import (
     split_key,
 )
 
-#: Sections whose members have a place; ``rig`` is the whole rig, and its name is ``rig``.
+#: Sections with members that have a place; ``rig`` is the whole rig, and its name is ``rig``.
 SectionName = Literal["humans", "objects", "cameras", "rig"]
 
 _SINGULAR = {"humans": "person", "objects": "object", "cameras": "camera"}
@@ -115,7 +115,7 @@ class SceneDocument(SceneFile):
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> SceneDocument:
-        """Open a scene file; it may be wrong. Raises SceneError if it cannot be read or is binary."""
+        """Open a scene file. It may be wrong. Raises SceneError if it cannot be read or is binary."""
         document = cls("", path)
         document._read()
         return document
@@ -186,7 +186,7 @@ class SceneDocument(SceneFile):
     # --- edits
 
     def set(self, key: str | Sequence[YamlKey], value: Any, *, continues: bool = False) -> None:
-        """Set a key; its sections are added where they are missing.
+        """Set a key. Its sections are added where they are missing.
 
         Args:
             key: Dotted key, or its parts.
@@ -241,7 +241,8 @@ class SceneDocument(SceneFile):
         return self.add_section("humans", name, section)
 
     def add_object(self, name: str = "object", near: ArrayLike = (0.0, 0.0), mesh: str = "box") -> str:
-        """Add an object on the floor; parameters and result as of :meth:`add_person`. ``mesh``: its shape."""
+        """Add an object on the floor; parameters and result the same as in :meth:`add_person`. ``mesh``: its
+        shape."""
         section: SectionKeys = {"mesh": mesh}
         height = 0.0
         if mesh in ("box", "sphere", "cylinder"):
@@ -280,7 +281,7 @@ class SceneDocument(SceneFile):
         return self.add_section("cameras", name, section)
 
     def duplicate(self, kind: SectionName, name: str) -> str:
-        """Add a copy of a person, an object or a camera half a metre beside it; returns the name."""
+        """Add a copy of a person, an object or a camera half a metre next to it; returns the name."""
         section = self._section(kind, name)
         with self.step(f"Duplicate {name}"):
             short = find_key([kind, name]).short_key
@@ -500,7 +501,7 @@ class SceneDocument(SceneFile):
             return SceneCamera.build(name, self.config("cameras", name), self.source).whole
 
     def track(self, kind: SectionName, name: str) -> KeyframeTrack | None:
-        """Keyframes of a person or an object; None if it has none. Raises HumansimError if they are wrong."""
+        """Keyframes of a person or an object; or None. Raises HumansimError if they are wrong."""
         keyframes: KeyframesConfig | None = self.config(kind, name).keyframes
         if keyframes is None:
             return None

@@ -23,7 +23,7 @@ from humansim_ros.types import Array
 from humansim_ros.view.document import SceneDocument, SectionName
 from humansim_ros.view.scene_keys import metres
 
-#: Folder beside a calibration file for its ideal cameras.
+#: Folder next to a calibration file for its ideal cameras.
 _IDEAL = "ideal"
 #: Keys of a rig that belong to its file; the others stay when another file is loaded.
 _OF_FILE = ("cameras", "size", "unit", "up_axis", "position", "rotation_deg", "look_at")
@@ -99,7 +99,7 @@ def set_ideal(document: SceneDocument, kind: SectionName, name: str, ideal: bool
     """Take the ideal cameras [thesis §9.8] of a camera or of the rig, or the real ones again.
 
     The ideal cameras of a calibration file are written as a file of the same name in the folder ``ideal``
-    beside it. A camera with K in the scene loses its distortion; undo takes it back.
+    next to it. A camera with K in the scene loses its distortion; undo takes it back.
 
     Args:
         document: The scene.
@@ -235,11 +235,12 @@ def set_keyframe(
 ) -> None:
     """Add a key, or change the one at that time, so that a person or an object is at a place then.
 
-    The keys are written to a file of their own beside the scene, ``<scene>_<name>.xml``; keys of another
+    The keys are written to a file of their own next to the scene, ``<scene>_<name>.xml``; keys of another
     file are copied to it, and that file stays as it is.
 
+
     Args:
-        document: The scene; it must have a file.
+        document: The scene. It must have a file.
         kind: ``humans`` or ``objects``.
         name: Name in the section.
         seconds: Scene time; rounded to a frame of the keyframes.

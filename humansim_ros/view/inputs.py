@@ -71,13 +71,13 @@ class Opened:
 
 @dataclass(frozen=True)
 class TopicOptions:
-    """How topics of a bag or a graph are shown, and an estimate beside them or beside a scene.
+    """How topics of a bag or a graph are shown, and an estimate next to them or next to a scene.
 
     Attributes:
         estimate: A tracker's estimate: a topic of the bag or graph, in which ``*`` stands for the name of a
             person; or what ``humansim evaluate`` takes: ``BAG:TOPIC``, files, folders. Empty: there is none.
         reading: How the estimate is read and compared.
-        bodies: Names or files of humans that people may have, beside the built-in ones.
+        bodies: Names or files of humans that people may have, next to the built-in ones.
     """
 
     estimate: Sequence[str] = ()
@@ -96,7 +96,7 @@ class TopicOptions:
         return {"estimate": self.topic, "options": self.reading, "humans": humans}
 
     def beside(self, opened: Opened) -> Opened:
-        """A page with the files of the estimate beside its truth.
+        """A page with the files of the estimate next to its truth.
 
         Raises:
             HumansimError: They cannot be read.
@@ -121,7 +121,7 @@ class TopicOptions:
 def open_source(what: Path | None, topics: TopicOptions | None = None) -> Opened:
     """Open a path, or the name of a built-in; the demo scene if None.
 
-    ``topics``: how the topics of a bag are shown, and an estimate of a bag or scene; None: as they are.
+    ``topics``: how the topics of a bag are shown, and an estimate of a bag or scene. If None, as they are.
 
     Raises:
         HumansimError: It is none of these; with file, line and key where these are known.
@@ -209,7 +209,7 @@ def open_graph(topics: TopicOptions | None = None, namespace: str = "") -> Opene
     """Show a running ROS graph.
 
     Args:
-        topics: How its topics are shown; None: as they are.
+        topics: How its topics are shown. If None, as they are.
         namespace: Show only topics below it.
 
     Raises:

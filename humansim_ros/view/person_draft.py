@@ -1,4 +1,4 @@
-"""A person that is made of a mesh, step by step: mesh, skeleton, weights, and the files beside the scene."""
+"""A person that is made of a mesh, step by step: mesh, skeleton, weights, and the files next to the scene."""
 
 from __future__ import annotations
 
@@ -200,7 +200,7 @@ class PersonDraft:
         return f"humansim human build {shlex.quote(name)}.yaml -o {shlex.quote(name)}.npz"
 
     def write(self, name: str) -> str:
-        """Write the description and the person, ``name.yaml`` and ``name.npz``, beside the scene.
+        """Write the description and the person, ``name.yaml`` and ``name.npz``, next to the scene.
 
         They equal the files of :meth:`command`.
 
@@ -237,7 +237,7 @@ class PersonDraft:
     def weight_colors(self, bone: str | None = None) -> Image:
         """Colours (V, 3) of the vertices by their weights.
 
-        ``bone``: grey to red by the weight of this bone; None: the colours of all bones, mixed.
+        ``bone``: grey to red by the weight of this bone. If None, the colours of all bones, mixed.
 
         Raises:
             MeshError: It is not rigged, or there is no such bone.

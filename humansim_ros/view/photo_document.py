@@ -26,7 +26,7 @@ from humansim_ros.photographs.views import (
 from humansim_ros.types import Array
 from humansim_ros.view.scene_file import MAX_STEPS, file_signature
 
-#: Name of the fit beside the views file.
+#: Name of the fit next to the views file.
 FIT_NAME = "fit.yaml"
 
 
@@ -95,7 +95,7 @@ class PhotoDocument:
 
     @classmethod
     def load(cls, path: Path) -> PhotoDocument:
-        """Read a views file, and the fit beside it if there is one.
+        """Read a views file, and the fit next to it if there is one.
 
         Raises:
             PhotographError: One of them is wrong, or the fit is one of other views.

@@ -117,7 +117,7 @@ def surface_values(
 
 
 def near_joint_values(people: Iterable[JointsInImage], pixel: tuple[int, int], width: int) -> dict[str, str]:
-    """Texts about the joint whose projection is nearest to a pixel; none if no joint is near.
+    """Texts about the joint with a projection that is nearest to a pixel; none if no joint is near.
 
     Args:
         people: Joints in the image.

@@ -80,9 +80,9 @@ _MAX_OTHER = 256 << 10
 #: Most bytes of all messages that are kept, most messages of a topic, and nanoseconds by which stamps go back
 #: when a new run begins.
 _MAX_KEPT, _MAX_MESSAGES, _NEW_RUN = 512 << 20, 90, 10**9
-#: Most stamps whose arrivals are held.
+#: Most stamps with arrivals that are held.
 _MAX_ARRIVALS = 4 * _MAX_MESSAGES
-#: Most topics whose problems are told.
+#: Most topics with problems that are told.
 _MAX_PROBLEMS = 5
 _MARKERS = "visualization_msgs/msg/MarkerArray"
 #: Messages of tf that wait for the page.
@@ -99,7 +99,7 @@ class RosViewSource(TopicSource):
     Args:
         estimate: Topic of a tracker's estimate; ``*`` stands for the name of a person.
         options: How the estimate is read and compared.
-        humans: Bodies that people may have, beside the built-in ones.
+        humans: Bodies that people may have, next to the built-in ones.
         namespace: Show only topics below it, and tf and the estimate.
         image_width: Width to which wider images are scaled down, pixels.
         patience: Seconds that the first people and cameras are waited for.
@@ -125,7 +125,7 @@ class RosViewSource(TopicSource):
         self._first: int | None = None
         #: The frame that was given last: its messages, what was wanted, and itself.
         self._last: tuple[TopicFrame, Any, ViewFrame] | None = None
-        #: Stamp of the frame whose numbers were asked for; it is shown while the page is paused.
+        #: Stamp of the frame with numbers that were asked for. It is shown while the page is paused.
         self._pinned: int | None = None
         self._live = LiveTracks()
         #: Joints and vertices by person and stamp.
@@ -311,8 +311,8 @@ class RosViewSource(TopicSource):
 
         Args:
             stamp: Stamp of the frame.
-            received: Topics of joints in images that are received.
-            projected: Cameras whose joints are projected instead.
+            received: Received topics with the 2D joints of an image.
+            projected: Cameras with joints that are projected instead.
         """
         found = self._messages(stamp, received)
         frame = self._shown.frame(found)
@@ -368,7 +368,7 @@ class RosViewSource(TopicSource):
         return found
 
     def _clock(self) -> list[str]:
-        """Topics whose stamps are frames: joints of people, or else images, or else calibrations."""
+        """Topics with stamps that are frames: joints of people, or else images, or else calibrations."""
         store, topics = self._receiver.store, self._topics
         people = [of_person["joints"] for of_person in topics.people.values()]
         images = [topic for camera in topics.cameras.values() for topic in camera.images.values()]

@@ -215,7 +215,7 @@ class SceneFile:
             The file.
 
         Raises:
-            HumansimError: There is no path; the file exists or was changed; it cannot be written.
+            HumansimError: There is no path; the file exists or was changed. It cannot be written.
         """
         with self._lock:
             target = self.path if path is None else Path(path)

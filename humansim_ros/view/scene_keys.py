@@ -415,11 +415,11 @@ def free_view(
         cameras: (C, 3) places of the other cameras.
         target: (3,) where it looks.
         height: Its height, metres.
-        inside: Greatest distance along x and y from the origin of the place; None: anywhere.
+        inside: Greatest distance along x and y from the origin of the place. If None, anywhere.
         obstacles: What it must not be in, and what hides people.
 
     Returns:
-        (3,) Among the places that see most points, the one whose direction is farthest from the others.
+        (3,) Among the places that see most points, the one with a direction that is farthest from the others.
     """
     # seen from above: else a camera that is far away, which looks more level, would be in a freer direction
     offsets = (cameras - target)[:, :2]

@@ -33,9 +33,9 @@ from humansim_ros.view.tracks import ErrorPlan, SceneTracks
 
 #: Channels that the page can show.
 _CHANNELS = ("rgb", JOINTS, "depth", "part", "instance", "normal", "flow")
-#: Seconds of a scene whose motions are shorter, and longest that the timeline shows.
+#: Seconds of a scene with motions that are shorter, and longest that the timeline shows.
 _SHORTEST, _LONGEST = 2.0, 600.0
-#: Width of all images on the page together, and most beside each other.
+#: Width of all images on the page together, and most next to each other.
 _PAGE_WIDTH, _BESIDE = 1280, 4
 
 
@@ -365,7 +365,8 @@ class ImageWorkers:
         return self._latest is not None and self._latest.request == request
 
     def _ask(self, request: Request) -> None:
-        """Give processes that have nothing to do cameras of frames in progress, and of ``request``."""
+        """Give each idle process some cameras of a frame in progress or, if none is left, of a new frame for
+        ``request``."""
         with self._death():
             for process in self._workers.idle():
                 found = next(((number, frame) for number, frame in self._frames.items() if frame.left), None)
@@ -445,7 +446,7 @@ class _PageImages:
 
 
 class _Painter:
-    """Simulations of a scene with the channels that were asked for; they share a renderer."""
+    """Simulations of a scene with the channels that were asked for. They share a renderer."""
 
     def __init__(self, scene: Scene) -> None:
         self.costs = Costs()

@@ -20,7 +20,7 @@ _JOINTS, _CLOUD = "sensor_msgs/msg/MultiDOFJointState", "sensor_msgs/msg/PointCl
 _MESH, _MARKER, _TEXT = "shape_msgs/msg/Mesh", "visualization_msgs/msg/Marker", "std_msgs/msg/String"
 _POSES = {"extrinsics": "geometry_msgs/msg/TransformStamped", "pose": "geometry_msgs/msg/PoseStamped"}
 _TIME = "sensor_msgs/msg/TimeReference"
-#: Ends of names of compressed topics, beside the topic of the image.
+#: Ends of names of compressed topics, next to the topic of the image.
 _COMPRESSED = tuple(dict.fromkeys(f"/{end}" for end in COMPRESSED.values()))
 #: Channels by their topic below a camera; channels of single bodies have a topic for each.
 _CHANNELS = {row.topic: name for name, row in CHANNEL_TABLE.items() if not row.per_body}
@@ -70,7 +70,7 @@ class SeenTopics:
         scene_time: Topic with the scene time; empty without.
         transforms: Topics of tf.
         estimate: Person of each topic of the estimate; None if its messages name the people.
-        others: Images of no camera, because there is no ``camera_info`` beside them.
+        others: Images of no camera, because there is no ``camera_info`` next to them.
         types: Message type of each topic.
     """
 
@@ -140,7 +140,7 @@ def seen_topics(
     Args:
         types: Message type by absolute name of each topic.
         estimate: Topic of a tracker's estimate; ``*`` stands for the name of a person. None: there is none.
-        keypoints: Set of the keypoints that the estimate has; None: joints.
+        keypoints: Set of the keypoints that the estimate has. If None, joints.
     """
     cameras = _cameras(types)
     images = {name for name, kind in types.items() if kind in (IMAGE, COMPRESSED_IMAGE)}

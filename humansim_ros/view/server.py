@@ -85,7 +85,7 @@ class PageServer:
         viser: The server of the page's elements.
         port: Port that it got.
         on_refused: Called with a sentence for people when a file of a browser is refused.
-        result: Gives the file of a path below ``/humansim/results/``; None: there is none.
+        result: Gives the file of a path below ``/humansim/results/``. If None, there is none.
 
     Raises:
         HumansimError: No port is free.
@@ -215,10 +215,8 @@ class PageServer:
 
     @contextlib.contextmanager
     def _checked_connections(self) -> Iterator[None]:
-        """Connections of servers that start meanwhile are checked.
-
-        Viser has no parameter for it; it calls ``websockets.asyncio.server.serve`` with its handlers.
-        """
+        """Connections of servers that start meanwhile are checked. Viser has no parameter for it. It calls
+        ``websockets.asyncio.server.serve`` with its handlers."""
         serve = websockets.asyncio.server.serve
 
         def checked(handler: Any, host: str, port: int, **options: Any) -> Any:
@@ -284,10 +282,8 @@ class PageServer:
 
 
 def is_acceptable(data: object, gate: UploadGate | None = None) -> bool:
-    """Whether a message of a browser is one that its page sends, with values that are in range.
-
-    ``gate``: judges messages about files; None: they are not taken.
-    """
+    """Whether a message of a browser is one that its page sends, with values that are in range. ``gate``:
+    judges messages about files. If None, they are not taken."""
     if not isinstance(data, bytes):
         return False
     try:
@@ -459,7 +455,7 @@ def _response(
     return Response(status, status.phrase, headers, data)
 
 
-#: MIME types of results that a browser shows; it saves all others.
+#: MIME types of results that a browser shows. It saves all others.
 _SHOWN = {
     ".html": "text/html; charset=utf-8",
     ".png": "image/png",

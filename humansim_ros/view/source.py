@@ -22,7 +22,7 @@ from humansim_ros.view.tracks import Tracks
 JOINTS = "joints"
 #: Width of images on the page, pixels.
 IMAGE_WIDTH = 640
-#: Channels whose pixels may be mixed; others are labels or have edges.
+#: Channels with pixels that may be mixed. Others are labels or have edges.
 _SMOOTH = ("rgb", JOINTS, "shadow", "alpha")
 
 
@@ -79,10 +79,10 @@ class PixelInfo:
 
 @dataclass(frozen=True)
 class FrameRequest:
-    """What the page wants of a frame, beside the poses.
+    """What the page wants of a frame, next to the poses.
 
     Attributes:
-        cameras: Cameras whose images are wanted.
+        cameras: Cameras with images that are wanted.
         channels: Channels that are wanted.
         wait: The images must belong to this frame; otherwise the latest images that are ready are given.
         full: Cameras whose images keep their size; other images are small.
@@ -105,9 +105,9 @@ class ViewSource(ABC):
 
     Attributes:
         renders: Whether it renders the images itself, so that they are there soon.
-        scanners: Names of the laser scanners whose points can be shown.
+        scanners: Names of the laser scanners with points that can be shown.
         start: Stamp of the first frame, nanoseconds.
-        estimate: An estimate of files that is shown beside the truth; None without.
+        estimate: An estimate of files that is shown next to the truth; None without.
     """
 
     renders: bool = False
@@ -173,7 +173,7 @@ class ViewSource(ABC):
         """Begin with what takes time before somebody looks.
 
         Args:
-            cameras: Cameras whose images will be wanted.
+            cameras: Cameras with images that will be wanted.
             channels: Channels that will be wanted.
             alone: This process has no other threads yet, and no OpenGL: it can be copied.
         """
@@ -184,7 +184,7 @@ class ViewSource(ABC):
         """Numbers of a pixel of the frame that was given last, as the topics say them."""
 
     def tracks(self) -> FrameJob | None:
-        """Job that reads the tracks of the timeline (``tracks.py``); None: the source has no timeline."""
+        """Job that reads the tracks of the timeline (``tracks.py``). If None, the source has no timeline."""
         return None
 
     def live_tracks(self) -> Tracks | None:

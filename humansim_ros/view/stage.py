@@ -1,4 +1,4 @@
-"""The 3D part of the page: people, objects, cameras, floor, and drawings beside them."""
+"""The 3D part of the page: people, objects, cameras, floor, and drawings next to them."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from humansim_ros.view.source import JOINTS, ViewFrame, ViewSource, jpeg_of
 _TRAIL, _TRAIL_STEP = 60, 2
 #: Joints with trails, if a body has them; else all end points.
 _TRAILED = ("HumanoidRoot", "l_wrist", "r_wrist", "l_ankle", "r_ankle", "vt3_end")
-#: Length of a frustum, metres; its image is as wide as the field of view.
+#: Length of a frustum, metres. Its image is as wide as the field of view.
 _FRUSTUM = 0.45
 #: Width of the images in frusta, pixels.
 _FRUSTUM_IMAGE = 160
@@ -43,7 +43,7 @@ _RED = (235, 80, 80)
 _SCAN, _SCAN_POINT = (70, 90, 110), 0.015
 #: Folder of the files of people.
 _PEOPLE = "people/"
-#: Opacity of bodies whose joints are shown.
+#: Opacity of bodies with joints that are shown.
 _SEE_THROUGH = 0.4
 #: Change of size at which a body is built again.
 _SIZE_STEP = 1e-3
@@ -51,7 +51,7 @@ _SIZE_STEP = 1e-3
 
 @dataclass(frozen=True)
 class Options:
-    """Drawings beside people, objects and cameras: which are on."""
+    """Drawings next to people, objects and cameras: which are on."""
 
     cameras: bool = True
     images: bool = True
@@ -296,7 +296,7 @@ class Stage:
                 small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
                 self._frusta[name][0].image = np.asarray(small)
 
-    # --- drawn beside them -------------------------------------------------------------------------------
+    # --- drawn next to them -------------------------------------------------------------------------------
 
     def _show_extras(self, frame: ViewFrame) -> None:
         for name, joints in frame.joints.items():
@@ -595,7 +595,7 @@ class PageBody:
 
 
 def keyed_color(color: Color, number: int) -> Color:
-    """Colour near ``color`` whose lowest bits are the number (below 512) of a body."""
+    """Colour near ``color`` with lowest bits that are the number (below 512) of a body."""
     red, green, blue = (channel & ~7 for channel in color)
     return red | number & 7, green | number >> 3 & 7, blue | number >> 6 & 7
 

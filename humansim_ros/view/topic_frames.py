@@ -116,7 +116,7 @@ class TopicFrames:
     What cannot be read is left out, and ``messages`` says so.
 
     Args:
-        humans: Bodies that people may have, beside the built-in ones.
+        humans: Bodies that people may have, next to the built-in ones.
         options: How an estimate is read and compared.
         width: Width to which wider images are scaled down, pixels.
 
@@ -221,12 +221,12 @@ class TopicFrames:
 
     @property
     def skinless(self) -> list[str]:
-        """People whose surface is known, but not how bones move it: :meth:`add_skin` finds it."""
+        """People with a surface that is known, but not how bones move it: :meth:`add_skin` finds it."""
         people = self.topics.people
         return [name for name, person in self._known.items() if person.surface and "vertices" in people[name]]
 
     def add_skin(self, name: str, samples: Sequence[tuple[bytes, bytes]]) -> None:
-        """Find out how the bones of a person move its surface; it stays a figure of bones if they do not.
+        """Find out how the bones of a person move its surface. It stays a figure of bones if they do not.
 
         Args:
             name: Name of the person.
@@ -356,12 +356,13 @@ class TopicFrames:
         data: Mapping[str, bytes],
         poses: Mapping[str, JointPoses | None] | None = None,
     ) -> tuple[dict[str, Array], dict[str, float]]:
-        """Points and errors of an estimate by person, as of ``beside_truth``; none if it cannot be compared.
+        """Points and errors of an estimate by person, the same as in ``beside_truth``; none if it cannot be
+        compared.
 
         Args:
             people: People of the estimate, in ``map``, metres.
             data: Serialised message by topic.
-            poses: Joints of the truth by person; None: they are read.
+            poses: Joints of the truth by person. If None, they are read.
         """
         truth, topic = self.truth(data, poses), next(iter(self.topics.estimate), "the estimate")
         return self._guarded(topic, lambda: beside_truth(people, truth, self._options)) or ({}, {})
@@ -381,7 +382,7 @@ class TopicFrames:
 
         Args:
             data: Serialised message by topic.
-            poses: Joints by person; None: they are read.
+            poses: Joints by person. If None, they are read.
         """
         truth: dict[str, TruePoints] = {}
         for name, topics in self.topics.people.items():
@@ -413,7 +414,7 @@ class TopicFrames:
         channels: Collection[str],
         width: int | None,
     ) -> dict[str, Picture]:
-        """Pictures of the channels of a camera that the frame has. ``width``: most pixels; None: any."""
+        """Pictures of the channels of a camera that the frame has. ``width``: most pixels. If None, any."""
         topics, images = self.topics.cameras[name], {}
         for channel in channels:
             own = "rgb" if channel == JOINTS else channel
@@ -450,11 +451,9 @@ class TopicFrames:
     def visibility(
         self, messages_of: TopicFrame, projected: Collection[str] = ()
     ) -> Iterator[tuple[str, str, NDArray[np.uint8]]]:
-        """Person, camera and states (J,) of the joints, as :mod:`humansim_ros.truth` has them.
-
-        Fingers, toes, jaw and eyes are left out. Joints of cameras without a topic of joints are projected:
-        none of them is occluded. ``projected``: cameras whose topic is not received, with the same effect.
-        """
+        """Person, camera and states (J,) of the joints, as :mod:`humansim_ros.truth` has them. Fingers, toes,
+        jaw and eyes are left out. Joints of cameras without a topic of joints are projected: none of them is
+        occluded. ``projected``: cameras with a topic that is not received, with the same effect."""
         found = self.frame(messages_of)
         for name, camera in found.cameras.items():
             topic = self.topics.cameras[name].joints

@@ -70,7 +70,7 @@ def _built_in() -> tuple[Human, ...]:
 
 
 def bone_figure(name: str, poses: JointPoses) -> Human | None:
-    """A figure of bones for joints of a person whose body is not known; None for joints without bones.
+    """A figure of bones for joints of a person with a body that is not known; None for joints without bones.
 
     ``poses`` (N = 1) are its rest pose.
 
@@ -351,7 +351,7 @@ def _weights(moves: Array, rest: Array, vertices: Array) -> csr_matrix:
     return csr_matrix((np.maximum(solved, 0).ravel(), flat), shape=shape)
 
 
-# --- an estimate beside the truth of the same frame
+# --- an estimate next to the truth of the same frame
 
 #: Most people of an estimate that are shown.
 _MOST = 64
@@ -408,7 +408,7 @@ def people_of(frame: PoseFrame, person: str | None, options: LiveOptions) -> lis
 
     Args:
         frame: The message.
-        person: Name of the person that its topic has; None if it has none.
+        person: Name that the topic gives to the person. If None, the message has the names.
         options: Scale and axes of the estimate.
 
     Raises:

@@ -35,7 +35,8 @@ from humansim_ros.truth import OCCLUDED, VISIBLE
 from humansim_ros.types import Float32Array, Indices
 
 _LOG = logging.getLogger(__name__)
-#: Most frames whose joints are read, or whose estimate is compared, and most whose images are looked at.
+#: Most frames with joints that are read, or with an estimate that is compared, and most with images that are
+#: looked at.
 MOST_MOTION, _MOST_VIEWS = 600, 120
 #: Most marks of a track: more than a page has columns of pixels.
 _MOST_MARKS = 2000
@@ -64,10 +65,10 @@ class TrackOutline:
         joints: Names of the joints by person.
         spans: First and last frames in which a person is there, by person.
         keys: Frames of keyframes by person or object; absent without keyframes.
-        drops: Frames whose image is lost, by camera; absent without.
+        drops: Frames with an image that is lost, by camera; absent without.
         projected: Cameras that do not say what is occluded: their joints are projected.
         has_views: Visibility can be read.
-        most_views: Most frames whose visibility is read.
+        most_views: Most frames with a visibility that is read.
         has_errors: There is an estimate.
     """
 
@@ -161,7 +162,7 @@ class ErrorPlan:
         own: (N,) int64 stamps of the estimate, nanoseconds; -1 where it has none.
         last: Number of the last frame of the page.
         options: How the estimate is compared.
-        estimate: Its poses in these frames; None: they are read.
+        estimate: Its poses in these frames. If None, they are read.
         problem: Why it cannot be compared; empty if it can.
     """
 
@@ -495,7 +496,7 @@ class TrackReader:
         self._thread: threading.Thread | None = None
 
     def show(self, job: FrameJob | None) -> int:
-        """Read other tracks instead, once :meth:`begin` is called; None: there are none.
+        """Read other tracks instead, once :meth:`begin` is called. If None, there are none.
 
         Returns:
             Number of the source.
@@ -624,10 +625,8 @@ def has_message(stamps: NDArray[np.int64], own: NDArray[np.int64], half: int) ->
 
 
 def lost_frames(present: NDArray[np.bool_]) -> list[int]:
-    """Frames whose image is lost: between two images that are farther apart than most.
-
-    ``present``: (F,) whether a frame has an image.
-    """
+    """Frames with an image that is lost: between two images that are farther apart than most. ``present``:
+    (F,) whether a frame has an image."""
     having = np.flatnonzero(present)
     steps = np.diff(having)
     if not len(steps):
@@ -648,8 +647,8 @@ class ArrivedFrame:
 
     Attributes:
         stamp: Nanoseconds.
-        people: Names of those whose joints have arrived.
-        images: Whether the image of a camera has arrived, for the cameras whose images are received.
+        people: Names of those with joints that have arrived.
+        images: Whether the image of a camera has arrived, for the cameras with images that are received.
         sample: Joints and visibility; None for the frames between samples.
         projected: Cameras whose visibility in the sample is of projected joints.
         errors: Errors of an estimate by person, millimetres.
@@ -684,7 +683,7 @@ class LiveTracks:
         return last is None or stamp - last >= _LIVE_STEP
 
     def add(self, frame: ArrivedFrame) -> None:
-        """Add a frame; those that are too old, and those of an earlier run, are forgotten."""
+        """Add a frame. Those that are too old, and those of an earlier run, are forgotten."""
         if frame.stamp <= self.newest:
             self._frames.clear()
         self._frames.append(frame)
@@ -730,7 +729,7 @@ class LiveTracks:
             assert each.sample is not None
             posed = {name: pose for name, pose in each.sample.joints.items()
                      if len(pose) == len(joints.get(name, ()))}  # fmt: skip
-            # once a camera says what is occluded, projections are not shown beside it
+            # once a camera says what is occluded, projections are not shown next to it
             old = set(each.projected) - set(projected)
             seen = {
                 person: {name: shares for name, shares in of_person.items() if name not in old}
@@ -744,7 +743,7 @@ class LiveTracks:
 
 
 def _lost_of(camera: str, frames: Sequence[ArrivedFrame], numbers: Sequence[int]) -> list[int]:
-    """Numbers of the frames whose image is lost, while the images of a camera are received."""
+    """Numbers of the frames with an image that is lost, while the images of a camera are received."""
     found: list[int] = []
     for first, last in spans_of(camera in each.images for each in frames):
         present = np.array([each.images[camera] for each in frames[first : last + 1]])

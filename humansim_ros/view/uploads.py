@@ -1,4 +1,4 @@
-"""Files that browsers send: named plainly, read as their kind, and kept beside the scene.
+"""Files that browsers send: named plainly, read as their kind, and kept next to the scene.
 
 Nothing of them is trusted: the name is made anew of plain characters, and a file is kept only if the reader
 of its kind can read it. The server has bounded its size (:class:`humansim_ros.view.server.UploadGate`).
@@ -145,7 +145,7 @@ def plain_name(name: str, suffixes: tuple[str, ...]) -> str:
 
 
 def keep_file(folder: Path, name: str, content: bytes, kind: str) -> Path:
-    """Keep a file that a browser has sent beside the scene, if it is of its kind.
+    """Keep a file that a browser has sent next to the scene, if it is of its kind.
 
     A file of the same name and other content stays: the new one gets a number.
 
@@ -172,7 +172,7 @@ def keep_file(folder: Path, name: str, content: bytes, kind: str) -> Path:
                 break
             if target.is_file() and not target.is_symlink() and target.read_bytes() == content:
                 return target
-        # beside its place, as a mesh is read with the files that it names
+        # next to its place, as a mesh is read with the files that it names
         handle, temporary = tempfile.mkstemp(suffix=target.suffix, prefix=f".{target.stem}-", dir=folder)
         try:
             with os.fdopen(handle, "wb") as file:
@@ -188,10 +188,8 @@ def keep_file(folder: Path, name: str, content: bytes, kind: str) -> Path:
 
 
 def files_in(folder: Path, kind: str | None) -> list[str]:
-    """Names of the files in the folder of the scene that may be of a kind, by their suffix; sorted.
-
-    ``kind``: key of :data:`KINDS`; None: no files.
-    """
+    """Names of the files in the folder of the scene that may be of a kind, by their suffix; sorted. ``kind``:
+    key of :data:`KINDS`. If None, no files."""
     if kind is None or not exists(folder):
         return []
     suffixes = KINDS[kind].suffixes

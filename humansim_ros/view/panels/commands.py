@@ -36,7 +36,7 @@ _BEGINNINGS = {
     "fit the photographs": "humansim human fit {views} -o fit.yaml --picture fit.png",
     "texture": "humansim human texture {views} --fit fit.yaml -o {person}.npz --picture {person}.png",
 }
-#: Choices beside the buttons.
+#: Choices next to the buttons.
 _NO_OTHER = "(another command)"
 #: Most links to files of a result, and most files of a folder that are looked at.
 _MOST_LINKS, _MOST_LOOKED = 30, 5000
@@ -109,7 +109,7 @@ class CommandsPanel:
         self._text.value = _BEGINNINGS[command].format(**quoted)
 
     def _use_estimate(self, name: str) -> None:
-        """Show the line of an evaluation, and the estimate beside the truth; an empty name is none."""
+        """Show the line of an evaluation, and the estimate next to the truth; an empty name is none."""
         self.choose("evaluate")
         self._app.compare(self._document.folder / name if name else None)
 
@@ -268,7 +268,7 @@ class Job:
     """A command that runs in a process of its own.
 
     Args:
-        text: Command line; it begins with ``humansim``.
+        text: Command line. It begins with ``humansim``.
         folder: Folder that it runs in.
 
     Raises:

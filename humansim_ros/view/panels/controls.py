@@ -39,7 +39,7 @@ class SectionControls:
         only: Keys of the section; all if empty.
         choices: Values of keys to choose from, by dotted key within the section.
         post: Runs a function in the thread that edits the document.
-        folder: Folder of the page for the controls and their errors; None: the root of the page.
+        folder: Folder of the page for the controls and their errors. If None, the root of the page.
     """
 
     def __init__(

@@ -19,7 +19,7 @@ from humansim_ros.view.scene_keys import find_key
 from humansim_ros.view.server import inside
 
 _DRAWN = "(drawn)"
-#: Ends and step of the sliders, whose names are options of ``humansim human make``.
+#: Ends and step of the sliders, with names that are options of ``humansim human make``.
 _SLIDERS: dict[str, tuple[float, float, float]] = {
     "age": (*AGES, 1.0),
     "height": (0.7, 2.1, 0.01),
@@ -140,7 +140,7 @@ class DrawnPersonPanel:
         return " ".join([f"humansim human make --seed {int(self._seed.value)}", *options, f"-o {file}"])
 
     def add(self) -> None:
-        """Build the person, write it beside the scene, and add it, or replace the person of this name.
+        """Build the person, write it next to the scene, and add it, or replace the person of this name.
 
         Raises:
             HumansimError: There is no such person; the name is wrong, or taken by a file of others.

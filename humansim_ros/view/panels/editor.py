@@ -168,7 +168,7 @@ class EditorPanel:
             return ()
 
     def _leave_outfit(self, name: str) -> None:
-        """Remove the outfit of a person whose body does not have it."""
+        """Remove the outfit of a person with a body that does not have it."""
         keys, outfits = ["humans", name, "outfit"], self.outfits(name)
         worn = self.document.value(keys)
         if worn is not None and outfits and worn not in outfits:
@@ -428,7 +428,7 @@ class EditorPanel:
 
 # --- parts for some items only: keyframes, calibrations, ideal cameras, pictures of motions
 
-#: Makes an edit; whether it could be made.
+#: Makes an edit, and returns whether it worked.
 Edit = Callable[[Callable[[], Any]], bool]
 
 _ADD = "Add"

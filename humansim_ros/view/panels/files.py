@@ -1,4 +1,4 @@
-"""Files beside the scene: a button that takes a file of the browser, and a choice of the files."""
+"""Files next to the scene: a button that takes a file of the browser, and a choice of the files."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def upload_button(
     label: str | None = None,
     order: float | None = None,
 ) -> Any:
-    """Add a button that keeps a file of the browser beside the scene.
+    """Add a button that keeps a file of the browser next to the scene.
 
     Args:
         gui: Elements of the page.
@@ -72,7 +72,7 @@ def _raise(error: HumansimError) -> Callable[[], None]:
 
 
 class FileChoice:
-    """A list of the files beside the scene, and a button for another one.
+    """A list of the files next to the scene, and a button for another one.
 
     Args:
         app: The page.
@@ -113,7 +113,7 @@ class FileChoice:
         self._chosen(name)
 
     def refresh(self, name: str | None = None) -> None:
-        """Show the files that are there now. ``name``: the file to choose; None: the same as before."""
+        """Show the files that are there now. ``name``: the file to choose. If None, the same as before."""
         kept = self._list.value if name is None else name or self.NONE
         options = self._options()
         if kept not in options:

@@ -26,7 +26,8 @@ _SKIN, _ALL_BONES = "skin", "weights of all bones"
 _RADIUS, _OPACITY = 0.014, 0.4
 #: Where the page looks from at a person at the origin, and the point that it looks at, metres.
 _EYE, _TARGET = (2.0, 0.55, 1.2), (0.0, 0.0, 0.85)
-#: Seconds in which most browsers have made the scene again, and how often slow ones are looked at.
+#: Seconds that most browsers need to rebuild the 3D scene; and how many times the view is set again for
+#: slower ones.
 _SETTLED, _LOOKS = 0.7, 5
 _COLOURS = {
     "skin": (208, 158, 130),

@@ -1,4 +1,4 @@
-"""Images of the cameras beside the 3D scene, and the numbers of a click."""
+"""Images of the cameras next to the 3D scene, and the numbers of a click."""
 
 from __future__ import annotations
 
@@ -19,8 +19,9 @@ _IMAGES = 0xFFFFFFFF
 def images_message(images: Mapping[str, Mapping[str, Image]]) -> bytes:
     """Message of images (H, W, 3) by camera and channel for the page's script (``page/tiles.js``).
 
-    Two uint32, 0xFFFFFFFF and the bytes of a table; the table, a JSON list of ``camera``, ``channel``,
-    ``width``, ``height`` (pixels) and ``bytes``; then the JPEG files in its order.
+    In this order: uint32 0xFFFFFFFF; uint32 length of the table in bytes; the table, a JSON list of
+    ``camera``, ``channel``, ``width``, ``height`` (pixels) and ``bytes``. Then the JPEG files, in the order
+    of the table.
     """
     table: list[dict[str, Any]] = []
     files = []
@@ -37,7 +38,7 @@ def images_message(images: Mapping[str, Mapping[str, Image]]) -> bytes:
 
 
 class ImagesPanel:
-    """All images that were chosen, as tiles in an area of the page beside the scene (``page/tiles.js``)."""
+    """All images that were chosen, as tiles in an area of the page next to the scene (``page/tiles.js``)."""
 
     def __init__(self, app: Page) -> None:
         self._app = app

@@ -121,7 +121,7 @@ def assigned(match: JointMatch, motion: Motion, role: str, joint: str | None) ->
         match: The match.
         motion: Its motion.
         role: Role, such as ``LeftElbow``.
-        joint: Name of a joint of the motion; None: the role has no joint.
+        joint: Name of a joint of the motion. If None, the role has no joint.
 
     Returns:
         The table as YAML.

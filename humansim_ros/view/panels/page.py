@@ -80,12 +80,12 @@ class Page(Protocol):
         head: Folder above the tabs, for the time.
         tabs: Tabs by name.
         dark: Whether the page is dark.
-        shown_cameras: Cameras whose images are shown.
+        shown_cameras: Cameras with images that are shown.
         shown_channels: Channels that are shown.
         through: Camera that is looked through, whose image alone is shown; None: all are shown.
-        enlarged: Camera and channel of the tile that is large; its images keep their size. None: none is.
-        chosen_camera: Camera that was chosen, or ``all``; it stays when the source is replaced.
-        options: Drawings in 3D; they stay when the source is replaced.
+        enlarged: Camera and channel of the tile that is large. Its images keep their size. None: none is.
+        chosen_camera: Camera that was chosen, or ``all``. It stays when the source is replaced.
+        options: Drawings in 3D. They stay when the source is replaced.
     """
 
     server: PageServer
@@ -107,7 +107,7 @@ class Page(Protocol):
         """Scene time that is shown, seconds."""
 
     def post(self, function: Callable[[], None]) -> None:
-        """Run a function in the thread of the page; its errors are shown as a notification."""
+        """Run a function in the thread of the page. Its errors are shown as a notification."""
 
     def refresh(self) -> None:
         """Show the frame again, also while paused."""
@@ -134,7 +134,7 @@ class Page(Protocol):
         """Show another source, at the same time if it has it."""
 
     def compare(self, path: Path | None) -> None:
-        """Show an estimate of a tracker beside the truth of the scene; None: none."""
+        """Show an estimate of a tracker next to the truth of the scene. If None, none."""
 
     def saved(self, path: Path) -> None:
         """The scene has been saved as a file, which is watched from now on."""

@@ -22,7 +22,7 @@ _ROWS = 12
 
 
 class PhotographsPanel:
-    """The photographs beside the 3D scene (drawn by page/photographs.js), and their tab.
+    """The photographs next to the 3D scene (drawn by page/photographs.js), and their tab.
 
     Args:
         app: The page. All methods run in its thread.

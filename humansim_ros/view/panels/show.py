@@ -358,7 +358,7 @@ class TracksPanel:
         return table | {"curve": tracks.curve(*self._curve), "live": live}
 
     def _publish(self, table: Mapping[str, Any] | None) -> None:
-        """Serve a table, and tell the script; None: there is no timeline."""
+        """Serve a table, and tell the script. If None, there is no timeline."""
         self._version += 1
         if table is not None:
             self._app.server.add_json("tracks.json", table)

@@ -53,10 +53,8 @@ class ClockOwner:
         self._has_time = True
 
     def check(self) -> str | None:
-        """Text on another publisher; empty if there is none; None if it is not known yet.
-
-        Call it often: the executor must read messages between two calls.
-        """
+        """Text on another publisher; empty if there is none; None if unknown yet. Call it often: the executor
+        must read messages between two calls."""
         # not the time in which the executor has read no message
         now = time.monotonic()
         self._waited += min(now - self._last, _MAX_STEP)

@@ -87,10 +87,8 @@ class Endpoint:
 
 
 class GraphWatch:
-    """Compares the graph with the graph of the last look.
-
-    ``node``: a node; its own endpoints are among those that it finds.
-    """
+    """Compares the graph with the graph of the last look. ``node``: a node. Its own endpoints are among those
+    that it finds."""
 
     def __init__(self, node: Any) -> None:
         self._node = node
@@ -138,7 +136,7 @@ class StampedTopics:
     """Subscribes to topics as soon as they have a publisher, with the type and reliability that it offers.
 
     Args:
-        node: Node that subscribes; its own publishers do not count.
+        node: Node that subscribes. Its own publishers do not count.
         topics: Names of the topics.
         on_stamp: Called with topic and stamp (nanoseconds) of each message.
     """

@@ -1,4 +1,4 @@
-"""Node whose callbacks cannot end it: their errors are logged and counted, and the node goes on."""
+"""Node with callbacks that cannot end it: their errors are logged and counted, and the node goes on."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class GuardedNode(Node):
         super().__init__(name, **options)
 
     def complete(self) -> None:
-        """Complete the work of the node before its process ends; it may take long.
+        """Complete the work of the node before its process ends. It may take long.
 
         Raises:
             HumansimError: The work is not complete.
@@ -120,7 +120,7 @@ class GuardedNode(Node):
         max_bytes: int | None = None,
         **options: Any,
     ) -> Any:
-        """Create a subscription, as ``Node.create_subscription``, whose callback cannot end the node.
+        """Create a subscription, as ``Node.create_subscription``, with a callback that cannot end the node.
 
         Args:
             msg_type: Message type.
@@ -158,7 +158,7 @@ class GuardedNode(Node):
     def create_timer(
         self, timer_period_sec: float, callback: Callable[[], object], *arguments: Any, **options: Any
     ) -> Any:
-        """Create a timer, as ``Node.create_timer``, whose callback cannot end the node."""
+        """Create a timer, as ``Node.create_timer``, with a callback that cannot end the node."""
 
         def on_time() -> None:
             with self.guard(f"timer {_name(callback)}", "it goes on at its next time"):
@@ -169,11 +169,9 @@ class GuardedNode(Node):
     def create_service(
         self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any], **options: Any
     ) -> Any:
-        """Create a service, as ``Node.create_service``, whose callback cannot end the node.
-
-        A request that is too long, or at which it fails, is answered with a refusal. The callback may return
-        a future of the response: the request is answered when it is done.
-        """
+        """Create a service, as ``Node.create_service``, with a callback that cannot end the node. A request
+        that is too long, or at which it fails, is answered with a refusal. The callback may return a future
+        of the response: the request is answered when it is done."""
         source = f"service {self.resolve_service_name(srv_name)}"
 
         def on_request(request: Any, response: Any) -> Any:
@@ -215,7 +213,7 @@ class GuardedNode(Node):
         super().add_pre_set_parameters_callback(on_parameters)
 
     def add_on_set_parameters_callback(self, callback: Callable[[Any], Any]) -> None:
-        """Add a callback that accepts or refuses parameters; they are refused if it fails."""
+        """Add a callback that accepts or refuses parameters. They are refused if it fails."""
 
         def on_parameters(parameters: Sequence[Any]) -> Any:
             with self.guard("parameters", f"{_names(parameters)} refused") as fault:

@@ -34,7 +34,8 @@ _CLOCK_CHECK_EVERY = 10.0
 
 
 class SuiteNode(GuardedNode):
-    """Node of the package: described parameters, latched topics, diagnostics, and timers that go on."""
+    """Base class of the nodes of the package: parameters with descriptions, latched topics, diagnostics, and
+    timers that keep running when the system clock is set back."""
 
     def __init__(self, name: str, **options: Any) -> None:
         super().__init__(name, **options)

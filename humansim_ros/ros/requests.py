@@ -27,11 +27,9 @@ _Create, _Destroy = ctypes.PYFUNCTYPE(ctypes.c_void_p), ctypes.PYFUNCTYPE(None, 
 
 
 def limited(srv_type: Any, most: int) -> Any:
-    """Service type whose requests are RosErrors if one of their lists has more than ``most`` messages.
-
+    """Service type with requests that are RosErrors if one of their lists has more than ``most`` messages.
     rclpy makes an object of each message before it calls the callback of the service: of 200,000 parameters
-    in ten seconds, with hundreds of megabytes, in which the node does nothing else.
-    """
+    in ten seconds, with hundreds of megabytes, in which the node does nothing else."""
     kind = srv_type.Request
     lists = [(name, at) for name, field, at in _fields(kind) if "/" in field and "<" in field]
     if not lists:
@@ -47,7 +45,7 @@ def limited(srv_type: Any, most: int) -> Any:
         return [(field, ctypes.c_size_t.from_address(message + at + size).value) for field, at in lists]
 
     if not _are_right(kind, counts):
-        return srv_type  # of a ROS whose messages have another layout
+        return srv_type  # of a ROS with messages that have another layout
 
     def checked(message: int) -> Any:
         for field, count in counts(message):

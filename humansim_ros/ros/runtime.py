@@ -55,7 +55,7 @@ def prepare_transport(participants: int | None = None, network: bool = True) -> 
     have left of it. Prepares the folder of logs, too.
 
     Args:
-        participants: Number of processes that start together; None: this process alone.
+        participants: Number of processes that start together. If None, this process alone.
         network: Other hosts may find the nodes, unless the user has set it.
 
     Returns:

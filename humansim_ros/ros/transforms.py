@@ -45,7 +45,7 @@ class TransformSender:
         """Publish all static transforms of the node: late subscribers get the last call.
 
         Args:
-            parts: Their topics, whose content does not depend on the frame.
+            parts: Their topics, with a content that does not depend on the frame.
             stamp: Nanoseconds.
         """
         if TFMessage is not None:

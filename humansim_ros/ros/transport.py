@@ -162,7 +162,7 @@ _SEGMENT_BYTES = "HUMANSIM_SEGMENT_BYTES"
 _MEMORY_POLICY = "RMW_FASTRTPS_USE_QOS_FROM_XML"
 #: Bytes of a segment below which large images may be lost.
 _SMALL_SEGMENT = 1 << 24
-#: Bytes in /dev/shm of a process whose segment has its full size.
+#: Bytes in /dev/shm of a process with a segment that has its full size.
 _FULL_PROCESS = 70e6
 
 
@@ -185,7 +185,7 @@ def choose_transport(participants: int | None = None, network: bool = True) -> T
     """Choose the transport for this machine, unless the user has configured it.
 
     Args:
-        participants: Number of processes that start together; None: this process starts alone.
+        participants: Number of processes that start together. If None, this process starts alone.
         network: Other hosts may find the nodes.
     """
     for name in _DISCOVERY_SETTINGS:
@@ -220,7 +220,7 @@ def _has_fast_dds_3() -> bool:
 
 
 def _profile(segment: int, network: bool) -> str:
-    """Name of the profile of Fast DDS for segments of a size; 0: without shared memory."""
+    """Name of the profile of Fast DDS for segments of a size. If 0, without shared memory."""
     if segment == FULL_SEGMENT and network:
         return "fastdds"
     if segment:

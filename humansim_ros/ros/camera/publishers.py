@@ -51,7 +51,7 @@ class PublishedCalibration:
 
     Attributes:
         published: Calibration of the whole sensor in ``<camera>/camera_info``.
-        beside_truth: That beside images of ground truth, such as depth: the true one until it is replaced.
+        beside_truth: That next to images of ground truth, such as depth: the true one until it is replaced.
     """
 
     def __init__(self, node: SceneNode, camera: SceneCamera) -> None:
@@ -290,7 +290,7 @@ class ImagePublishers:
         return subscribed.union(*(t.channels for t, publisher in self._images if _has_subscribers(publisher)))
 
     def rectified_subscribed(self) -> set[str]:
-        """Channels whose rectified images have subscribers."""
+        """Channels with rectified images that have subscribers."""
         return {name for name, (_, publisher) in self._rectified.items() if _has_subscribers(publisher)}
 
     def publish_rectified(self, channel: str, image: NDArray[Any], stamp: int) -> None:
@@ -314,7 +314,7 @@ def _has_subscribers(publisher: Any) -> bool:
 
 
 class InfoPublishers:
-    """Publishers of a camera's calibration: ``<camera>/camera_info``, and one beside each image."""
+    """Publishers of a camera's calibration: ``<camera>/camera_info``, and one next to each image."""
 
     def __init__(self, node: SceneNode, topics: CameraTopics, driver: CameraDriver) -> None:
         self._driver = driver

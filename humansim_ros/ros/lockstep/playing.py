@@ -67,11 +67,11 @@ class LockstepSettings:
 
     Attributes:
         names: Names of nodes that report on ``frame_done``.
-        topics: Topics whose messages are reports.
+        topics: Topics with messages that are reports.
         timeout: Seconds after which a frame waits no longer.
         on_timeout: What happens then.
-        pace: Most frames per second of the wall clock; 0: as fast as possible.
-        frames: Number of frames; 0: without end.
+        pace: Most frames per second of the wall clock. If 0, as fast as possible.
+        frames: Number of frames. If 0, without end.
         summary: File for a summary as JSON at the end; empty: none.
         recorder: Name of the recorder, which is among ``names`` and starts with the scene; empty: none.
         clock_search: Seconds in which another publisher of ``/clock`` is looked for before the first frame.
@@ -439,7 +439,7 @@ class LockstepPlaying(Playing):
         return self._before + self.state.sent - 1
 
     def _remove_members(self) -> None:
-        """Remove members that had joined by a report, and whose publisher has left the graph."""
+        """Remove members that had joined by a report, and with a publisher that has left the graph."""
         publishers = publishers_of(self.player, self.player.resolve_topic_name(FRAME_DONE))
         joined = [name for name, each in self.state.members.items() if not each.required]
         nodes = {self._name(each.node) for each in publishers.values()}

@@ -174,7 +174,7 @@ class Lockstep:
     def add_report(self, name: str, stamp: int, now: float) -> bool:
         """Note that somebody has finished the frame of a stamp.
 
-        A stamp that is newer than the frame counts, too. An older one does not finish the frame; it tells
+        A stamp that is newer than the frame counts, too. An older one does not finish the frame. It tells
         that its sender is there. An unknown sender becomes a member if it reports a frame that was sent.
 
         Returns:
@@ -272,7 +272,7 @@ class LockstepSummary:
 
     Attributes:
         frames: Number of frames of the run.
-        sent: Number of those that this player has sent; others were sent before it was started again.
+        sent: Number of those that this player has sent. Others were sent before it was started again.
         finished: Number of frames that each member has finished, of those that this player has sent.
         seconds: Wall-clock time until the last of these was finished; 0 if none was.
         scene_seconds: Simulated time of these.
@@ -316,9 +316,7 @@ class LockstepSummary:
 
 class RestartFile:
     """File by which the process that starts nodes tells a player that one has died or is started again.
-
-    ``summary``: file for the summary of the run, beside which it is.
-    """
+    ``summary``: file for the summary of the run, next to which it is."""
 
     def __init__(self, summary: str) -> None:
         self._path = Path(f"{summary}.restart")
@@ -337,10 +335,7 @@ class RestartFile:
 
 
 class ProgressFile:
-    """Stamp of a frame in a file.
-
-    ``path``: the file; it is created if it is missing.
-    """
+    """Stamp of a frame in a file. ``path``: the file. It is created if it is missing."""
 
     def __init__(self, path: Path) -> None:
         self._path = path

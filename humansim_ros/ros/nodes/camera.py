@@ -54,7 +54,8 @@ from humansim_ros.types import Image
 _MAX_POSES = 200
 #: Nanoseconds from which a pose ahead of a frame has a stamp of another clock.
 _MAX_AHEAD = 5_000_000_000
-#: Nanoseconds after its last motion for which a camera counts as moving: poses may be rarer than frames.
+#: A camera counts as moving for this time after its last motion, nanoseconds, since poses may come less often
+#: than frames.
 _MOVING_FOR = 1_000_000_000
 
 
@@ -134,7 +135,8 @@ class CameraPosePublisher:
         self._node.report_other_clock([f"{self._camera.name}/pose"], (newest - stamp) * 1e-9, "frames")
 
     def _follow_clock(self, before: int, after: int) -> None:
-        """Keep the last pose when the clock is set back: poses of before would be in the future."""
+        """When the clock is set back, forget the poses from before it, since their stamps would be in the
+        future. If none is left, keep the last one."""
         since = [item for item in self._poses if item[0] < (before + after) / 2]
         self._poses = deque(since or [(after, self._last)], maxlen=_MAX_POSES)
 

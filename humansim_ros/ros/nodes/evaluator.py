@@ -1,10 +1,10 @@
 """Node ``evaluator``: compares the estimate of a tracker with the truth while both are published.
 
 Subscribes to the topic of the estimate (docs/evaluation.md) and to the truth: the topics
-``humans/<id>/joints`` or ``humans/<id>/keypoints/<set>``, unless parameter ``scene`` names a scene whose
-truth is computed. Publishes the errors of the last seconds and of the whole run on ``evaluation``, and writes
-the errors of the run to a JSON file when it is stopped. Frames in lockstep do not wait for it: messages wait
-in the queues of its subscriptions.
+``humans/<id>/joints`` or ``humans/<id>/keypoints/<set>``, unless parameter ``scene`` names a scene with a
+truth that is computed. Publishes the errors of the last seconds and of the whole run on ``evaluation``, and
+writes the errors of the run to a JSON file when it is stopped. Frames in lockstep do not wait for it:
+messages wait in the queues of its subscriptions.
 """
 
 from __future__ import annotations

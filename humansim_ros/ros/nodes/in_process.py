@@ -64,7 +64,7 @@ class InProcessNodes:
         return self._owners[-1].exit_code is not None
 
     def check(self) -> None:
-        """Raise RosError if the motion player cannot go on; its log has the reason."""
+        """Raise RosError if the motion player cannot go on. Its log has the reason."""
         if self.has_ended:
             raise RosError("the motion player cannot go on: see its last log line")
 

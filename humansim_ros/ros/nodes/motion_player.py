@@ -55,7 +55,7 @@ from humansim_ros.scene.state import SceneState
 
 #: Largest accepted lead in seconds.
 MAX_LEAD = 0.1
-#: Seconds until a request is given up whose motions are not ready.
+#: Seconds until a request is given up with motions that are not ready.
 MAX_READING = 20.0
 
 

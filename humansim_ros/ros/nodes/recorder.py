@@ -50,7 +50,7 @@ from humansim_ros.ros.runtime import run_node
 from humansim_ros.scene import Scene
 from humansim_ros.scene.faults import FaultSchedule
 
-#: Frames whose images are remembered: late images come after images of newer frames.
+#: Frames with images that are remembered: late images come after images of newer frames.
 _REMEMBERED = 1000
 #: Most copies of an image that faults make.
 _MOST = 2
@@ -60,7 +60,7 @@ class ImageCopies:
     """Number of copies of the message of a topic and stamp.
 
     Args:
-        schedules: Faults by topic, of topics whose messages may be sent twice.
+        schedules: Faults by topic, of topics with messages that may be sent twice.
     """
 
     def __init__(self, schedules: Mapping[str, FaultSchedule]) -> None:
@@ -98,7 +98,7 @@ _REPORT_AFTER = 5.0
 _MAX_TAKING = 1.0
 #: Most topics that a line of the log names.
 _MAX_NAMED = 5
-#: Nanoseconds at the end of a bag that is continued whose messages may come again.
+#: Nanoseconds at the end of a bag that is continued with messages that may come again.
 _REPEATED = 10_000_000_000
 
 
@@ -349,7 +349,7 @@ class RecorderNode(SuiteNode):
         self._end_frame()
 
     def _time(self) -> int:
-        """Nanoseconds of the clock; it goes on from the same time where the clock has been set back."""
+        """Nanoseconds of the clock. It goes on from the same time where the clock has been set back."""
         now, step = self._clock_steps.read()
         if step < 0:
             self._set_back -= step

@@ -171,7 +171,8 @@ class SkinnerNode(SceneNode):
             self._publish(state, to_nanoseconds(message.header.stamp))
 
     def _on_frame(self, frame: Header) -> None:
-        """Publish a live human at the stamp of a frame of the motion player: its newest pose, or at rest."""
+        """Publish the live human for a frame of the motion player, with its stamp: in the newest pose
+        received, and with zero velocity once the source is silent."""
         self._asked = time.monotonic()
         message, self._message = self._message, None
         if message is not None and (state := self._retarget(message)):

@@ -216,7 +216,7 @@ class RequestedMotions(SceneSource):
     """Source of the motions of requests: built-in motions, and files in some folders.
 
     Attributes:
-        allowed: Folders whose files may be named, without links.
+        allowed: Folders with files that may be named, without links.
         named: Names that the user of this machine has given in the scene or at the start.
     """
 

@@ -202,7 +202,7 @@ class SimulationServices:
         response.features.custom_info = _INFO
 
     def _world(self) -> Any:
-        """The scene as a world; its URI names it, and no file of this host."""
+        """The scene as a world. Its URI names it, and no file of this host."""
         world = self._types.msg.WorldResource(name=self._world_name, tags=list(_WORLD_TAGS))
         # version 2.0 names this field level_resource
         resource = world.world_resource if hasattr(world, "world_resource") else world.level_resource

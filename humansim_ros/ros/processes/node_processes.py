@@ -14,7 +14,7 @@ from humansim_ros.io.machine import cores, thread_limits
 from humansim_ros.ros.lockstep.settings import TOPIC_PREFIX, ParameterValue, TimeOptions
 from humansim_ros.scene.names import BRIDGE_NODE, LOCKSTEP, PLAYER_NODE, SceneNames, read_names, skinner_node
 
-#: Environment variable of nodes whose parent has shown the warnings of the scene.
+#: Environment variable of nodes with a parent that has shown the warnings of the scene.
 WARNINGS_SHOWN = "HUMANSIM_SCENE_WARNINGS_SHOWN"
 #: Node that receives the frames for the cameras of its process. The tools of ROS hide names that begin with
 #: _, so that users see the same nodes for any number of processes.
@@ -42,7 +42,7 @@ class RecordOptions:
     """What is recorded of a run (docs/recording.md).
 
     Attributes:
-        output: Folder of the bag; it must not exist.
+        output: Folder of the bag. It must not exist.
         topics: Names and patterns; none: the latched topics of the scene, and those that ``humansim demo``
             shows.
         compression: ``none``, ``zstd`` or ``lz4``.
@@ -60,7 +60,7 @@ class EvaluateOptions:
     Attributes:
         topic: Its topic; ``*`` stands for the name of a person.
         keypoints: Its keypoint set; empty: joints of bodies.
-        output: JSON file for the result; None: none.
+        output: JSON file for the result. If None, none.
         scale: Metres of a unit of the estimate.
         axes: Its axes; empty: the axes of ``map``.
     """
@@ -192,7 +192,7 @@ def scene_processes(
     """List the processes of a scene: motion player, processes of skinners, camera processes, one per laser
     scanner, the bridge of its adapters, a recorder, an evaluator.
 
-    There is at most one process of skinners for each core; they share the humans.
+    There is at most one process of skinners for each core. They share the humans.
 
     Args:
         scene_path: Scene file.

@@ -78,7 +78,7 @@ class NodeStarter:
 
     Args:
         scene: Scene file.
-        environment: Environment variables of the process; its own if None.
+        environment: Environment variables of the process. Its own if None.
 
     Attributes:
         scene: Scene file.

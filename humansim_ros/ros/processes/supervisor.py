@@ -214,9 +214,7 @@ class RestartPolicy:
         self._deaths = 0
 
     def delay(self, ran: float) -> float | None:
-        """Record a death, and return the seconds until the node is started again; None: it is given up.
-
-        ``ran``: seconds from the start of the process to its death.
-        """
+        """Record a death, and return the seconds until the node is started again. If None, it is given up.
+        ``ran``: seconds from the start of the process to its death."""
         self._deaths = 1 if ran >= _LONG_RUN else self._deaths + 1
         return _DELAYS[self._deaths - 1] if self._deaths <= len(_DELAYS) else None

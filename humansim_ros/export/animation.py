@@ -73,7 +73,7 @@ class PoseTrack:
 
     Attributes:
         positions: (F, 3) in ``map``, metres.
-        rotations: (F, 4) quaternions xyzw; they change sign nowhere, as interpolation of their numbers needs.
+        rotations: (F, 4) quaternions xyzw. They change sign nowhere, as interpolation of their numbers needs.
         sizes: (F, 3) factors along the axes of the thing.
     """
 
@@ -274,7 +274,7 @@ def identifiers(names: Iterable[str], longest: int = 64) -> dict[str, str]:
     for name in names:
         plain = re.sub("[^A-Za-z0-9_]+", "_", name).strip("_") or "n"
         plain = (plain if plain[0].isalpha() else f"n{plain}")[:longest].rstrip("_")
-        plain = plain.replace(_SURFACE, "surface")  # whose names are taken
+        plain = plain.replace(_SURFACE, "surface")  # with names that are taken
         unique, number = plain, 1
         while unique.lower() in used:
             number += 1

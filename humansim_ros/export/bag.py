@@ -409,7 +409,7 @@ def recorded_patterns(formats: Iterable[ExportFormat], keypoints: str) -> list[s
 
 
 class BagFrames:
-    """Frames of a bag in any order. ``source``: the bag; it is opened."""
+    """Frames of a bag in any order. ``source``: the bag. It is opened."""
 
     def __init__(self, source: BagSource) -> None:
         self._source = source

@@ -108,7 +108,7 @@ def coco_document(
 
     Args:
         records: Results of :meth:`CocoWriter.frame` with the numbers of the frames.
-        category_of: Number of the category by body; others are left out.
+        category_of: Number of the category by body. Others are left out.
         categories: Categories of COCO.
         first: Number of the first image; annotations are numbered from 1.
         licenses: Licences of the data set and of its people, with the addresses of their texts.
@@ -158,11 +158,8 @@ def person_keypoints(view: KeypointView) -> dict[str, Any]:
 
 
 def divided_keypoints(record: Record, set_name: str) -> Record:
-    """Keypoints of a set in the fields of COCO-WholeBody, if it is that set.
-
-    A part is valid if one of its points is in the image; its box (left, top, width, height) spans these
-    points, and is 0 without any.
-    """
+    """Keypoints of a set in the fields of COCO-WholeBody, if it is that set. A part is valid if one of its
+    points is in the image. Its box (left, top, width, height) spans these points, and is 0 without any."""
     if set_name != _WHOLE_BODY_SET:
         return record
     points = np.reshape(record["keypoints"], (-1, 3))

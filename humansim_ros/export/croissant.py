@@ -118,7 +118,7 @@ def data_set_card(
 
     Args:
         header: Properties of the data set, such as ``name`` and ``license``.
-        splits: Names of the splits, whose folders have the folders of the scenes.
+        splits: Names of the splits, with folders that have the folders of the scenes.
         image_suffix: Suffix of the images.
         metadata: Name of the file of a scene with a line of JSON for each image.
     """

@@ -263,7 +263,7 @@ def write_data_set(
         jobs: Number of processes that render; with 1, this process does.
         resume: Continue a data set that has begun; more scenes of the same recipe are added.
         on_progress: Called with the number of scenes after some scenes.
-        ray: Address of a Ray cluster; None: this machine writes.
+        ray: Address of a Ray cluster. If None, this machine writes.
 
     Raises:
         ExportError: The folder exists, or has another data set; or scenes could not be drawn or written,

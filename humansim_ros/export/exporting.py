@@ -93,7 +93,7 @@ class Export:
 
     @property
     def cameras(self) -> int:
-        """Number of cameras whose images are needed."""
+        """Number of cameras with images that are needed."""
         return len(self.source.scene.cameras) if needed_channels(self.formats) else 0
 
     def start(self) -> ExportWorker:
@@ -218,7 +218,7 @@ def export(
         job: Source, plan and folder. The folder must not exist unless ``resume``.
         jobs: Number of processes that render; with 1, this process does.
         resume: Continue the export if it has begun; nothing happens if it is complete.
-        on_progress: Called after each frame; its argument is also the result.
+        on_progress: Called after each frame. Its argument is also the result.
 
     Raises:
         ExportError: The folder exists, or has another export.
@@ -257,7 +257,7 @@ def export_on_cluster(
         workers: Number of workers of ``local``; one for each core if None.
         shard_frames: Frames of a task.
         resume: Continue the export if it has begun.
-        on_progress: Called after each task; its argument is also the result.
+        on_progress: Called after each task. Its argument is also the result.
 
     Raises:
         ExportError: The folder exists, or has another export; or frames could not be written, which the

@@ -18,9 +18,9 @@ from humansim_ros.io.assets import read_table
 from humansim_ros.render.channels import CHANNEL_TABLE
 from humansim_ros.truth.camera_truth import REQUIRED_CHANNELS
 
-#: The format that writes the tree of colour images; others that name images need it.
+#: The format that writes the tree of colour images. Others that name images need it.
 IMAGES = "images"
-#: What formats may need of a frame beside channels: boxes of bodies, keypoints in the images, keypoints in
+#: What formats may need of a frame next to channels: boxes of bodies, keypoints in the images, keypoints in
 #: ``map``, bodies with vertices and bones, sweeps of laser scanners, and sweeps if the scene has scanners.
 BOXES, KEYPOINTS, POSITIONS, BODIES, SWEEPS = "boxes", "keypoints", "positions", "bodies", "sweeps"
 ANY_SWEEPS = "any sweeps"
@@ -55,7 +55,7 @@ class ExportFormat:
 
     @property
     def writer(self) -> type[FormatWriter]:
-        """Class of its writer, whose module is imported only now."""
+        """Class of its writer, with a module that is imported only now."""
         module, _, name = self.writer_name.partition(".")
         kind: type[FormatWriter] = getattr(import_module(f"humansim_ros.export.{module}"), name)
         return kind

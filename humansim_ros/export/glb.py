@@ -32,11 +32,9 @@ from humansim_ros.types import Array
 
 
 def posed_bones(name: str, person: AnimatedHuman, frame_time: float) -> PosedBones:
-    """Posed bones for BVH files, whose bones have constant lengths, from the first frame.
-
-    Warns (HumansimWarning) if keyframes change the size of the person. ``name``: of the person, for the
-    warning. ``frame_time``: seconds.
-    """
+    """Posed bones for BVH files, with bones that have constant lengths, from the first frame. Warns
+    (HumansimWarning) if keyframes change the size of the person. ``name``: of the person, for the warning.
+    ``frame_time``: seconds."""
     skeleton, size = person.human.skeleton, float(person.sizes[0])
     if person.grows:
         text = f"the size of {name} changes, which BVH cannot hold: bones keep their first length"
@@ -63,11 +61,11 @@ _VERTICES, _TRIANGLES = 34962, 34963
 def glb_bytes(people: Mapping[str, AnimatedHuman], rate: float) -> bytes:
     """Content of a GLB file with people, their skeletons, weights, textures and motions.
 
-    The axes of glTF are: y up, metres, x_gltf = y_map, y_gltf = z_map, z_gltf = x_map. Vertices 0 to
-    V - 1 of a mesh are the human's in their order; copies for seams of the texture follow, and the
-    attribute ``_VERTEX`` has the number of the original of each. A node of a bone has the axes of the bone (y
-    along it). There is one animation; its time starts at 0. Warns (HumansimWarning) of humans with dual
-    quaternion skinning: glTF has only linear blending, and their vertices differ.
+    The axes of glTF are: y up, metres, x_gltf = y_map, y_gltf = z_map, z_gltf = x_map. Vertices 0 to V - 1 of
+    a mesh are the human's in their order; copies for seams of the texture follow, and the attribute
+    ``_VERTEX`` has the number of the original of each. A node of a bone has the axes of the bone (y along
+    it). There is one animation. Its time starts at 0. Warns (HumansimWarning) of humans with dual quaternion
+    skinning: glTF has only linear blending, and their vertices differ.
 
     ``people``: one or more by name, with equal numbers of frames. ``rate``: frames per second.
     """

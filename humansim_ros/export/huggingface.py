@@ -1,6 +1,6 @@
 """Metadata of the ``imagefolder`` of Hugging Face ``datasets``: a line of JSON for each image.
 
-``load_dataset`` reads the lines beside the images, wherever these lie below the file
+``load_dataset`` reads the lines next to the images, wherever these lie below the file
 (https://huggingface.co/docs/datasets/image_dataset). Boxes and keypoints are those of :mod:`coco`.
 """
 

@@ -40,7 +40,7 @@ _ASSETS = "assets"
 _LONGEST = 39
 #: Groups of geoms: 2 is drawn by default, 3 is not.
 _DRAWN, _TOUCHED = "2", "3"
-#: Half the thickness of a flat surface that robots touch, metres; it lies behind the surface.
+#: Half the thickness of a flat surface that robots touch, metres. It lies behind the surface.
 _HALF_THICKNESS = 0.01
 #: Surfaces that are thinner are flat, metres.
 _FLAT = 1e-4

@@ -132,10 +132,9 @@ class NuScenesWriter(FormatWriter):
         pose: Array,
         camera: Camera | None = None,
     ) -> list[_Row]:
-        """Rows of ``sample_data``, ``ego_pose`` and ``calibrated_sensor`` for a file; its sample is missing.
-
-        ``key``: it is of a sample. ``pose``: (4, 4) of the sensor in ``map``. ``camera``: None for a scanner.
-        """
+        """Rows of ``sample_data``, ``ego_pose`` and ``calibrated_sensor`` for a file. Its sample is missing.
+        ``key``: it is of a sample. ``pose``: (4, 4) of the sensor in ``map``. ``camera``: None for a
+        scanner."""
         robot = frame.frame.robot
         ego = np.eye(4) if robot is None else _pose(robot.rotation, robot.position)
         suffix = ".pcd.bin" if camera is None else self.settings.image_suffix

@@ -83,15 +83,12 @@ def _line(number: int, box: list[float]) -> str:
 
 
 class YoloWriter(FormatWriter):
-    """Labels of people with keypoints.
-
-    A line of a text file has the class (0), the box of the visible pixels (centre, width, height) and the
-    keypoints (x, y, v), all as shares of the image. Programs find the labels of ``images/…`` in ``labels/…``
-    beside it: therefore ``images`` is a link.
-    """
+    """Labels of people with keypoints. A line of a text file has the class (0), the box of the visible pixels
+    (centre, width, height) and the keypoints (x, y, v), all as shares of the image. Programs find the labels
+    of ``images/…`` in ``labels/…`` next to it: therefore ``images`` is a link."""
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
-        """Write a file for each camera; it is empty where nobody is seen."""
+        """Write a file for each camera. It is empty where nobody is seen."""
         for camera, truth in frame.frame.truth.items():
             keypoints = frame.frame.keypoints[self.settings.keypoints][camera]
             size = frame.frame.cameras[camera].size

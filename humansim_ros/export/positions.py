@@ -22,7 +22,7 @@ from humansim_ros.keypoints.sets import keypoint_set
 from humansim_ros.types import Array
 
 _MILLIMETRES = 1000.0
-#: Most names in one parameter of a C3D file, whose dimensions are bytes.
+#: Most names in one parameter of a C3D file, with dimensions that are bytes.
 _C3D_LABELS = 255
 #: Most bytes of names and descriptions: all parameters have 255 blocks of 512 bytes, and the package c3d
 #: counts each parameter twice.
@@ -37,7 +37,7 @@ class MarkerPaths:
         names: K names, all different.
         positions: (F, K, 3) in ``map``, metres; NaN where a point is missing.
         rate: Frames per second.
-        first_frame: Number of the first frame in its scene, from 0; its time is ``first_frame / rate``.
+        first_frame: Number of the first frame in its scene, from 0. Its time is ``first_frame / rate``.
 
     Raises:
         ExportError: The shapes do not fit, there is no frame or no point, or names repeat.

@@ -1,4 +1,4 @@
-"""Recipes of data sets: a scene whose values are distributions, from which many scenes are drawn.
+"""Recipes of data sets: a scene with values that are distributions, from which many scenes are drawn.
 
 Scene i of a recipe depends on the seed and on i only, and each value has random numbers of its own: another
 number of scenes, or another distribution of one value, leaves the others as they are.
@@ -126,7 +126,7 @@ class _Place(Section):
 
 
 class RequireConfig(Section):
-    """What each scene must fulfil; others are drawn anew."""
+    """What each scene must fulfil. Others are drawn anew."""
 
     cameras: int = Field(default=0, ge=0, le=100, description="cameras that see each person in each frame")
     visible: Share = Field(default=0.1, description="visible share of a person from which a camera sees it")
@@ -197,13 +197,13 @@ class _Unmet(Exception):
 
 @dataclass(frozen=True)
 class Recipe:
-    """A recipe that is ready to be drawn; it can be copied to another process.
+    """A recipe that is ready to be drawn. It can be copied to another process.
 
     Attributes:
         path: Its file, absolute.
         config: Its content.
         tree: YAML nodes of the file.
-        split_of_body: Split of each body that the recipe names; those of drawn people are all different.
+        split_of_body: Split of each body that the recipe names. Those of drawn people are all different.
     """
 
     path: Path
@@ -256,7 +256,7 @@ class Recipe:
 
     @cached_property
     def hash(self) -> str:
-        """Equal for recipes whose scenes are equal as far as both have them."""
+        """Equal for recipes with scenes that are equal as far as both have them."""
         content = self.config.model_dump(mode="json", exclude={"about", "scenes"})
         text = json.dumps([content, self.config.about.license], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
@@ -351,7 +351,7 @@ class Recipe:
         return of
 
     def _named_bodies(self) -> Iterator[tuple[Keys, list[str]]]:
-        """Bodies to choose from, by key; those of drawn people are not named."""
+        """Bodies to choose from, by key. Those of drawn people are not named."""
         for section in ("variety", "crowd"):
             content = self.config.scene.get(section)
             if isinstance(content, dict) and content.get("people") is None:
@@ -425,7 +425,7 @@ class Recipe:
                 self._try({keys: value}, place, end)
 
     def _draws(self) -> Iterator[tuple[Keys, Any]]:
-        """Distributions by key; those in choices are parts of them. Raises ExportError if one is wrong."""
+        """Distributions by key. Those in choices are parts of them. Raises ExportError if one is wrong."""
         pending: list[tuple[Keys, Any, bool]] = [(("scene",), self.config.scene, False)]
         if self.config.ring is not None:
             pending.append((("ring",), dict(self.config.ring), False))
@@ -615,7 +615,7 @@ class _Draws:
         return value
 
     def ring(self, ring: RingConfig, scene: Mapping[str, Any]) -> dict[str, Any]:
-        """Cameras of a ring by name. Raises SceneError with the key."""
+        """Cameras of a ring by name. Raises SceneError, which names the key."""
         whole = {key: self.value(getattr(ring, key), ("ring", key)) for key in _Ring.model_fields}
         checked = _of_ring(_Ring, whole)
         shared = self.value(ring.camera, ("ring", "camera"))

@@ -3,7 +3,7 @@
 A person has ``<person>/<frame>.verts``, a line ``x, y, z;`` for each vertex, and ``<person>/<frame>.bones``,
 lines ``l_knee.head=[x, y, z]`` and ``l_knee.tail=[x, y, z]``; metres in ``map``. A camera has a ``.cam`` file
 and its projection matrix. Both have no lens distortion: images of a camera with distortion, skew or a
-principal point beside the centre are converted to its ideal camera [thesis §9.8]; all others are links.
+principal point next to the centre are converted to its ideal camera [thesis §9.8]; all others are links.
 """
 
 from __future__ import annotations

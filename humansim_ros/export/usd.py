@@ -174,7 +174,7 @@ class UsdStage:
         self._add_mesh(f"{path}/Surface", mesh)
 
     def _add_camera(self, path: str, item: tuple[Camera, PoseTrack]) -> None:
-        """Add a camera: a film of 36 mm with the principal point beside its middle."""
+        """Add a camera: a film of 36 mm with the principal point next to its middle."""
         from pxr import Gf, UsdGeom
 
         calibrated, track = item

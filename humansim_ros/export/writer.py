@@ -171,7 +171,7 @@ class ExportScene:
         objects: Kind of each labelled object by name, such as ``box``.
         parts: Names of the values of body parts, from 1, by person.
         humans: Bodies without pose by name; a bag has none.
-        licenses: Licence of the body of each person whose licence is known, by name.
+        licenses: Licence of the body of each person with a licence that is known, by name.
         license: Licence of data sets of the scene; empty if the scene states none.
         simulated: The scene itself; None for a bag.
     """
@@ -362,7 +362,7 @@ class FormatWriter:
         """Write the files of the whole export.
 
         Args:
-            records: Number and result of :meth:`frame` for each frame, in order; it may be iterated again.
+            records: Number and result of :meth:`frame` for each frame, in order. It may be iterated again.
             folder: Folder of the format.
 
         Raises:

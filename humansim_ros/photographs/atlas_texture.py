@@ -173,9 +173,9 @@ def texture_atlas(
 ) -> TexturedPerson:
     """Texture a person from photographs.
 
-    Each texel takes its colour from the views that see it, those with more pixels for it counting more.
-    Gains and biases between the cameras are removed first. Three bands of spatial frequency are blended with
-    different sharpness, so that neither seams nor blur appear. Hidden parts continue the colours beside
+    Each texel takes its colour from the views that see it, those with more pixels for it counting more. Gains
+    and biases between the cameras are removed first. Three bands of spatial frequency are blended with
+    different sharpness, so that neither seams nor blur appear. Hidden parts continue the colours next to
     them, or on the other side of the body.
 
     Args:
@@ -292,7 +292,7 @@ def _align(sights: Sequence[SurfaceSight], notes: dict[str, str]) -> Alignment:
 
 
 def _clipped(sight: SurfaceSight) -> Float32Array:
-    """Share (H, W) of pixels nearby whose colour may be clipped."""
+    """Share (H, W) of pixels nearby with colour that may be clipped."""
     image = sight.view.image
     clipped = ((image >= _CLIPPED[1]) | (image <= _CLIPPED[0])).any(axis=2).astype(np.float32)
     sigma = max(_BANDS[1][0] * sight.resolution, 0.5)

@@ -25,18 +25,18 @@ _KEY = "--detector"
 def detect_points(
     photos: PhotoSet, command: str, report: Callable[[int, int], None] = lambda done, count: None
 ) -> PhotoSet:
-    """Find the 2D points of all images with a command, and keep them in ``<name>_points`` beside the views.
+    """Find the 2D points of all images with a command, and keep them in ``<name>_points`` next to the views.
 
     The command runs once for each image. ``{image}`` stands for the image, ``{points}`` for the JSON file
     that it has to write: COCO, OpenPose or our own form. Views whose points the views file names keep them.
 
     Args:
         photos: Photographs.
-        command: Command line; it does not go through a shell.
+        command: Command line. It does not go through a shell.
         report: Called with the number of finished images, and of all.
 
     Returns:
-        The photographs with the points found. An image whose file has no person has no points.
+        The photographs with the points found. An image with a file that has no person has no points.
 
     Raises:
         PhotographError: The command is wrong, fails, takes too long, or writes something else.

@@ -51,7 +51,7 @@ _UNCONFIRMED = 0.3
 _STATURES, _SIZES = (0.5, 2.3), (0.3, 3.0)
 #: Median distance of points from the body, as a share of the longer side of the images, that is told.
 _FAR = 0.03
-#: A point farther than this number of standard deviations of the noise, and of pixels, is an outlier.
+#: Outlier: a point farther away than 6 standard deviations of the noise, and than 4 pixels.
 _FARTHEST, _LEAST_FARTHEST = 6.0, 4.0
 
 FitProgress = Callable[[str, int, int], None]

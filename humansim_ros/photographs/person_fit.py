@@ -75,7 +75,7 @@ class Proportions:
 
 
 def with_proportions(human: Human, proportions: Proportions) -> Human:
-    """Return a human, which has betas and offsets, in other proportions; its soles stay where they are.
+    """Return a human, which has betas and offsets, in other proportions. Its soles stay where they are.
 
     A bone scales the vertices near it about its head, v' = sum_b w_b (h'_b + R_b S_b R_b^T (v - h_b)): the
     skin stays smooth where it stretches.

@@ -26,7 +26,7 @@ from humansim_ros.types import Array, Indices
 _ROBUST = 2.5
 #: Least standard deviation of points, pixels.
 LEAST_NOISE = 0.5
-#: Standard deviation of rotations from the rest pose, radians, by bone without its side; others have _USUAL.
+#: Standard deviation of rotations from the rest pose, radians, by bone without its side. Others have _USUAL.
 _STIFFNESS = {
     "HumanoidRoot_to_hip": 0.03,
     "sacroiliac": 0.15,
@@ -57,12 +57,12 @@ _ACCELERATION, _TURN, _SWING = 3.0, 8.0, 30.0
 _STEPS, _LIMIT_ROUNDS = 40, 4
 #: Longest step of a number of a pose, metres or radians: a wild step ends in another minimum.
 _LONGEST_STEP = 0.5
-#: Factors of the standard deviations of accelerations in the first solutions of a sequence; others follow if
+#: Factors of the standard deviations of accelerations in the first solutions of a sequence. Others follow if
 #: these end in a wrong minimum: at a cost above this multiple of the cost of the frames at the start.
 _SLACKS = ((30.0, 5.0), (300.0, 100.0, 30.0, 10.0, 3.0), ())
 _WRONG = 5.0
-#: Limbs whose joint is a hinge, with the limb above; turns of that limb that are tried; and the angle beyond
-#: limits, radians, that a turn has to save.
+#: Limbs with a joint that is a hinge, with the limb above; turns of that limb that are tried; and the angle
+#: beyond limits, radians, that a turn has to save.
 _HINGES = tuple(
     (f"{s}_{upper}", f"{s}_{lower}")
     for s in "lr"
@@ -94,7 +94,7 @@ class Sight:
 
 @dataclass(frozen=True, eq=False)
 class EdgePoints:
-    """Points of the skin whose images should reach lines.
+    """Points of the skin with images that should reach lines.
 
     Attributes:
         points: N points.
@@ -200,7 +200,9 @@ def _fitted(
     slacks: Sequence[float] = (),
 ) -> list[BodyState]:
     problem, found = _Problem(model, sights, settings), list(states)
-    for problem.slack in slacks:  # equal poses of neighbours may have unequal twists: align these gently
+    # neighbouring frames with the same pose may have different twists: align them in steps, with loose limits
+    # of acceleration at first
+    for problem.slack in slacks:
         found = problem.solve(found, 1e-3)
     problem.slack = 1.0
     found = problem.solve(found)

@@ -116,7 +116,7 @@ class PoseModel:
 
     @cached_property
     def limits(self) -> JointLimits | None:
-        """Joint limits of the skeleton; None if it has none of the bones of the table."""
+        """Joint limits of the skeleton; or None of the bones of the table."""
         try:
             return load_limits(None, self.skeleton)
         except MotionError:

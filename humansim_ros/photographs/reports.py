@@ -388,7 +388,7 @@ def _view_legend(person: TexturedPerson, width: int) -> Image:
 
 
 def _side_by_side(left: Image, right: Image) -> Image:
-    """Two images beside each other, aligned at the top."""
+    """Two images next to each other, aligned at the top."""
     height = max(left.shape[0], right.shape[0])
     images: Sequence[Image] = (left, right)
     padded = [np.full((height, image.shape[1], 3), PAPER, np.uint8) for image in images]

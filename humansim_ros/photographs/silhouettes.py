@@ -207,7 +207,7 @@ def fit_silhouettes(fit: PersonFit, photos: PhotoSet, frames: Sequence[int] = (0
     """Refine the proportions of a person, and the poses of some frames, by the masks of these frames.
 
     The body is rendered, points of its outline are paired with the outline of the mask, and pose, lengths and
-    girths follow by least squares of the distances between them, together with the keypoints; then again. In
+    girths follow by least squares of the distances between them, together with the keypoints. Then again. In
     the last rounds the surface moves along its normals, too: what is left of the distances is clothes and
     hair.
 

@@ -256,8 +256,8 @@ class SurfaceSight:
         pixels: (P, 2) float32 of the places.
         depths: (P,) metres along the axis of the camera.
         tolerance: (P,) of depths, metres.
-        weights: (P,) float32 how well the places are seen: 0 hidden, larger for more pixels for each metre;
-            it fades out towards the border of the seen surface.
+        weights: (P,) float32 how well the places are seen: 0 hidden, larger for more pixels for each metre.
+            It fades out towards the border of the seen surface.
         depth_image: (H, W) float32 metres; infinite where the person is not, or the mask says so.
         inside: (H, W) float32 0 to 1: 0 where colours mix with those behind, growing away from borders.
     """

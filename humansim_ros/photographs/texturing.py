@@ -99,10 +99,10 @@ _ROUNDS = 10
 def choose_cameras(counts: FaceCounts, neighbours: Indices, threshold: float = 0.5) -> NDArray[np.int32]:
     """Choose the view of each triangle.
 
-    A triangle takes the view with most of its visible pixels, of those in which at least a share of the
-    pixels that it covers is visible. A triangle without such a view takes the view of most neighbours, in
-    rounds from the triangles that have a view. The rest take the view in which they cover most pixels, or
-    the view of most triangles. Of equal views the first is taken.
+    Among the views that see at least a share of the pixels of a triangle, the one with most visible pixels is
+    chosen. A triangle without such a view takes the view of most neighbours, in rounds from the triangles
+    that have a view. The rest take the view in which they cover most pixels, or the view of most triangles.
+    Of equal views the first is taken.
 
     ``neighbours``: (E, 2) pairs of triangles with a common edge. ``threshold``: least visible share.
 

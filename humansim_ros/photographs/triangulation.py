@@ -21,7 +21,7 @@ from humansim_ros.keypoints.sets import KeypointSet
 from humansim_ros.photographs.views import PhotoSet
 from humansim_ros.types import Array, Indices
 
-#: Human whose proportions are the mean ones.
+#: Human with proportions that are the mean ones.
 _HUMAN = "adult_man"
 #: Shares of the mean length that a bone has in other people.
 _BONE = (0.65, 1.45)
@@ -310,7 +310,7 @@ def find_exchanged(
         return found.supported(costs, limits / 2), float(costs.min(axis=0, initial=len(limits)).sum())
 
     exchanged = np.zeros(len(lines.cameras), bool)
-    # without points whose partner is absent: an exchange must not change which views see a keypoint
+    # without points with a partner that is absent: an exchange must not change which views see a keypoint
     lines = replace(lines, weights=np.where(lines.weights[:, list(partners)] > 0, lines.weights, 0.0))
     paired = np.asarray(partners) != np.arange(len(partners))
     weights = lines.weights[:, paired].sum(axis=1)
@@ -490,7 +490,7 @@ def _frames(numbers: Sequence[int], count: int) -> str:
 def _plausible(
     costs: Array, found: Candidates, lengths: EdgeLengths, positions: Array, inliers: NDArray[np.bool_]
 ) -> Array:
-    """Costs (P, K), infinite where a place is impossible beside its neighbours.
+    """Costs (P, K), infinite where a place is impossible next to its neighbours.
 
     Two wrong points often agree; three seldom do. Therefore keypoints of three points or more are taken as
     known, and places of the others are checked, from the trunk outwards.

@@ -304,7 +304,7 @@ class PhotoSet:
         human: Built-in human or file to start from.
         period: Nanoseconds between frames.
         frames: Photographs by frame and view.
-        points_files: File of the points of each view; it need not exist yet.
+        points_files: File of the points of each view. It need not exist yet.
     """
 
     path: Path

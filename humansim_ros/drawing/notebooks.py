@@ -39,7 +39,7 @@ WIDTH = 640
 #: Most tiles of a grid, and pixels between them.
 _MOST, _GAP = 9, 2
 _TITLE = 0.5
-#: Frames of a motion, and views of a human, beside each other.
+#: Frames of a motion, and views of a human, next to each other.
 _PHASES, _AZIMUTHS = 5, (0, 45, 180)
 
 
@@ -123,7 +123,7 @@ def _grid(images: Sequence[Image], names: Sequence[str]) -> Image:
     columns = math.ceil(math.sqrt(len(shown)))
     width = (WIDTH + _GAP) // columns - _GAP
     width = min(width, max(160, *(image.shape[1] for image in shown)))
-    # of most images; bars are beside taller ones, and above wider ones
+    # of most images; bars are next to taller ones, and above wider ones
     aspect = min(sorted(image.shape[0] / image.shape[1] for image in shown)[len(shown) // 2], 1.0)
     height = max(8, round(width * aspect))
     rows = math.ceil(len(shown) / columns)

@@ -393,8 +393,8 @@ def write_motion_image(
     """Write a strip of frames (.png) or a video (.mp4, .gif); the file is complete or absent.
 
     Args:
-        path: Output file; its suffix chooses the format.
-        artists: Artists whose images are put together. All draw the same motion.
+        path: Output file. Its suffix chooses the format.
+        artists: Artists with images that are put together. All draw the same motion.
         title: Title of a strip.
         phases: Frames of a strip.
         rate: Frames per second of a video. Without it: the rate of the motion, up to 60.

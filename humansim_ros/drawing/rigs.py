@@ -44,7 +44,7 @@ _SIDE, _MARGIN, _HEADING = 620, 44, 26
 _AZIMUTH, _ELEVATION, _FOV = np.radians(-65.0), np.radians(28.0), np.radians(34.0)
 #: Length of a drawn view, as a fraction of the rig's extent, and its opacity.
 _REACH, _OPACITY = 0.16, 0.22
-#: Distance to the assumed target of cameras whose optical axes do not meet, metres.
+#: Distance to the assumed target of cameras with optical axes that do not meet, metres.
 _AHEAD = 4.0
 #: Largest distance, metres; larger ones are a wrong unit.
 _FARTHEST = 1e5

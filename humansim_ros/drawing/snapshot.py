@@ -117,7 +117,7 @@ def snapshot(
 
 
 def _middle(sizes: Sequence[tuple[int, int]]) -> tuple[int, int]:
-    """The size (width, height) of a camera whose aspect is in the middle."""
+    """The size (width, height) of a camera with an aspect that is in the middle."""
     return sorted(sizes, key=lambda size: size[1] / size[0])[len(sizes) // 2]
 
 

@@ -58,7 +58,7 @@ def top_view(
     """Draw a scene from above, (H, W, 3).
 
     The colours of the floor are the numbers of cameras that see a point 1.2 m above it, if nothing is in the
-    way; they end at the walls of a room. People are discs with a line to where their hips face, and the paths
+    way. They end at the walls of a room. People are discs with a line to where their hips face, and the paths
     of their next ten seconds. Cameras have the pyramids of their fields of view.
 
     Args:
@@ -372,7 +372,7 @@ def view_border(camera: Camera, reach: float) -> Array:
     pixels = corners[:, None] + along[:, None] * (following - corners)[:, None]
     rays = camera.rays(pixels.reshape(-1, 2))
     rays = rays[np.isfinite(rays).all(axis=1)]
-    if len(rays) < 3:  # a fisheye whose image is a disc
+    if len(rays) < 3:  # a fisheye with an image that is a disc
         angles = np.linspace(0, 2 * np.pi, 4 * _BORDER_POINTS, endpoint=False)
         rim = camera.lens.valid_radius * np.column_stack([np.cos(angles), np.sin(angles)])
         rays = np.column_stack([rim, np.ones(len(rim))])

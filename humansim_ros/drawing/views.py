@@ -22,7 +22,7 @@ _VISIBLE_COLOR: Color = (60, 230, 90)
 _HIDDEN_COLOR: Color = (255, 150, 40)
 #: Bright colours of left, right and trunk, for photographs.
 _SIDE_COLORS: dict[int, Color] = {1: (80, 170, 255), -1: (255, 110, 150), 0: (250, 220, 90)}
-#: Size of fingers, toes, jaw and eyes beside the other joints, as a share.
+#: Size of fingers, toes, jaw and eyes next to the other joints, as a share.
 _DETAIL_SIZE = 0.5
 #: Grey of the title row and of the gaps of a contact sheet.
 _SHEET = 28

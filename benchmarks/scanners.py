@@ -20,9 +20,9 @@ import trimesh
 
 from humansim_ros import Scene
 from humansim_ros.scanner.models import MODELS
+from humansim_ros.scene.features.scanners.sweeps import Scanning
 from humansim_ros.scene.state import SceneState
 from humansim_ros.scene.states import SceneStates
-from humansim_ros.scene.sweeps import Scanning
 
 BODIES = ("adult_man", "adult_woman", "child")
 

@@ -214,7 +214,7 @@ class Reading:
         from humansim_ros.camera.formats.scene import SCENE
         from humansim_ros.scene.camera import build_cameras
         from humansim_ros.scene.config import load_config
-        from humansim_ros.scene.robot import Robot
+        from humansim_ros.scene.features.robot.robot import Robot
         from humansim_ros.scene.source import SceneSource
 
         if any(option is not None for option in vars(self).values()):

@@ -16,7 +16,7 @@ from humansim_ros.evaluate.readers.estimates import deserialised_message, topic_
 from humansim_ros.evaluate.truth import FIRST_STAMP, bag_truth, check_motions, frames_of
 from humansim_ros.messages.headers import to_nanoseconds
 from humansim_ros.messages.humans import read_vertices
-from humansim_ros.scene.robot_config import ROBOT
+from humansim_ros.scene.features.robot.keys import ROBOT
 from humansim_ros.scene.scene import Scene
 from humansim_ros.scene.standing import HIPS
 from humansim_ros.scene.states import SceneStates

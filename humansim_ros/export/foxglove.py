@@ -25,7 +25,7 @@ from humansim_ros.geometry import matrix_to_quaternion
 from humansim_ros.io.assets import read_table
 from humansim_ros.io.files import ANY_SIZE, read_bytes
 from humansim_ros.keypoints.sets import keypoint_set
-from humansim_ros.scene.sweeps import Sweep
+from humansim_ros.scene.features.scanners.sweeps import Sweep
 from humansim_ros.truth import OUTSIDE
 from humansim_ros.types import Array
 

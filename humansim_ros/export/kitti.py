@@ -14,7 +14,7 @@ from humansim_ros.camera import Camera
 from humansim_ros.errors import ExportError
 from humansim_ros.export.writer import ExportFolder, ExportFrame, FormatWriter, Record
 from humansim_ros.geometry import quaternion_to_matrix
-from humansim_ros.scene.sweeps import Sweep
+from humansim_ros.scene.features.scanners.sweeps import Sweep
 from humansim_ros.truth import BodyBox, UprightBox
 from humansim_ros.types import Array
 

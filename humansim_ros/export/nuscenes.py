@@ -29,7 +29,7 @@ from humansim_ros.export.writer import (
 )
 from humansim_ros.geometry import invert_rigid, matrix_to_quaternion, quaternion_to_matrix, transform
 from humansim_ros.scene import Frame
-from humansim_ros.scene.sweeps import Sweep
+from humansim_ros.scene.features.scanners.sweeps import Sweep
 from humansim_ros.types import Array
 
 #: Version of the tables, and their folder.

@@ -79,7 +79,7 @@ from humansim_ros.scene.adapter_config import (
     TrackedConfig,
 )
 from humansim_ros.scene.camera import CameraPose
-from humansim_ros.scene.robot_config import ROBOT
+from humansim_ros.scene.features.robot.keys import ROBOT
 from humansim_ros.scene.simulation import Frame
 from humansim_ros.scene.standing import standing
 from humansim_ros.scene.state import SceneState

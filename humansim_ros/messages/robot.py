@@ -12,7 +12,7 @@ from humansim_ros.geometry import ObjectPose, Velocity, multiply_quaternions, qu
 from humansim_ros.messages.cameras import rigid_pose
 from humansim_ros.messages.headers import header, to_nanoseconds
 from humansim_ros.messages.types import Odometry, Point, Pose, Quaternion, Twist, Vector3
-from humansim_ros.scene.robot import Robot
+from humansim_ros.scene.features.robot.robot import Robot
 from humansim_ros.types import Array
 
 

@@ -12,8 +12,8 @@ from humansim_ros.messages.points import point_cloud, read_points
 from humansim_ros.messages.types import LaserScan, PointCloud2
 from humansim_ros.scanner.models import Layout
 from humansim_ros.scanner.pattern import Rays
-from humansim_ros.scene.scanner import SceneScanner
-from humansim_ros.scene.sweeps import Sweep
+from humansim_ros.scene.features.scanners.scanner import SceneScanner
+from humansim_ros.scene.features.scanners.sweeps import Sweep
 
 #: Intensity of a white surface at a right angle, in the layouts of drivers.
 WHITE = 255.0

@@ -62,13 +62,13 @@ from humansim_ros.scene.camera import CameraPose, SceneCamera
 from humansim_ros.scene.capture import DepthCapture
 from humansim_ros.scene.config import LIVE
 from humansim_ros.scene.faults import FrameFaults
+from humansim_ros.scene.features.robot.keys import ROBOT
+from humansim_ros.scene.features.robot.robot import Robot
+from humansim_ros.scene.features.scanners.scanner import SceneScanner
+from humansim_ros.scene.features.scanners.sweeps import Sweep
 from humansim_ros.scene.live import JointSource
 from humansim_ros.scene.objects import SceneObject
-from humansim_ros.scene.robot import Robot
-from humansim_ros.scene.robot_config import ROBOT
-from humansim_ros.scene.scanner import SceneScanner
 from humansim_ros.scene.simulation import Frame
-from humansim_ros.scene.sweeps import Sweep
 from humansim_ros.sensor import DepthSensor
 from humansim_ros.truth import CameraTruth
 from humansim_ros.truth.camera_truth import REQUIRED_CHANNELS

@@ -25,8 +25,8 @@ from humansim_ros.scene.camera_config import CameraConfig, RigConfig
 from humansim_ros.scene.config import RandomiseConfig, SceneConfig, load_config
 from humansim_ros.scene.environment import load_backdrop
 from humansim_ros.scene.faults import CalibrationError, FaultSchedule, FrameFaults
+from humansim_ros.scene.features.robot.robot import Robot, Route, robot_of_mount
 from humansim_ros.scene.randomise import random_numbers
-from humansim_ros.scene.robot import Robot, Route, robot_of_mount
 from humansim_ros.scene.source import SceneSource
 from humansim_ros.scene.stereo import right_camera
 from humansim_ros.scene.timing import CameraTiming

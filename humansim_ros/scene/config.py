@@ -35,9 +35,10 @@ from humansim_ros.scene.about_config import AboutConfig
 from humansim_ros.scene.adapter_config import AdaptersConfig, HriConfig
 from humansim_ros.scene.camera_config import Bounded, BoundedVector3, CameraConfig, RigConfig, Vector3
 from humansim_ros.scene.features.crowd.keys import CrowdConfig
+from humansim_ros.scene.features.held.keys import HoldConfig
+from humansim_ros.scene.features.robot.keys import ROBOT, RobotConfig
+from humansim_ros.scene.features.scanners.keys import ScannerConfig
 from humansim_ros.scene.features.variety.keys import VarietyConfig
-from humansim_ros.scene.robot_config import ROBOT, RobotConfig
-from humansim_ros.scene.scanner_config import ScannerConfig
 
 if TYPE_CHECKING:
     import yaml
@@ -341,33 +342,6 @@ class HumanConfig(ShortSection):
         description="chair: put a chair where the human sits on nothing, and a table in front of it if it "
         "writes or eats; none: put nothing there",
     )
-
-
-class HoldConfig(ShortSection):
-    """A human who takes an object along: in two hands, or on the path."""
-
-    short_key: ClassVar[str] = "human"
-
-    human: str = Field(description="name of the human who holds it")
-    by: Literal["hands", "path"] = Field(
-        default="hands",
-        description="hands: it is between the palms; path: it goes along on the floor, as a cart does, in a "
-        "frame below the hips (x ahead, y left, z up)",
-    )
-    start: float = Field(
-        default=0.0, ge=0, description="when the hands take it, seconds of the motion; before it stays there"
-    )
-    end: float | None = Field(
-        default=None,
-        gt=0,
-        description="when the hands leave it, seconds of the motion; never if absent. After it stays there",
-    )
-
-    @model_validator(mode="after")
-    def _is_in_order(self) -> HoldConfig:
-        if self.end is not None and self.end <= self.start:
-            raise ValueError(f"end ({self.end:g} s) must come after start ({self.start:g} s)")
-        return self
 
 
 class ObjectConfig(ShortSection):

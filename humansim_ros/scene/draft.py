@@ -14,11 +14,11 @@ from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.camera import SceneCamera, build_cameras, random_cameras
 from humansim_ros.scene.config import HumanConfig, ObjectConfig, SceneConfig
 from humansim_ros.scene.environment import Environment
+from humansim_ros.scene.features.robot.keys import ROBOT
+from humansim_ros.scene.features.robot.robot import Robot, robot_object
+from humansim_ros.scene.features.scanners.scanner import SceneScanner
 from humansim_ros.scene.names import human_names
 from humansim_ros.scene.objects import SceneObject, load_tracks
-from humansim_ros.scene.robot import Robot, robot_object
-from humansim_ros.scene.robot_config import ROBOT
-from humansim_ros.scene.scanner import SceneScanner
 from humansim_ros.scene.source import SceneSource
 
 #: Humans from which on those who are small in an image are drawn with fewer triangles.

@@ -19,8 +19,8 @@ from humansim_ros.body.joint_names import body_joints
 from humansim_ros.geometry import segments_crossing
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.scene.config import LIVE
+from humansim_ros.scene.features.robot.keys import ROBOT
 from humansim_ros.scene.objects import SceneObject
-from humansim_ros.scene.robot_config import ROBOT
 from humansim_ros.scene.scene import Scene
 from humansim_ros.scene.source import SceneSource
 from humansim_ros.types import Array, Indices

@@ -23,9 +23,9 @@ from humansim_ros.scene.camera import CameraPose
 from humansim_ros.scene.config import MotionConfig
 from humansim_ros.scene.faces import with_gazes
 from humansim_ros.scene.features.held.feature import followed
+from humansim_ros.scene.features.robot.keys import ROBOT
+from humansim_ros.scene.features.robot.robot import CommandedDrive
 from humansim_ros.scene.reaching import with_reaches
-from humansim_ros.scene.robot import CommandedDrive
-from humansim_ros.scene.robot_config import ROBOT
 from humansim_ros.scene.scene import Scene
 from humansim_ros.scene.source import SceneSource
 from humansim_ros.scene.standing import standing_in

@@ -37,12 +37,12 @@ from humansim_ros.scene.draft import Draft
 from humansim_ros.scene.environment import Environment
 from humansim_ros.scene.faces import with_faces
 from humansim_ros.scene.features import features_of
+from humansim_ros.scene.features.robot.robot import Robot
+from humansim_ros.scene.features.scanners.scanner import SceneScanner
 from humansim_ros.scene.names import check_node_names
 from humansim_ros.scene.objects import SceneObject
 from humansim_ros.scene.randomise import random_looks
 from humansim_ros.scene.reaching import with_reaches
-from humansim_ros.scene.robot import Robot
-from humansim_ros.scene.scanner import SceneScanner
 from humansim_ros.scene.source import SceneSource, name_objects
 from humansim_ros.scene.timing import CameraTiming
 from humansim_ros.truth import joint_surfaces

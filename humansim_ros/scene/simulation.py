@@ -32,11 +32,11 @@ from humansim_ros.scene.capture import (
     request_at_stamp,
 )
 from humansim_ros.scene.faults import NO_FAULTS, FrameFaults
+from humansim_ros.scene.features.scanners.sweeps import Sweep
 from humansim_ros.scene.human_state import HumanState
 from humansim_ros.scene.scene import Scene, short_list
 from humansim_ros.scene.state import Exposure, OnAccess, SceneState
 from humansim_ros.scene.states import SceneStates
-from humansim_ros.scene.sweeps import Sweep
 from humansim_ros.sensor import DepthSensor
 from humansim_ros.truth import BodyBox, CameraTruth, JointView, KeypointView
 from humansim_ros.types import Array, Float32Array, Image

@@ -8,10 +8,10 @@ from dataclasses import replace
 
 from humansim_ros.render.channels import ADJACENT_NAMES, AdjacentName
 from humansim_ros.scene.config import frame_at
+from humansim_ros.scene.features.scanners.sweeps import Scanning, Sweep
 from humansim_ros.scene.playback import Playback
 from humansim_ros.scene.scene import Scene
 from humansim_ros.scene.state import SceneState
-from humansim_ros.scene.sweeps import Scanning, Sweep
 
 #: Pictures of a camera from the present one to each of the adjacent ones.
 _DIRECTIONS = dict(zip(ADJACENT_NAMES, (1, -1), strict=True))

@@ -20,11 +20,11 @@ from humansim_ros.io.machine import cores
 from humansim_ros.jobs.frame_job import Costs, FrameResult
 from humansim_ros.jobs.workers import WorkerDiedError, Workers
 from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.scene.features.scanners.sweeps import Sweep
 from humansim_ros.scene.playback import Playback
 from humansim_ros.scene.scene import Scene
 from humansim_ros.scene.simulation import Frame, Simulation
 from humansim_ros.scene.states import SceneStates
-from humansim_ros.scene.sweeps import Sweep
 from humansim_ros.types import Array, Image
 from humansim_ros.view.picking import PIXEL_CHANNELS, pixel_info
 from humansim_ros.view.source import JOINTS, POSES, FrameRequest, PixelInfo, ViewFrame, ViewSource, fitted

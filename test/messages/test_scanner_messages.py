@@ -15,8 +15,8 @@ from humansim_ros.messages.points import point_rows
 from humansim_ros.scanner.models import Layout
 from humansim_ros.scanner.pattern import Pattern, Rays, spinning
 from humansim_ros.scanner.returns import Measuring, Returns
-from humansim_ros.scene.scanner import SceneScanner
-from humansim_ros.scene.sweeps import Sweep
+from humansim_ros.scene.features.scanners.scanner import SceneScanner
+from humansim_ros.scene.features.scanners.sweeps import Sweep
 from humansim_ros.types import Array
 
 #: Name, offset and datatype (sensor_msgs/PointField) of each field, and bytes of a point.

@@ -20,9 +20,10 @@ from humansim_ros.errors import HumansimError
 from humansim_ros.io.images import encode_image
 from humansim_ros.ros.processes.node_processes import scene_processes
 from humansim_ros.scene import Scene, SceneConfig
-from humansim_ros.scene.config import HoldConfig, load_config, map_files
+from humansim_ros.scene.config import load_config, map_files
+from humansim_ros.scene.features.held.keys import HoldConfig
+from humansim_ros.scene.features.robot.keys import PathConfig
 from humansim_ros.scene.features.variety.keys import PeopleConfig
-from humansim_ros.scene.robot_config import PathConfig
 
 #: A scene with all sections and all keys that name files.
 SCENE: dict[str, Any] = {

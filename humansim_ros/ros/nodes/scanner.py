@@ -23,9 +23,9 @@ from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.runtime import run_node
 from humansim_ros.ros.transforms import TransformSender
 from humansim_ros.scene import Scene
-from humansim_ros.scene.robot_config import ROBOT
+from humansim_ros.scene.features.robot.keys import ROBOT
+from humansim_ros.scene.features.scanners.sweeps import LiveScanning
 from humansim_ros.scene.state import SceneState
-from humansim_ros.scene.sweeps import LiveScanning
 
 
 class ScannerNode(SceneNode):

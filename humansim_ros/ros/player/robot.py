@@ -16,8 +16,8 @@ from humansim_ros.messages.topics import RobotTopics
 from humansim_ros.ros.player.playing import FramePlayer
 from humansim_ros.ros.qos import NEWEST
 from humansim_ros.ros.transforms import TransformSender
+from humansim_ros.scene.features.robot.robot import Robot
 from humansim_ros.scene.playback import Playback, Tick
-from humansim_ros.scene.robot import Robot
 from humansim_ros.scene.state import SceneState
 
 #: Most seconds over which a robot is moved at the velocity of its newest odometry.

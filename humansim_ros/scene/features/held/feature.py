@@ -20,9 +20,9 @@ from humansim_ros.geometry import (
 )
 from humansim_ros.motion.reaches import PALM
 from humansim_ros.scene.actor import Actor
-from humansim_ros.scene.config import HoldConfig
 from humansim_ros.scene.draft import Draft
 from humansim_ros.scene.features import Feature
+from humansim_ros.scene.features.held.keys import HoldConfig
 from humansim_ros.scene.objects import SHAPES, SceneObject
 from humansim_ros.types import Array
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from humansim_ros.scene.draft import Draft
 from humansim_ros.scene.features import Feature
-from humansim_ros.scene.robot_config import ROBOT
+from humansim_ros.scene.features.robot.keys import ROBOT
 
 
 class RobotBody(Feature):

@@ -22,9 +22,9 @@ from humansim_ros.geometry import (
 )
 from humansim_ros.scene.camera_config import TrajectoryConfig
 from humansim_ros.scene.config import ObjectConfig, SceneConfig
+from humansim_ros.scene.features.robot.keys import ROBOT, PathConfig, RobotConfig, VibrationConfig
 from humansim_ros.scene.objects import SceneObject
 from humansim_ros.scene.randomise import random_numbers
-from humansim_ros.scene.robot_config import ROBOT, PathConfig, RobotConfig, VibrationConfig
 from humansim_ros.scene.source import SceneSource
 from humansim_ros.types import Array
 

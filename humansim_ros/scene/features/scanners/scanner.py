@@ -15,8 +15,8 @@ from humansim_ros.scanner.models import MODELS, Layout, ScannerModel, StampOf
 from humansim_ros.scanner.pattern import SUBRAYS, Pattern, raster, spinning
 from humansim_ros.scanner.returns import Measuring
 from humansim_ros.scene.config import SceneConfig
-from humansim_ros.scene.robot import Robot, Route, robot_of_mount
-from humansim_ros.scene.scanner_config import MAX_RAYS, MAX_RAYS_PER_SECOND, ScannerConfig
+from humansim_ros.scene.features.robot.robot import Robot, Route, robot_of_mount
+from humansim_ros.scene.features.scanners.keys import MAX_RAYS, MAX_RAYS_PER_SECOND, ScannerConfig
 from humansim_ros.scene.source import SceneSource
 from humansim_ros.types import Array
 

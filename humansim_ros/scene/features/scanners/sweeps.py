@@ -18,8 +18,8 @@ from humansim_ros.scanner.casting import Hits, MovingTriangles, Poses, Shot
 from humansim_ros.scanner.pattern import Rays
 from humansim_ros.scanner.reflectivity import reflectivity
 from humansim_ros.scanner.returns import SINGLE_STRONGEST, Returns, measure
-from humansim_ros.scene.robot_config import ROBOT
-from humansim_ros.scene.scanner import SceneScanner, poses_of
+from humansim_ros.scene.features.robot.keys import ROBOT
+from humansim_ros.scene.features.scanners.scanner import SceneScanner, poses_of
 from humansim_ros.scene.scene import Scene
 from humansim_ros.scene.state import SceneState
 from humansim_ros.sensor.sensor import generator

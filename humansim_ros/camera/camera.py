@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -90,6 +90,15 @@ class Camera(Pictured):
             if min(rectified[0, 0], rectified[1, 1]) <= 0 or rectified[2, 2] <= 0:
                 raise CameraError("the rectified P has a focal length that is not positive", key="rectified")
             object.__setattr__(self, "rectified", rectified)
+
+    def at(self, R: Array, t: Array) -> Camera:
+        """The same camera with another pose: ``R`` (3, 3) and ``t`` (3,) as in the arguments of the class.
+
+        Neither is checked: R must be a rotation, and t finite.
+        """
+        camera = object.__new__(Camera)
+        camera.__dict__.update({each.name: self.__dict__[each.name] for each in fields(self)}, R=R, t=t)
+        return camera
 
     def __repr__(self) -> str:
         center = ", ".join(f"{value:.3f}" for value in self.center)

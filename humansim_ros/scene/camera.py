@@ -237,7 +237,7 @@ class SceneCamera:
         """Camera of ``image_raw`` at a pose."""
         if pose.R is self.camera.R and pose.t is self.camera.t:
             return self.camera
-        return replace(self.camera, R=pose.R, t=pose.t)
+        return self.camera.at(pose.R, pose.t)
 
     @property
     def drifts(self) -> bool:
@@ -255,12 +255,17 @@ class SceneCamera:
         if self._error is None:
             return self.camera_at(pose)
         pose = _displaced(pose, self._error.rotation, self._error.translation)
-        return replace(self._error.published(self.camera), R=pose.R, t=pose.t)
+        return self._published.at(pose.R, pose.t)
 
     @cached_property
     def published(self) -> Camera:
         """Camera of the whole sensor as ``camera_info`` says."""
         return self.whole if self._error is None else self._error.published(self.whole)
+
+    @cached_property
+    def _published(self) -> Camera:
+        """Camera of ``image_raw`` as its calibration says, at its initial pose."""
+        return self.camera if self._error is None else self._error.published(self.camera)
 
     @property
     def _error(self) -> CalibrationError | None:
@@ -301,7 +306,7 @@ class SceneCamera:
         if pose.R is self.camera.R and pose.t is self.camera.t:
             return ideal
         rotation = self.camera.rectification_matrix
-        return replace(ideal, R=rotation @ pose.R, t=rotation @ pose.t)
+        return ideal.at(rotation @ pose.R, rotation @ pose.t)
 
     @property
     def encoding(self) -> str:

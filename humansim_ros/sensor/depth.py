@@ -7,7 +7,7 @@ depth on rays nearby. On flat surfaces this has no error.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import cast
 
@@ -125,7 +125,7 @@ class DepthSensor:
     def camera_at(self, R: Array, t: Array) -> Camera:
         """Camera of the depth image. ``R`` (3, 3), ``t`` (3,): from ``map`` to the frame of the camera."""
         own = self.optics
-        return Camera(own.size, own.K, own.R @ R, own.R @ t + own.t)
+        return own.at(own.R @ R, own.R @ t + own.t)
 
     def second_camera(self, camera: Camera) -> Camera | None:
         """Projector, or right imager, for the camera of :meth:`camera_at`; None for time of flight. The rows
@@ -133,10 +133,14 @@ class DepthSensor:
         that the sensor sees in its range."""
         if self.config.baseline is None:
             return None
-        k = camera.K.copy()
+        return self._second.at(camera.R, camera.t - np.array([self.config.baseline, 0, 0]))
+
+    @cached_property
+    def _second(self) -> Camera:
+        k = self.optics.K.copy()
         k[0, 2] += self._margin
-        size = camera.size[0] + self._margin, camera.size[1]
-        return Camera(size, k, camera.R, camera.t - np.array([self.config.baseline, 0, 0]))
+        width, height = self.optics.size
+        return replace(self.optics, size=(width + self._margin, height), K=k)
 
     @property
     def needs_light(self) -> bool:

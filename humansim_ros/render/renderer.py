@@ -71,7 +71,17 @@ class Backdrop(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class RenderRequest:
-    """Parameters of :meth:`Renderer.render`."""
+    """A view to render.
+
+    Attributes:
+        bodies: Bodies in the frame.
+        camera: Camera with its pose in the frame.
+        channels: Names of the channels to render, see :data:`~humansim_ros.render.ALL_CHANNELS`.
+        moving_camera: The static scene is redrawn, not cached.
+        next_frame: Next frame, for the channels ``flow`` and ``flow_hidden``.
+        previous_frame: Previous frame, for the channels ``flow_back`` and ``flow_back_hidden``.
+        backdrop: Image behind the scene. If None, the background has the colour of the light.
+    """
 
     bodies: Sequence[Body]
     camera: Camera
@@ -128,36 +138,20 @@ class Renderer(ABC):
             "a renderer and its Simulation cannot be copied to another process: make one in each"
         )
 
-    def render(
-        self,
-        bodies: Sequence[Body],
-        camera: Camera,
-        channels: Collection[str] = CHANNELS,
-        moving_camera: bool = False,
-        next_frame: AdjacentFrame | None = None,
-        previous_frame: AdjacentFrame | None = None,
-        backdrop: Backdrop | None = None,
-    ) -> View:
-        """Render one view.
+    def render(self, *request: Any, **fields: Any) -> View:
+        """Render one view of a :class:`RenderRequest`.
 
+        The arguments are a request, or those of a request: ``render(bodies, camera, ("rgb",))``.
         Results for a Body are cached: pass the same Body objects for all cameras of a frame.
 
-        Args:
-            bodies: Bodies in the frame.
-            camera: Camera with its pose in the frame.
-            channels: Names of the channels to render, see :data:`~humansim_ros.render.ALL_CHANNELS`.
-            moving_camera: The static scene is drawn again for each frame, and is not cached.
-            next_frame: Next frame, for the channels ``flow`` and ``flow_hidden``.
-            previous_frame: Previous frame, for the channels ``flow_back`` and ``flow_back_hidden``.
-            backdrop: Image behind the scene. If None, the background colour of the light.
-
         Raises:
-            RenderError: A channel is unknown or not supported, a channel lacks its adjacent frame, a body is
-                not valid, or OpenGL failed.
+            RenderError: A channel is unknown, not supported or lacks its adjacent frame, a body is not
+                valid, or OpenGL failed.
         """
-        request = RenderRequest(bodies, camera, channels, moving_camera, next_frame, previous_frame, backdrop)
-        request.check(self)
-        return self.render_request(request)
+        given = len(request) == 1 and isinstance(request[0], RenderRequest)
+        asked: RenderRequest = request[0] if given else RenderRequest(*request, **fields)
+        asked.check(self)
+        return self.render_request(asked)
 
     def prepare(self, requests: Sequence[RenderRequest]) -> None:
         """Announce the next requests of :meth:`render`, so that a renderer may draw them together.

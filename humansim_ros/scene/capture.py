@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 
@@ -19,98 +19,79 @@ from humansim_ros.truth import CameraTruth
 from humansim_ros.types import Array, Float32Array, Image
 
 
-def capture(
-    renderer: Renderer,
-    camera: SceneCamera,
-    exposure: Exposure,
-    channels: Collection[str],
-    scene_time: int,
-    faults: FrameFaults = NO_FAULTS,
-    frozen: Image | None = None,
-) -> View:
-    """Render what a camera sees during its exposure, and apply its sensor to rgb.
+@dataclass(frozen=True, eq=False)
+class CameraShot:
+    """What a camera is to take at a stamp.
 
-    Args:
-        renderer: Renderer of the scene.
+    Attributes:
         camera: The camera with its sensor.
         exposure: Bodies and camera pose around the stamp, which is the middle of the exposure time.
         channels: Names of the channels. All but rgb show the scene at the stamp.
-        scene_time: Nanoseconds; the sensor's noise depends on it.
         faults: Faults of the picture. Channels other than rgb have none.
         frozen: Colours of an earlier frame that the camera shows in place of its own.
     """
-    request = request_at_stamp(camera, exposure, channels, faults, frozen)
-    view = View()
-    if request is not None:
-        view = renderer.render(
-            request.bodies,
-            request.camera,
-            request.channels,
-            request.moving_camera,
-            request.next_frame,
-            request.previous_frame,
-            request.backdrop,
+
+    camera: SceneCamera
+    exposure: Exposure
+    channels: Collection[str]
+    faults: FrameFaults = NO_FAULTS
+    frozen: Image | None = None
+
+    @cached_property
+    def posed(self) -> Camera:
+        """The camera at its pose at the stamp."""
+        return self.camera.camera_at(self.exposure.pose_at(0.0))
+
+    @cached_property
+    def request(self) -> RenderRequest | None:
+        """The view at the stamp. None if only views of other times are rendered."""
+        coloured = self.frozen is None and not self._times.any()
+        rendered = [channel for channel in self.channels if coloured or channel != "rgb"]
+        if not rendered:
+            return None
+        taken = self.exposure
+        return RenderRequest(
+            taken.bodies_at(0.0),
+            self.posed,
+            rendered,
+            taken.moving,
+            taken.next_frame,
+            taken.previous_frame,
+            self.camera.backdrop,
         )
-    if frozen is not None:
-        return view.with_channels(rgb=frozen)
-    if "rgb" not in channels:
-        return view
-    times = _samples(camera, faults)
-    single = not times.any()
-    light = None if faults is NO_FAULTS else camera.light(scene_time, faults)
-    if single and not camera.sensor.active and light is None:
-        return view
-    if single:
-        return view.with_channels(rgb=camera.sensor.expose([view.rgb], scene_time, light))
 
-    def images() -> Iterator[Image]:
-        for time in times.tolist():
-            sample = renderer.render(
-                exposure.bodies_at(time),
-                camera.camera_at(exposure.pose_at(time)),
-                ("rgb",),
-                moving_camera=exposure.moving,
-                backdrop=camera.backdrop,
+    def take(self, renderer: Renderer, scene_time: int) -> View:
+        """Render what the camera sees during its exposure, and apply its sensor to rgb.
+
+        Args:
+            renderer: Renderer of the scene.
+            scene_time: Nanoseconds; the sensor's noise depends on it.
+        """
+        view = View() if self.request is None else renderer.render(self.request)
+        if self.frozen is not None:
+            return view.with_channels(rgb=self.frozen)
+        if "rgb" not in self.channels:
+            return view
+        camera, times = self.camera, self._times
+        light = None if self.faults is NO_FAULTS else camera.light(scene_time, self.faults)
+        if not times.any() and not camera.sensor.active and light is None:
+            return view
+        images = self._colours(renderer, times.tolist()) if times.any() else [view.rgb]
+        return view.with_channels(rgb=camera.sensor.expose(images, scene_time, light))
+
+    @cached_property
+    def _times(self) -> Array:
+        """Times (N,) of the images that rgb is the mean of, seconds after the stamp."""
+        return self.camera.sensor.times() + self.faults.trigger_delay
+
+    def _colours(self, renderer: Renderer, times: Sequence[float]) -> Iterator[Image]:
+        taken, camera = self.exposure, self.camera
+        for time in times:
+            posed = camera.camera_at(taken.pose_at(time))
+            request = RenderRequest(
+                taken.bodies_at(time), posed, ("rgb",), taken.moving, backdrop=camera.backdrop
             )
-            yield sample.rgb
-
-    return view.with_channels(rgb=camera.sensor.expose(images(), scene_time, light))
-
-
-def request_at_stamp(
-    camera: SceneCamera,
-    exposure: Exposure,
-    channels: Collection[str],
-    faults: FrameFaults = NO_FAULTS,
-    frozen: Image | None = None,
-) -> RenderRequest | None:
-    """What :func:`capture` renders first: the bodies at the stamp; None if it renders only others.
-
-    Args:
-        camera: The camera with its sensor.
-        exposure: Bodies and camera pose around the stamp.
-        channels: Names of the channels.
-        faults: Faults of the picture.
-        frozen: Colours of an earlier frame that the camera shows in place of its own.
-    """
-    coloured = frozen is None and not _samples(camera, faults).any()
-    rendered = [channel for channel in channels if coloured or channel != "rgb"]
-    if not rendered:
-        return None
-    return RenderRequest(
-        exposure.bodies_at(0.0),
-        camera.camera_at(exposure.pose_at(0.0)),
-        rendered,
-        exposure.moving,
-        exposure.next_frame,
-        exposure.previous_frame,
-        camera.backdrop,
-    )
-
-
-def _samples(camera: SceneCamera, faults: FrameFaults) -> Array:
-    """Times (N,) of the images whose mean is rgb, seconds after the stamp."""
-    return camera.sensor.times() + faults.trigger_delay
+            yield renderer.render(request).rgb
 
 
 def capture_rectified_depth(renderer: Renderer, camera: SceneCamera, exposure: Exposure) -> Float32Array:
@@ -185,30 +166,18 @@ def capture_depth(
     return DepthCapture(own, view.depth, measured, camera.camera_at(pose))
 
 
-def observe(
-    state: SceneState,
-    renderer: Renderer,
-    camera: SceneCamera,
-    exposure: Exposure,
-    channels: Collection[str],
-    faults: FrameFaults = NO_FAULTS,
-    frozen: Image | None = None,
-) -> CameraTruth:
+def observe(state: SceneState, renderer: Renderer, shot: CameraShot) -> CameraTruth:
     """Render a camera of a state. The result has the posed camera, its images, and their ground truth.
 
     Args:
         state: The scene at a stamp.
         renderer: Renderer of the scene.
-        camera: The camera with its sensor.
-        exposure: :meth:`SceneState.exposure` of the camera; with adjacent frames for channels that need them.
-        channels: Names of the channels.
-        faults: Faults of the picture.
-        frozen: Colours of an earlier frame that the camera shows in place of its own.
+        shot: The camera with its exposure, which has the adjacent frames that channels need.
     """
     scene = state.scene
     return CameraTruth(
-        camera.camera_at(exposure.pose_at(0.0)),
-        capture(renderer, camera, exposure, channels, state.scene_time, faults, frozen),
+        shot.posed,
+        shot.take(renderer, state.scene_time),
         state.bodies,
         labels=scene.labels,
         joint_surfaces=scene.joint_surfaces,

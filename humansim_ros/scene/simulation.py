@@ -24,12 +24,11 @@ from humansim_ros.render import CHANNELS, Body, Renderer, View
 from humansim_ros.render.channels import ADJACENT_NAMES, AdjacentName, check_channels, comparing_with
 from humansim_ros.scene.camera import CameraPose, SceneCamera
 from humansim_ros.scene.capture import (
+    CameraShot,
     DepthCapture,
-    capture,
     capture_depth,
     capture_rectified_depth,
     observe,
-    request_at_stamp,
 )
 from humansim_ros.scene.faults import NO_FAULTS, FrameFaults
 from humansim_ros.scene.features.scanners.sweeps import Sweep
@@ -265,8 +264,8 @@ class Simulation:
         }
         sweeps = {name: self._states.sweeps(name, index) for name in self._chosen_scanners(scanners)}
         state = self._states.at(index)
-        views = {
-            name: (
+        shots = {
+            name: CameraShot(
                 camera,
                 _exposure(camera, state, adjacent[camera.timing.step]),
                 self.channels,
@@ -275,10 +274,10 @@ class Simulation:
             )
             for name, camera in chosen.items()
         }
-        requests = [request for view in views.values() if (request := request_at_stamp(*view)) is not None]
+        requests = [shot.request for shot in shots.values() if shot.request is not None]
         if len(requests) > 1:
             self.renderer.prepare(requests)
-        captured = {name: observe(state, self.renderer, *view) for name, view in views.items()}
+        captured = {name: observe(state, self.renderer, shot) for name, shot in shots.items()}
         return Frame(
             index=index,
             stamp=state.stamp,
@@ -338,8 +337,8 @@ class Simulation:
         """Image of an earlier frame, at which a camera has frozen."""
         state = self._states.at(index)
         faults = NO_FAULTS if camera.faults is None else camera.faults.at(index)
-        exposure = state.exposure(camera)
-        return capture(self.renderer, camera, exposure, ("rgb",), state.scene_time, faults).rgb
+        shot = CameraShot(camera, state.exposure(camera), ("rgb",), faults)
+        return shot.take(self.renderer, state.scene_time).rgb
 
 
 class _DepthCaptures(OnAccess[DepthCapture]):

@@ -403,16 +403,15 @@ def test_topics_without_frames_are_recorded_once(scene: Scene, tmp_path: Path) -
 def test_a_camera_of_which_nothing_is_recorded_is_not_rendered(
     scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from humansim_ros.scene import capture as module
+    from humansim_ros.scene.capture import CameraShot
 
     rendered: list[tuple[str, tuple[str, ...]]] = []
-    capture = module.capture
+    take = CameraShot.take
     monkeypatch.setattr(
-        module,
-        "capture",
-        lambda renderer, camera, exposure, channels, *others: (
-            rendered.append((camera.name, tuple(channels)))
-            or capture(renderer, camera, exposure, channels, *others)
+        CameraShot,
+        "take",
+        lambda shot, *others: (
+            rendered.append((shot.camera.name, tuple(shot.channels))) or take(shot, *others)
         ),
     )
     recorded(scene, tmp_path / "bag", "/noisy/depth/image", "/humans/*/joints")

@@ -39,7 +39,7 @@ from humansim_ros.ros.transforms import TransformSender
 from humansim_ros.scene import Scene
 from humansim_ros.scene.camera import CameraPose, SceneCamera
 from humansim_ros.scene.capture import (
-    capture,
+    CameraShot,
     capture_depth,
     capture_rectified_depth,
     observe,
@@ -304,7 +304,8 @@ class CameraNode(SceneNode):
         if channels & _FORWARD:
             before, previous_exposure = previous
             complete = replace(previous_exposure, next_frame=frame)
-            view = capture(self._renderer, self._camera, complete, channels & _FORWARD, before.scene_time)
+            shot = CameraShot(self._camera, complete, channels & _FORWARD)
+            view = shot.take(self._renderer, before.scene_time)
             self._images.publish(view, channels & _FORWARD, before.stamp)
 
     def _publish_view(self, state: SceneState, exposure: Exposure, channels: set[str]) -> None:
@@ -347,7 +348,8 @@ class CameraNode(SceneNode):
     ) -> CameraTruth:
         """Images and truth of a state; with the colours of an earlier frame while the camera is frozen."""
         frozen = self._last_colours if faults.picture and "rgb" in channels else None
-        captured = observe(state, self._renderer, self._camera, exposure, channels, faults, frozen)
+        shot = CameraShot(self._camera, exposure, channels, faults, frozen)
+        captured = observe(state, self._renderer, shot)
         if self._freezes and "rgb" in channels:
             self._last_colours = captured.view.rgb
         return captured

@@ -10,7 +10,6 @@ import os
 import types
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import takewhile
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
 import annotated_types
@@ -387,49 +386,20 @@ def _has_sections(annotation: Any) -> bool:
     return any(True for _ in _models(annotation))
 
 
-# --- unknown keys: the key that was probably meant, or the section that the key belongs to
+# --- unknown keys: the key that was probably meant
 
-#: Least similarity to a key of the same section. The first value ranks before an equal key of another
-#: section, the second after it.
-_VERY_NEAR, _NEAR = 0.8, 0.6
-#: Most sections that a message names, and largest depth of sections.
-_MOST_PLACES, _DEPTH = 3, 7
+#: Least similarity to a key that was probably meant.
+_NEAR = 0.6
 
 
 def unknown_key(model: type[BaseModel], keys: Sequence[Any]) -> str:
     """Message about an unknown key. ``keys``: path from the top of the file to the unknown key."""
     section = _section_at(model, keys[:-1])
-    known = key_names(section)
-    hint = _hint(model, section, keys)
-    listed = ", ".join(known)
-    return f"unknown key; {hint} Known here: {listed}" if hint else f"unknown key; known here: {listed}"
-
-
-def _hint(model: type[BaseModel], section: type[BaseModel], keys: Sequence[Any]) -> str:
-    name = str(keys[-1])
-    word = name.lower().replace("-", "_").replace(" ", "_")
-    known = key_names(section)
+    known, word = key_names(section), str(keys[-1]).lower().replace("-", "_").replace(" ", "_")
     meant = next((key for key in known if key.lower() == word), None) or _other_words(section).get(word)
-    meant = meant or next(iter(near_names(word, known, _VERY_NEAR)), None)
-    if meant:
-        return f"did you mean `{meant}`?"
-    found: list[tuple[int, str, str]] = []
-    for place, other in _sections(model):
-        key = name if name in key_names(other) else _other_words(other).get(word)
-        if key and other is not section:
-            pairs = zip(place, map(str, keys[:-1]), strict=False)
-            shared = len(list(takewhile(lambda pair: pair[0] in ("<name>", pair[1]), pairs)))
-            where = ".".join((*map(str, keys[:shared]), *place[shared:])) or "the top of the file"
-            found.append((len(place) + len(keys) - 1 - 2 * shared, key, where))
-    if found:
-        found.sort(key=lambda each: each[0])
-        near = [(key, where) for distance, key, where in found if distance <= found[0][0] + 1]
-        meant = name if any(key == name for key, _ in near) else near[0][0]
-        places = either(list(dict.fromkeys(where for key, where in near if key == meant))[:_MOST_PLACES])
-        own = f"`{name}` belongs to {places}."
-        return own if meant == name else f"did you mean `{meant}`, which belongs to {places}?"
-    meant = next(iter(near_names(word, known, _NEAR)), None)
-    return f"did you mean `{meant}`?" if meant else ""
+    meant = meant or next(iter(near_names(word, known, _NEAR)), None)
+    listed = ", ".join(known)
+    return f"unknown key; {f'did you mean `{meant}`? Known' if meant else 'known'} here: {listed}"
 
 
 def either(texts: Sequence[str]) -> str:
@@ -459,18 +429,6 @@ def _section_at(model: type[BaseModel], keys: Sequence[Any]) -> type[BaseModel]:
         if key in model.model_fields:
             model = next(_models(model.model_fields[key].annotation), model)
     return model
-
-
-def _sections(
-    model: type[BaseModel], place: tuple[str, ...] = ()
-) -> Iterator[tuple[tuple[str, ...], type[BaseModel]]]:
-    """Yield place and model of each section, with places such as ``("humans", "<name>", "motion")``."""
-    yield place, model
-    if len(place) <= _DEPTH:
-        for name, info in model.model_fields.items():
-            named = (name, "<name>") if "dict[" in str(info.annotation) else (name,)
-            for inner in _models(info.annotation):
-                yield from _sections(inner, (*place, *named))
 
 
 def _models(annotation: Any) -> Iterator[type[BaseModel]]:

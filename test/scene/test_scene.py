@@ -446,7 +446,7 @@ def test_a_broken_motion_or_body_of_a_scene_is_named_itself(write: Write, tmp_pa
     (tmp_path / "bad.obj").write_text("v 0 0 0\nf 1 1")
     with pytest.raises(MeshError, match=r"bad\.obj:2: "):
         Scene.load(write(GOOD.replace("adult_man", "bad.obj")))
-    with pytest.raises(MotionError, match="no joint table 'mine'"):
+    with pytest.raises(MotionError, match="no joint table and no YAML file 'mine'"):
         Scene.load(write(GOOD.replace("file: walk", "joint_names: mine")))
 
 

@@ -56,6 +56,19 @@ def test_arrows_between_packages_lead_down() -> None:
     assert house_map.EXCEPTIONS - wrong.keys() == set()
 
 
+def test_features_import_only_the_keys_of_other_features() -> None:
+    own = re.compile(r"scene/features/(\w+)/(\w+)$")
+    found = (
+        (own.match(name), own.match(target))
+        for name in house_map.modules()
+        for target, _ in house_map.imports(name)
+    )
+    arrows = [
+        (source[0], target[0]) for source, target in found if source and target and source[1] != target[1]
+    ]
+    assert [arrow for arrow in arrows if not arrow[1].endswith("/keys")] == []
+
+
 def test_packages_import_the_interfaces_of_others_only() -> None:
     assert house_map.past_interfaces() == set()
 

@@ -22,10 +22,10 @@ from humansim_ros.errors import CameraError, SceneError, in_section, unknown
 from humansim_ros.geometry import ObjectPose, Velocity, matrix_to_quaternion, quaternion_to_matrix, slerp
 from humansim_ros.render.renderer import Backdrop
 from humansim_ros.scene.camera_config import CameraConfig, RigConfig
+from humansim_ros.scene.carriers import Carrier, Route, robot_of_mount
 from humansim_ros.scene.config import RandomiseConfig, SceneConfig, load_config
 from humansim_ros.scene.environment import load_backdrop
 from humansim_ros.scene.faults import CalibrationError, FaultSchedule, FrameFaults
-from humansim_ros.scene.features.robot.robot import Robot, Route, robot_of_mount
 from humansim_ros.scene.randomise import random_numbers
 from humansim_ros.scene.source import SceneSource
 from humansim_ros.scene.stereo import right_camera
@@ -131,7 +131,7 @@ class SceneCamera:
     region: Region
     sensor: Sensor
     route: Route | None = None
-    mount: tuple[ObjectPose, Robot] | None = None
+    mount: tuple[ObjectPose, Carrier] | None = None
     backdrop: Backdrop | None = None
     faults: FaultSchedule | None = None
     depth_sensor: DepthSensor | None = None
@@ -183,7 +183,7 @@ class SceneCamera:
         """The same right camera next to the left camera at its initial pose."""
         return replace(self, whole=replace(self.whole, R=left.whole.R, t=left.whole.t - self.beside_left))
 
-    def mounted_on(self, robot: Robot) -> SceneCamera:
+    def mounted_on(self, robot: Carrier) -> SceneCamera:
         """The same camera on a robot: its pose in ``map`` becomes its pose in ``base_link``."""
         pose = CameraPose.of(self.whole)
         place = ObjectPose(pose.position, pose.rotation)
@@ -433,7 +433,7 @@ _DEFAULT_SIZE = (640, 480)
 
 
 def build_cameras(
-    config: SceneConfig, source: SceneSource, robot: Robot | None = None
+    config: SceneConfig, source: SceneSource, robot: Carrier | None = None
 ) -> dict[str, SceneCamera]:
     """Create the cameras of a scene and return them by name, those of its rig first. Raises HumansimError,
     which names the key of the scene file. ``robot``: carries the cameras that are mounted on it."""
@@ -464,7 +464,7 @@ def in_step(cameras: Mapping[str, SceneCamera]) -> list[str]:
     return [name for name, camera in cameras.items() if camera.timing == fastest]
 
 
-def _completed(camera: SceneCamera, config: SceneConfig, robot: Robot | None) -> SceneCamera:
+def _completed(camera: SceneCamera, config: SceneConfig, robot: Carrier | None) -> SceneCamera:
     """Camera with its mount and its faults."""
     section = config.cameras.get(camera.left or camera.name, config.rig)
     if section is None:

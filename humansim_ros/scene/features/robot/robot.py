@@ -11,16 +11,15 @@ from typing import NamedTuple
 import numpy as np
 
 from humansim_ros.camera.trajectory import Trajectory
-from humansim_ros.errors import SceneError, in_section
+from humansim_ros.errors import in_section
 from humansim_ros.geometry import (
-    VELOCITY_STEP,
     ObjectPose,
     Velocity,
     multiply_quaternions,
     quaternion_to_matrix,
     rotation_vector_to_quaternion,
 )
-from humansim_ros.scene.camera_config import TrajectoryConfig
+from humansim_ros.scene.carriers import Route
 from humansim_ros.scene.config import ObjectConfig, SceneConfig
 from humansim_ros.scene.features.robot.keys import ROBOT, PathConfig, RobotConfig, VibrationConfig
 from humansim_ros.scene.objects import SceneObject
@@ -32,41 +31,6 @@ from humansim_ros.types import Array
 _SINES, _SPREAD = 4, 0.4
 #: Commands that a drive remembers, for jumps back in time.
 _MOST_COMMANDS = 20_000
-
-
-@dataclass(frozen=True, eq=False)
-class Route:
-    """A trajectory that something follows.
-
-    Attributes:
-        path: The trajectory.
-        offset: Time that it is ahead of the scene, seconds.
-        speed: Seconds of the trajectory per second.
-    """
-
-    path: Trajectory
-    offset: float = 0.0
-    speed: float = 1.0
-
-    @classmethod
-    def read(cls, config: TrajectoryConfig, source: SceneSource) -> Route:
-        """Read the file of a section. Raises HumansimError, which names the key, relative to the section."""
-        with in_section("file"):
-            path = Trajectory.read(source.find_url(config.file), config.end)
-        return cls(path, config.offset, config.speed)
-
-    @property
-    def duration(self) -> float:
-        """Seconds until its end; 0 if it stands."""
-        return self.path.duration / self.speed if self.speed else 0.0
-
-    def at(self, seconds: float) -> ObjectPose:
-        """Pose and velocity at a scene time in seconds."""
-        time = self.speed * (seconds + self.offset)
-        early, late = self.path.difference_times(time, VELOCITY_STEP * max(self.speed, 1e-6))
-        positions, rotations = zip(self.path.in_map(early), self.path.in_map(late), strict=True)
-        velocity = Velocity.between(np.array(positions), np.array(rotations), late - early)
-        return ObjectPose(*self.path.in_map(time), velocity=velocity.scaled(self.speed))
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,6 +97,11 @@ class Robot:
             return cls.build(config.robot, source)
 
     @property
+    def base_frame(self) -> str:
+        """Name of the frame ``base_link`` in messages."""
+        return self.config.base_frame
+
+    @property
     def takes_commands(self) -> bool:
         """Whether it follows ``cmd_vel``."""
         return self.route is None and self.config.odometry is None
@@ -168,18 +137,6 @@ class Robot:
     @cached_property
     def _vibration(self) -> Vibration | None:
         return None if self.config.vibration is None else Vibration(self.config.vibration)
-
-
-def robot_of_mount(mount: str | None, robot: Robot | None) -> Robot | None:
-    """The robot that carries a thing with a key ``mount``; None without the key.
-
-    ``robot``: the robot of the scene. Raises SceneError of this key if it has none.
-    """
-    if mount is None:
-        return None
-    if robot is None:
-        raise SceneError("the scene has no robot: give it a section 'robot'", key="mount")
-    return robot
 
 
 def robot_object(robot: Robot, source: SceneSource) -> SceneObject:

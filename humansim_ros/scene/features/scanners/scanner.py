@@ -14,8 +14,8 @@ from humansim_ros.scanner.casting import Poses
 from humansim_ros.scanner.models import MODELS, Layout, ScannerModel, StampOf
 from humansim_ros.scanner.pattern import SUBRAYS, Pattern, raster, spinning
 from humansim_ros.scanner.returns import Measuring
+from humansim_ros.scene.carriers import Carrier, Route, robot_of_mount
 from humansim_ros.scene.config import SceneConfig
-from humansim_ros.scene.features.robot.robot import Robot, Route, robot_of_mount
 from humansim_ros.scene.features.scanners.keys import MAX_RAYS, MAX_RAYS_PER_SECOND, ScannerConfig
 from humansim_ros.scene.source import SceneSource
 from humansim_ros.types import Array
@@ -42,12 +42,12 @@ class SceneScanner:
     layout: Layout
     stamp: StampOf
     route: Route
-    mount: Robot | None = None
+    mount: Carrier | None = None
     seed: int = 0
 
     @classmethod
     def build(
-        cls, name: str, config: ScannerConfig, source: SceneSource, robot: Robot | None = None
+        cls, name: str, config: ScannerConfig, source: SceneSource, robot: Carrier | None = None
     ) -> SceneScanner:
         """Create a scanner from its section.
 
@@ -181,7 +181,7 @@ def _route(config: ScannerConfig, source: SceneSource) -> Route:
 
 
 def build_scanners(
-    config: SceneConfig, source: SceneSource, robot: Robot | None = None
+    config: SceneConfig, source: SceneSource, robot: Carrier | None = None
 ) -> dict[str, SceneScanner]:
     """Create the scanners of a scene by name. Raises HumansimError, which names the key. ``robot``: carries
     the scanners that are mounted on it."""

@@ -64,7 +64,6 @@ def evaluate(
         offset: Delay of the stamps of the estimate, seconds. With ``"auto"``, the delay is measured.
         gate: Largest mean joint distance of a person who counts as found, metres. If None, 0.5. For boxes, it
             is the distance of their centres on the floor; if None, 1.
-
         min_score: Detections in images with a lower score count only for average precision.
         radius: If the estimate is the path of a robot, the radius of the robot, metres. If None, that of the
             scene's robot.

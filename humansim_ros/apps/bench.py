@@ -141,7 +141,6 @@ def measure(
     If they do not reach the rate of the scene, they run once more at this rate, since nodes that get too many
     frames waste time on frames that other nodes skip.
 
-
     Args:
         path: Scene file.
         channels: Channels to render.

@@ -44,7 +44,6 @@ class BagThread:
         on_written: Called in the thread with the stamp of a frame when its messages are in the file. If None,
             messages do not belong to frames, and are written after half a second.
 
-
     Attributes:
         error: The error that has ended the thread. None while it writes.
         written: Number of messages in the file.

@@ -4,7 +4,6 @@ Each chunk is followed by a small record of our own, the mark (opcode 0x80; read
 chunk is complete, and whether it ends a group (the chunks of one frame). With marks, a file that was cut
 anywhere can be finished or continued.
 
-
 Large chunks begin and end at block borders of the file. They are written to the disk directly (O_DIRECT),
 without a copy in the memory of the system. This takes 0.5 ms of processor time for 2.5 MB instead of 2 to 6
 ms. Positions depend only on sizes, so that the bytes of a file are the same on every disk.
@@ -251,7 +250,6 @@ class McapFile:
     @classmethod
     def reopen(cls, path: Path, *, spare: int = 0) -> tuple[McapFile, int | None]:
         """Open a file to continue it after its last complete group (the chunks of one frame).
-
 
         Args:
             path: The file, finished or not.

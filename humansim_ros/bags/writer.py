@@ -121,7 +121,6 @@ class BagWriter:
     finishes it. All methods must be called in one thread. Start other processes by ``spawn`` or
     ``forkserver``, since processes of ``fork`` keep the bag locked.
 
-
     Args:
         folder: Folder of the bag. It is created.
         topics: Topics. A chunk names a topic by its index. Missing definitions are looked up.
@@ -184,7 +183,6 @@ class BagWriter:
 
         ``groups``, ``topics``, ``end`` and ``custom`` of the writer describe what the bag has. With the same
         limits and the same chunks as before, the bag becomes the same as without interruption.
-
 
         Args:
             folder: Folder of the bag.

@@ -224,7 +224,6 @@ def fit_skeleton(
         joints: ``fitted`` detects the joints: from vertices for MakeHuman bodies, from the surface for other
             bodies (:mod:`humansim_ros.body.landmarks`). ``general`` scales the general skeleton to the
             stature [thesis §4].
-
         up: Up axis of the file, such as ``z`` or ``-y``. If None, it is detected.
         facing: Axis of the file that the person faces. If None, it is detected.
         unit: Metres per unit of the file.

@@ -101,7 +101,6 @@ def finger_hinges(side: str, bones: Mapping[str, tuple[Array, Array]], wrist: Ar
     of the thumb shows the side of the palm. If none is known, the thumb's side is forwards, as in a T or A
     pose. A finger that is bent at rest flexes in the plane of its bend.
 
-
     Args:
         side: l or r.
         bones: Head and tail of each finger bone, (3,) each in body space. Any of :data:`FINGER_BONES`.

@@ -83,7 +83,6 @@ class JointName:
         place: Place in the body, in plain words.
         bone: Part of the body that turns about the joint: that of the bone with this name. Empty for the end
             of a bone.
-
         hanim2: Name of a joint or site in H-Anim 2 (ISO/IEC 19774-1:2019), or None.
         smpl: Name in SMPL (in SMPL-X for fingers, jaw and eyes), or None.
         coco: Name in the 17 keypoints of COCO, or None.

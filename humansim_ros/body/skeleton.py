@@ -208,7 +208,6 @@ def hanim_skeleton() -> Skeleton:
     The shoulders' parents are corrected (config/skeleton.json). The right collar joint is not the mirror
     image of the left one.
 
-
     Example:
         >>> skeleton = hanim_skeleton()
         >>> len(skeleton), skeleton.names[0] (22, 'HumanoidRoot')

@@ -119,18 +119,15 @@ def read_calibration(
         size: Width and height of the images in pixels, in place of the size in the file. If neither ``size``
             nor ``image`` is given and the file has no sizes, a common size that fits its principal points is
             assumed, with a HumansimWarning.
-
         unit: Metres per unit of the file. If None, the unit of the format.
         up: Axis of the file that points up, such as ``z`` or ``-y``. If None, the axis of the format.
         image: PNG or JPEG file that has the size of the images.
         extrinsics: File with the extrinsics, if ``path`` has only intrinsics. The cameras of both files have
             the same names, or the same number and order.
 
-
     Returns:
         Cameras by name, in the order of the file. If only some cameras have extrinsics, the others are left
         out, with a HumansimWarning. If no camera has extrinsics, all are at the origin and look along +z.
-
 
     Raises:
         CameraError: The file cannot be read, or is not a calibration. The error names the file, and the key
@@ -505,7 +502,6 @@ def resolve_url(url: str, name: str | None = None) -> Path:
     ``${ROS_HOME}`` for this environment variable or ~/.ros. An empty URL is
     file://${ROS_HOME}/camera_info/${NAME}.yaml. Packages are searched in AMENT_PREFIX_PATH. A path that is no
     URL is returned unchanged.
-
 
     Raises:
         CameraError: The URL is not valid, or its package is missing.

@@ -112,7 +112,6 @@ def idealize(camera: Camera, square: bool = False, center: bool = True, fit: Fit
             in the ideal image. ``no_black`` scales them so that all pixels of the ideal image are in the real
             image.
 
-
     Returns:
         The ideal camera, with maps between both images.
 

@@ -6,7 +6,6 @@ height and tilt of a camera, from floor points, from a board, or by levelling. T
 of the file, in metres. If the input does not determine the heading, the smallest rotation is used. If it does
 not determine the position, the point at which the cameras look is placed above (0, 0).
 
-
 A file of floor points (YAML or JSON) has a list ``points``. Each point has ``xyz`` (3 numbers, in the unit
 and axes of the calibration file) or ``pixels`` (x, y by name of camera, for two or more cameras). It has
 ``map`` (x, y in metres) if its place in the room is known.

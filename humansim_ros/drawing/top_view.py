@@ -57,9 +57,9 @@ def top_view(
 ) -> Image:
     """Draw a scene from above, (H, W, 3).
 
-    The colours of the floor are the numbers of cameras that see a point 1.2 m above it, if nothing is in the
-    way. They end at the walls of a room. People are discs with a line to where their hips face, and the paths
-    of their next ten seconds. Cameras have the pyramids of their fields of view.
+    The floor is coloured by the number of cameras that see a point 1.2 m above it; occlusion is ignored. The
+    colours end at the walls of a room. A person is a disc with a line in the direction of the hips, and the
+    path of the next ten seconds. Cameras have the pyramids of their fields of view.
 
     Args:
         scene: The scene.

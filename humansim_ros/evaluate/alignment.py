@@ -85,7 +85,6 @@ def pair_frames(truth: PoseSequence, estimate: PoseSequence) -> FramePairs:
     are compared at the rate of the estimate. If the estimate has no frame, all frames of the truth are
     compared.
 
-
     Raises:
         EvaluationError: Truth and estimate do not overlap in time.
     """

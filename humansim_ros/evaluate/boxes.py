@@ -34,7 +34,6 @@ class BoxTracks:
     Attributes:
         frames: By frame number: identities (N,) and boxes (N, 7). A box is its centre in ``map``, its sizes
             along its own axes (metres), and the yaw of its x axis (radians).
-
         source: Where they come from, for messages.
         names: Names by identity. A person without a name is shown by number.
         lines: First line of each frame in a file.

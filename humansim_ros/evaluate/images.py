@@ -146,7 +146,6 @@ class PartScore:
         epe: Mean distance in pixels (end-point error). None if the part was never found.
         pck: Share of the keypoints of a hand with an error below 0.2 of the longer side of the hand's box.
             Missing keypoints count as wrong. None for faces.
-
         nme: Mean distance as a share of the distance between the outer corners of the eyes, over all faces
             that show both corners. None for hands, and if there is no such face.
     """

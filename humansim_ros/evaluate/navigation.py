@@ -65,12 +65,10 @@ class Closeness:
         stamp: Stamp of the smallest distance, nanoseconds.
         clearance: Smallest distance on the floor between the robot's disc and the body, metres. Below 0 in
             contact. None if bodies are not known.
-
         collisions: Number of times that a contact begins. None if bodies are not known.
         contact: Seconds in contact. None if bodies are not known.
         time_to_collision: Smallest time to a collision if both kept their velocity, seconds. None if they
             would never collide.
-
         spaces: Seconds in the intimate, personal, social and public space.
         compliance: Share of the time with a distance above 0.5 m.
     """

@@ -696,7 +696,7 @@ def _texts(value: Any) -> Iterator[str]:
 
 
 def _is_part(key: str, keys: Keys) -> bool:
-    """Whether a key is, or is in, or has another one."""
+    """Whether one of two key paths is equal to the other one or a part of it."""
     words, others = key.split("."), [str(part) for part in keys]
     least = min(len(words), len(others))
     return words[:least] == others[:least]

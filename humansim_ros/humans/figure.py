@@ -63,7 +63,6 @@ def to_body_space(
     matched by name. Other joints keep their names. Bones of the general skeleton without a joint are inserted
     without skin.
 
-
     Args:
         figure: Skinned mesh of a person.
         unit: Metres per unit of the file. If None, it is guessed from the stature.

@@ -130,7 +130,6 @@ def converted_fbx(
     ``bpy``, a Blender, or FBX2glTF. If the variable is not set, this Python, ``blender`` and ``FBX2glTF`` on
     the PATH are tried in this order. Results are kept in the cache folder.
 
-
     Args:
         path: FBX file. Textures that are not in it are read from its folder and below.
         error: Error class to raise.

@@ -177,7 +177,6 @@ def text_encoding(data: bytes) -> str:
 
     ``data``: start of the text. The last line is ignored, since it may be cut.
 
-
     Returns:
         A codec of Python: ``utf-16`` or a variant of it, one of :data:`ENCODINGS`, or ``latin-1``, also for
             UTF-8.

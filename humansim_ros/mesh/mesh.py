@@ -100,7 +100,6 @@ class Mesh:
     area vectors of the N triangles in the vertex normals; if None, 1
     (:func:`humansim_ros.mesh.normals.shading_weights`).
 
-
     Raises:
         MeshError: An index is out of range, a vertex is not finite, or shapes do not match.
 

@@ -93,7 +93,6 @@ def shading_weights(vertices: Array, triangles: NDArray[np.integer], normals: Ar
     that a normal that is not between the normals of its triangles becomes the nearest one between them.
     Triangles at other vertices of the same place count too, so that normals are smooth across seams.
 
-
     Args:
         vertices: (V, 3).
         triangles: (N, 3) vertex indices.

@@ -299,7 +299,6 @@ def detections_2d_message(boxes: Mapping[str, BodyBox], whole: bool, stamp: int,
     A person without visible pixels is left out. With whole boxes, a person outside the image is left out.
     Numbers have the precision of ``<camera>/boxes``.
 
-
     Args:
         boxes: Boxes by person.
         whole: Whether boxes are those of the whole bodies, not those of the visible pixels.

@@ -37,7 +37,6 @@ def place_at(stamps: Sequence[int], stamp: int, half: int, lasts: bool, oldest: 
     last one before the frame, unless that one is old. If messages last, it is the last one up to the stamp,
     or else the first one.
 
-
     Args:
         stamps: Stamps of the messages in ascending order.
         stamp: Stamp of the frame.
@@ -86,7 +85,6 @@ class Frames(Generic[Content]):
 
     If a limit is exceeded, the frame that has had no new message for the longest time is forgotten first.
     Threads may add and read at the same time.
-
 
     Args:
         required: Topics that have a message in a whole frame.
@@ -416,7 +414,6 @@ class PacedFrames(Frames[Any]):
     held frame agrees with it. Otherwise (while a recording is played) it is the median of the newest stamps
     of the topics.
 
-
     A whole frame far before the last one means that the clock was set back, since a recording is played
     again. A single message does not mean that, so that one old stamp does not remove the present frames. The
     last frame may be whole again, since lockstep sends it again for nodes that have joined.
@@ -520,7 +517,6 @@ class RecordedFrames:
     The player sends a frame again for nodes that have joined, so messages come twice. A frame is whole when
     every awaited topic has delivered the stamp of the frame or a newer one. If a topic was missing in a frame
     and the player has gone on, the node of the topic is gone. It is not awaited until it delivers again.
-
 
     Args:
         per_frame: Topics of the scene with one message for each stamp.

@@ -130,7 +130,6 @@ def hri_person(
     Pixels, boxes and points are rounded to float32 first, so that they equal those in the topics of the
     camera.
 
-
     Args:
         name: Name of the human.
         links: Links of its skeleton. None if the skeleton lacks the bones that ROS4HRI needs.

@@ -164,7 +164,6 @@ def compressed_depth_message(
 def read_compressed_image(message: CompressedImage) -> tuple[NDArray[Any], str]:
     """Pixels (H, W) or (H, W, 3) of a JPEG or PNG, and their encoding. Pixels of mono16 have 16 bits.
 
-
     Raises:
         RosError: The image is damaged, or of another kind.
     """

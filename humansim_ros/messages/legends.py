@@ -62,7 +62,6 @@ def joints_legend(
 
     The names of ``by`` are those of ``human`` and ``object``.
 
-
     Args:
         humans: Instance label and joint names by human.
         objects: Instance label by object.

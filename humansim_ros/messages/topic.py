@@ -29,7 +29,6 @@ class Topic(Generic[Content]):
         latched: Whether late subscribers get the last message.
         per_frame: Whether each frame has a message (for a camera, each frame that it captures). If False,
             there is one message for the whole scene.
-
         shown: Whether ``humansim demo`` shows it.
         camera: Name of the camera that it belongs to. Empty for humans and objects.
         channels: Channels of the view that the message is built from.

@@ -286,7 +286,6 @@ class CameraTopics:
         camera: The camera.
         frame: Optical frame. If None, it is named after the camera. Images and calibrations of the right
             camera of a stereo pair are in the frame of the left camera, since image_geometry needs them so.
-
         channels: Channels that the renderer supports. Other channels have no topic.
 
     Attributes:

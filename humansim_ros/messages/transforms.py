@@ -145,7 +145,6 @@ class Transforms:
     that was added last holds for all times and replaces all earlier transforms of the frame, as in tf2
     (https://github.com/ros2/geometry2, ``tf2/src/static_cache.cpp`` and ``buffer_core.cpp``).
 
-
     Args:
         kept: Number of the newest transforms of a frame that are kept. If None (for a bag), all.
         frames: Frames with transforms that are kept. If None, all.

@@ -56,7 +56,6 @@ def message_type(name: str) -> Any:
     Names come from other hosts and from files, and an import runs code. So only packages with the library of
     a message package are imported.
 
-
     Raises:
         RosError: The name is no name of a message, or its package is not installed or has no such message.
     """

@@ -357,7 +357,7 @@ class _Rows:
         return self._mended(values, bad) if bad else values.reshape(-1, n_channels)
 
     def _without_tail(self) -> list[_BadLine]:
-        """The bad lines but for text after the last row, with a warning."""
+        """The bad lines, without text after the last row. A warning names this text."""
         tail = len(self.bad)
         while tail and self.bad[tail - 1].word and self.bad[tail - 1].start == self.n_values:
             tail -= 1

@@ -348,10 +348,8 @@ class JointPoses:
         return self._changed(names, lambda part: part[:, order])
 
     def split(self, is_added: Callable[[str], bool]) -> tuple[JointPoses, JointPoses]:
-        """Poses without the joints at the end that have certain names, and poses of those joints.
-
-        ``is_added``: whether a joint of this name is one of those.
-        """
+        """Split off joints at the end with certain names. Returns the poses without these joints, and their
+        poses. ``is_added``: whether a joint of this name is one of those."""
         own = len(self.names)
         while own and is_added(self.names[own - 1]):
             own -= 1

@@ -317,7 +317,8 @@ class _Walks:
     count: int
 
     def _of_each(self, evaluate: Callable[[PathMotion, Array], Array], values: Array) -> Array:
-        """Values (K N, ...) of a function of each person's own part of some values (K N,)."""
+        """Apply a function of each person to this person's part of some values (K N,). Returns values (K N,
+        ...)."""
         parts = values.reshape(-1, len(self.motions), self.count)
         found = [evaluate(motion, parts[:, i].ravel()) for i, motion in enumerate(self.motions)]
         shape = found[0].shape[1:]

@@ -152,7 +152,6 @@ def record_on_cluster(
         recordings: Bags to record.
         address: ``local`` starts Ray on this machine. ``auto``, ``host:port`` and ``ray://host:port`` name a
             cluster.
-
         workers: Number of workers of ``local``. If None, one for each core.
         resume: Record only what is missing in the outputs.
         on_progress: Called after each shard with the progress, in camera-frames. The last progress is also

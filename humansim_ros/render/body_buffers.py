@@ -367,7 +367,6 @@ class ProjectedPoints:
         Most small triangles have one pixel center between their corners. Only these are tested: a triangle is
         hidden if it misses the center, or if a nearer surface covers it.
 
-
         Args:
             corners: Vertices of the triangles, three of (M,).
             nearest: (H, W) upper bound of the depth that each pixel shows, metres. The call lowers it where
@@ -420,7 +419,6 @@ class HiddenBodies:
 
     A read waits until everything drawn before is finished. So depths are read only when they are likely to
     show that a body is hidden.
-
 
     Args:
         bodies: Vertices of the bodies in the order in which they are drawn.

@@ -122,7 +122,6 @@ class View(Pictured):
     A view has the channels that were requested; ``channels`` lists them. Access to another channel raises
     :class:`~humansim_ros.errors.ChannelError`, which says how to request it.
 
-
     Attributes:
         rgb: (H, W, 3) uint8 sRGB, anti-aliased; or the output of the camera's sensor.
         depth: (H, W) float32 metres along z of the optical frame, +inf where nothing is. Labels and depth are
@@ -131,13 +130,11 @@ class View(Pictured):
         part: (H, W) uint8 label of the body part; 0 where no labelled body is.
         body_part: Like ``part``, but without the off-body surfaces of humans (:attr:`Mesh.off_body`): skirts,
             hats, bags, long hair.
-
         material: (H, W) uint8 label of skin, eyes, hair, a garment or a worn thing
             (:data:`humansim_ros.mesh.materials.MATERIALS`); 0 where no human is.
         face: (H, W) int32, 1 + index of the triangle in the body's mesh, 0 where no labelled body is.
         normal: (H, W, 3) float32, outward unit normal of the triangle in ``face``, in the optical frame; 0
             where no body is.
-
         uv: (H, W, 2) float32 texture coordinates of the body, v up, NaN where no body is.
         flow: (H, W, 2) float32, displacement in pixels of the visible point to the next frame, NaN where
             nothing is.

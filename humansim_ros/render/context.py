@@ -33,7 +33,6 @@ class OpenGLContext:
     :meth:`close` frees the context. Without a call, it is freed when the last reference to it is gone, in any
     thread.
 
-
     Attributes:
         gl: The context of moderngl, to create objects with.
         device: Name of the device, such as ``llvmpipe (LLVM 15.0.6, 256 bits)``.

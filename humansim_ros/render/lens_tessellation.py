@@ -177,7 +177,6 @@ class LensView:
             triangles: (N, 3) vertices.
             tolerance: Largest error of an edge in pixels. Up to three of a hundred edges inside triangles
                 have a larger error.
-
             checked: Divide those edges once more. This takes several times as long.
         """
         corners, parents = triangles.astype(np.intp), np.arange(len(triangles), dtype=np.intp)
@@ -215,7 +214,6 @@ class LensView:
     ) -> tuple[NDArray[np.floating], NDArray[np.floating], Indices]:
         """Divide edges (E, 3) in ``map`` into pieces (P, 3) that look straight. Edges outside the image are
         left out.
-
 
         Returns:
             Starts and ends of the pieces, and (P,) the edge of each.

@@ -31,11 +31,9 @@ class Body:
         mesh: Topology and appearance. The vertices of the mesh are not used. The mesh must not change.
         vertices: (V, 3) float32 in ``map``, metres. If the array can be written to, the body keeps a
             read-only copy.
-
         parts: (N,) uint8 part label of each triangle, 0 for no part. Read-only like ``vertices``.
         instance: Label, 1 to 65535, different for each body. A body with 0 has no labels, only colour, depth
             and shadow; no other body may use its mesh.
-
         kind: Human or object.
         levels: Simpler versions of the mesh (levels of detail). Colours may show them where the difference is
             not visible.

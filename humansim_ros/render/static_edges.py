@@ -90,7 +90,6 @@ class StaticEdges:
         Colours are mixed where edges pass between pixels, where surfaces intersect, and where a surface is so
         narrow that it passes between pixels.
 
-
         Args:
             image: (H, W, C) colours.
             camera: The camera.

@@ -265,7 +265,6 @@ def shadow_ends(points: Float32Array, lighting: Lighting, lowest: float, longest
     """Return points around the end of a body's shadow. Together with the body, they enclose all that it may
     shade.
 
-
     Args:
         points: (3, N) points of the body.
         lighting: Light.

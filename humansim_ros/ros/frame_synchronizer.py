@@ -42,23 +42,23 @@ _MAX_POINT, _MAX_HEADER = 64, 64 << 10
 class FrameSynchronizer:
     """Subscribes to all humans, moving objects and some cameras, and passes complete frames on.
 
-    Subscriptions: vertices, joints and features of every human, marker and twist of every
-    moving object, pose and twist of some cameras; and ``scene_time``, while it has a publisher. Without one,
-    as when a recording of vertices is played, the stamp is used as scene time.
+    It subscribes to vertices, joints and features of every human, to marker and twist of every moving object,
+    to pose and twist of some cameras, and to ``scene_time`` if it has a publisher. If not, as when a
+    recording of vertices is played, the stamp is used as scene time.
 
-    Each finished frame is reported on ``frame_done``: the motion player sends a frame only if all cameras
-    have time for it, and every frame is passed on. If nobody listens to the reports, and frames arrive faster
-    than ``on_frame`` returns, the newest one is passed on.
+    Each finished frame is reported on ``frame_done``. With these reports, the motion player sends a frame
+    only if all cameras have time for it, so that every frame is passed on. If nobody listens to the reports,
+    and frames arrive faster than ``on_frame`` returns, the newest one is passed on.
 
-    Until the first skinner publishes, the scene at its start is passed on, so that a camera alone shows
-    something; not if parameter ``start_scene`` is false.
+    Until the first skinner publishes, the scene at its start is passed on, so that a camera without other
+    nodes shows something. Parameter ``start_scene`` switches this off.
 
     Args:
         node: Node that subscribes.
         on_frame: Called with each complete frame.
         cameras: Nodes of the cameras that show the frames; the reports name them.
         moving_cameras: Names of cameras with a trajectory.
-        previews: Pass the scene at its start on, unless the parameter is false. Others have no parameter.
+        previews: Whether the scene at its start is passed on, with the parameter ``start_scene``.
     """
 
     def __init__(

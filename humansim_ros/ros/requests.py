@@ -102,7 +102,7 @@ def _fields(kind: Any, at: int = 0) -> Iterator[tuple[str, str, int]]:
 
 
 def _layout(field: str) -> tuple[int, int]:
-    """Bytes of a field in C, and what its address is a multiple of."""
+    """Size of a field in C in bytes, and its alignment."""
     if found := re.fullmatch(r"(.+)\[(\d+)\]", field):
         size, align = _layout(found[1])
         return size * int(found[2]), align

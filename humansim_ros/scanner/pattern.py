@@ -134,7 +134,6 @@ def spinning(
         columns: Number of columns of a sweep.
         azimuth: First and last azimuth in degrees. If they are less than a turn apart, the last one is that
             of the last column. Otherwise it is that of the first column of the next sweep.
-
         firing: Seconds from column to column. If 0, columns are spread evenly over the angle.
         channel: Seconds from laser to laser in a column. The scanner turns in this time.
         top_first: Whether ring 0 is the highest laser. If False, it is the lowest.

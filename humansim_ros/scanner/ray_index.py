@@ -4,7 +4,6 @@ Rays with similar elevations form a row, in which they are sorted by azimuth. A 
 through which it moves, has bounds in both angles. The rays within the bounds are a few runs of consecutive
 rays, so that no tree is needed.
 
-
 Along an arc between two directions the tangent of the elevation is A cos(azimuth - a), so on the arc it is at
 most 1 / cos(half of the difference of azimuths) times its larger end.
 """

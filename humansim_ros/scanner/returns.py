@@ -64,7 +64,6 @@ class Returns:
         measured: (P,) measured distance, metres.
         intensities: (P,) 0 to 1: reflected light as a share of that of a white surface at a right angle. Raw
             intensity is divided by the squared distance, and has no upper bound.
-
         surfaces: (P,) numbers of the surfaces.
         triangles: (P,) indices of the triangles in their surfaces.
     """

@@ -143,7 +143,7 @@ def pose_key(scene: Scene, name: str) -> str:
 
 
 def intrinsics_key(scene: Scene, name: str, option: str) -> str:
-    """Key ``option`` of a camera, or the one that gives its intrinsics."""
+    """The key ``option`` of a camera if it is given, or else the key that the intrinsics come from."""
     config = scene.config.cameras.get(name)
     if config is None:
         return "rig.file"

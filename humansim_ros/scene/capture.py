@@ -95,11 +95,9 @@ class CameraShot:
 
 
 def capture_rectified_depth(renderer: Renderer, camera: SceneCamera, exposure: Exposure) -> Float32Array:
-    """Depth (H, W) in metres along the axis of the camera of ``image_rect``, at the stamp.
-
-    It is rendered with that camera: depth that is interpolated from another image is wrong at edges, and the
-    depth of the nearest pixel on surfaces that are seen at an angle. NaN where ``image_raw`` has no pixel.
-    """
+    """Depth (H, W) in metres along the axis of the camera of ``image_rect``, at the stamp. It is rendered
+    with this camera. Depth interpolated from another image would be wrong at edges, and depth of the nearest
+    pixel would be wrong on slanted surfaces. NaN where ``image_raw`` has no pixel."""
     pose = exposure.pose_at(0.0)
     seen = camera.rectified_at(pose)
     depth = renderer.render(exposure.bodies_at(0.0), seen, ("depth",), exposure.moving).depth

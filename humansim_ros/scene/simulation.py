@@ -52,13 +52,12 @@ class Frame(Pictured):
         index: Number of the frame, from 0.
         stamp: Nanoseconds.
         humans: Joints and vertices by human.
-        views: Channels by camera; only of cameras that take a picture in this frame, if some have a rate of
-            their own. So have ``truth``, ``cameras``, ``encodings``, ``depth_sensors``, ``rectified_depth``
-            and ``faults``.
+        views: Channels by camera. Only cameras that capture this frame are included. The same holds for
+            ``truth``, ``cameras``, ``encodings``, ``depth_sensors``, ``rectified_depth`` and ``faults``.
         truth: Ground truth by camera. Its numbers are computed on first access.
         objects: Poses of moving objects by name.
         cameras: Cameras of ``views`` at their poses by name: the true ones.
-        published_cameras: All cameras that were asked for as topics publish them, with the errors of
+        published_cameras: All requested cameras as topics publish them, with the errors of
             ``faults.calibration``.
         encodings: Encodings of ``rgb`` by camera, such as ``rgb8``, as the sensors have them.
         depth_sensors: What depth sensors measure, by camera that has one. It is rendered on first access, or
@@ -68,13 +67,13 @@ class Frame(Pictured):
         scene_time: Nanoseconds from the start of the scene.
         motions: Joints of the motions (N = 1) by human, with the names that they have in the motion.
         camera_poses: Poses and velocities by name of the cameras that a trajectory or the robot moves.
-        robot: Pose and velocity of the robot's ``base_link``, as its odometry has it; None without a robot.
+        robot: Pose and velocity of the robot's ``base_link``, as in its odometry. None if there is no robot.
         rectified_depth: (H, W) float32 depth in metres along the axis of ``image_rect`` by camera, if it was
             requested.
         models: Humans without pose by name.
         faults: Faults of cameras that have any, by camera. ``views`` show the faults of the image; ``sent``
             says whether and when it is sent.
-        sweeps: Sweeps of laser scanners that end with this frame, or since the frame before, by scanner.
+        sweeps: By laser scanner: sweeps that ended after the previous frame and not after this frame.
     """
 
     index: int

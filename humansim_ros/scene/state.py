@@ -66,7 +66,7 @@ class Exposure:
     previous_frame: AdjacentFrame | None = None
 
     def adjacent_frame(self, camera: SceneCamera) -> AdjacentFrame:
-        """Bodies and camera at the stamp, as the adjacent frame of another frame."""
+        """Bodies and camera of this exposure, for use as the next or previous frame of another rendering."""
         return AdjacentFrame(self.bodies_at(0.0), camera.camera_at(self.pose_at(0.0)))
 
 

@@ -93,7 +93,6 @@ class DepthSensor:
 
     ``name``: name of the camera. The random numbers depend on it, on the seed and on the scene time.
 
-
     Raises:
         CameraError: No camera has such a size and K, or its projector is too far away for its nearest depth.
     """
@@ -329,7 +328,6 @@ def aligned(depth: Millimetres, rays: Array, camera: Camera, other: Camera) -> M
     Each depth pixel has a footprint in the other image and covers the pixels with centres in it. Where
     several footprints overlap, the nearest surface counts. Surfaces that only the other camera sees have no
     depth.
-
 
     Args:
         depth: (h, w) of ``camera``.

@@ -75,7 +75,6 @@ def sample_times(height: int, exposure: float, row_time: float, samples: int) ->
     With a global shutter, they are the midpoints of equal parts of the exposure. With a rolling shutter, they
     are spread evenly from the start of the first row to the end of the last row.
 
-
     Args:
         height: Number of image rows.
         exposure: Exposure time of a row, seconds.

@@ -159,7 +159,6 @@ class Sensor:
             images: Images (H, W, 3) sRGB rendered at :meth:`times`.
             stamp: Time of the frame, nanoseconds. The noise depends on it. Scenes pass the scene time, so
                 that the same frame always has the same noise.
-
             light: Factors of the light, (H, 1) or (H, W). If None, the light is not changed.
 
         Returns:

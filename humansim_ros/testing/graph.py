@@ -45,7 +45,6 @@ class SceneGraph:
     cameras and all subscriptions of the test have the previous frame. Cameras with their own rate, and the
     nodes that answer them, only get the frames of these cameras.
 
-
     Use it as a context manager. The fixture ``humansim_graph`` yields one for each test.
 
     Args:
@@ -146,7 +145,6 @@ class SceneGraph:
             qos: Quality of service. If None, all messages of all publishers arrive.
             every_frame: Whether each frame waits for a message of this topic with its stamp or a newer one.
                 For messages without stamp, any message counts.
-
 
         Returns:
             The messages. Messages of later frames are added to them.

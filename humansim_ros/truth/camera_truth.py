@@ -118,10 +118,8 @@ class BodyBox:
     Attributes:
         visible: Box around the areas of the visible pixels. The box of a single pixel (x, y) is x - 0.5, y -
             0.5, x + 0.5, y + 0.5. NaN if no pixel is visible.
-
         whole: Box of the projection of the whole body, including what is outside the image or occluded. NaN
             if nothing of the body is in front of the camera.
-
         truncation: Share of the area of the whole box that is outside the image, 0 to 1. It is 1 if there is
             no whole box.
         visible_fraction: Visible pixels as a share of the amodal mask. NaN if the mask is empty.

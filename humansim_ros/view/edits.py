@@ -238,7 +238,6 @@ def set_keyframe(
     The keys are written to a file of their own next to the scene, ``<scene>_<name>.xml``; keys of another
     file are copied to it, and that file stays as it is.
 
-
     Args:
         document: The scene. It must have a file.
         kind: ``humans`` or ``objects``.

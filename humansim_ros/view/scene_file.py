@@ -321,7 +321,7 @@ class SceneFile:
         self._touch()
 
     def _touch(self) -> None:
-        """The scene is another one now."""
+        """Note that the scene has changed."""
         self.version += 1
 
 

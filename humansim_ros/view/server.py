@@ -215,8 +215,8 @@ class PageServer:
 
     @contextlib.contextmanager
     def _checked_connections(self) -> Iterator[None]:
-        """Connections of servers that start meanwhile are checked. Viser has no parameter for it. It calls
-        ``websockets.asyncio.server.serve`` with its handlers."""
+        """Check the connections of all servers that are started in the block. Viser has no parameter for it.
+        It calls ``websockets.asyncio.server.serve`` with its handlers."""
         serve = websockets.asyncio.server.serve
 
         def checked(handler: Any, host: str, port: int, **options: Any) -> Any:

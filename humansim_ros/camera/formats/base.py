@@ -281,7 +281,6 @@ def is_number(word: str) -> bool:
 def to_number(value: Any) -> float:
     """Convert a value to a finite number. It may be text, since YAML 1.1 reads 1e-5 as text.
 
-
     Raises:
         ValueError: The value is not a finite number. The message has the reason.
     """

@@ -51,7 +51,6 @@ def model_of_four(
     "fisheye" in the name of the file or of a key, and a third and fourth number too large for p1 and p2 of a
     wide lens.
 
-
     Args:
         file: File that is being read.
         keys: Key path of the coefficients.

@@ -4,7 +4,6 @@
 :class:`CalibrationFormat`, which has their defaults. The module of the format's family adds the functions
 with :func:`calibration_format`.
 
-
 ``written`` of a row is a template: the content of a JSON file, or of an XML file as attributes and lists of
 elements by tag. ``$fx`` is replaced by the value ``fx`` of a camera (:func:`_values`, and the values of the
 format); in a longer text, by its digits. The content of the key ``$each`` is written once for each camera, as
@@ -100,7 +99,6 @@ def calibration_format(
     Args:
         name: Name of the format. ``matches``, ``read``, ``write`` and ``find_unit``: see
             :class:`CalibrationFormat`.
-
         matches: Whether a file has this format.
         read: Cameras of a file.
         write: Files of cameras. If None, the row has a template.

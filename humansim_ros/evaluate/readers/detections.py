@@ -146,7 +146,6 @@ def read_boxes(path: Path, topic: str, images: ImageNumbers) -> Detections2D:
     The name of the camera is a part of the name of the topic, or of the optical frame of the messages. The
     frame follows from the stamp, which must be that of lockstep or ``Simulation``.
 
-
     Raises:
         EvaluationError: A message is damaged, or belongs to no camera or image of the truth.
         BagError: The bag cannot be read.

@@ -151,7 +151,6 @@ def read_bag_topic(path: str | os.PathLike[str], topic: str, options: ReadOption
     to log time. They are unknown if time stood still while a frame was computed. If no message has a stamp,
     since all are empty marker arrays, log times replace the stamps.
 
-
     Raises:
         EvaluationError: No topic matches, or the topic has no message, a type without poses, or messages that
             cannot be read.

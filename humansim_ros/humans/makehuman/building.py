@@ -355,7 +355,6 @@ def build(
     Clothes are cut and painted on the reference body, and draped over this body. Both have the same topology.
     Equal input gives equal arrays. Raises MeshError if a target is missing or the stature is impossible.
 
-
     Args:
         source: MakeHuman's files.
         config: Sliders.

@@ -518,7 +518,6 @@ def person_config(source: MakeHumanData, person: Person) -> MakeHumanConfig:
     From thin to heavy, first the fat increases, then the muscles decrease, then the target of the heaviest
     body counts more than once. The weight follows from the volume of the naked body.
 
-
     Raises:
         MeshError: No slider setting gives the stature, or the weight together with it.
     """

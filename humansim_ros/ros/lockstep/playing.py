@@ -366,7 +366,8 @@ class LockstepPlaying(Playing):
         self._prepare()
 
     def _resting(self, index: int) -> Collection[str]:
-        """Members that answer images, in a frame without any: all that are not of the scene."""
+        """Members that do not answer this frame: if no camera captures it, all members outside the scene,
+        since they answer images."""
         scene = self.player.scene
         cameras = scene.scene_cameras.values()
         if not cameras or any(index in camera.timing for camera in cameras):

@@ -47,7 +47,7 @@ _MAX_TAKING = 1.0
 
 
 class EvaluatorNode(SuiteNode):
-    """Evaluates an estimate against the truth. ``scene``: scene of its parameter, if it is loaded already."""
+    """Evaluates an estimate against the truth. ``scene``: scene that its parameter names, if loaded already."""
 
     def __init__(self, scene: Scene | None = None, **options: Any) -> None:
         super().__init__("evaluator", **options)
@@ -281,5 +281,5 @@ def _values(result: Evaluation) -> Iterator[tuple[str, str]]:
 
 
 def main(scene: Scene | None = None) -> int:
-    """Run the node; returns its exit code. ``scene``: the scene of its parameter, if it is loaded already."""
+    """Run the node; returns its exit code. ``scene``: scene that its parameter names, if loaded already."""
     return run_node(lambda: EvaluatorNode(scene=scene))

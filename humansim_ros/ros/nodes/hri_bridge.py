@@ -16,7 +16,7 @@ from humansim_ros.scene.adapter_config import HriConfig
 
 
 class HriBridgeNode(BridgeNode):
-    """Publishes ROS4HRI. ``scene``: scene of its parameter, if it is loaded already."""
+    """Publishes ROS4HRI. ``scene``: scene that its parameter names, if loaded already."""
 
     def __init__(self, scene: Scene | None = None, **options: Any) -> None:
         super().__init__(scene, "hri_bridge", **options)
@@ -36,5 +36,5 @@ class HriBridgeNode(BridgeNode):
 
 
 def main(scene: Scene | None = None) -> int:
-    """Run the node; returns its exit code. ``scene``: the scene of its parameter, if it is loaded already."""
+    """Run the node; returns its exit code. ``scene``: scene that its parameter names, if loaded already."""
     return run_node(lambda: HriBridgeNode(scene=scene))

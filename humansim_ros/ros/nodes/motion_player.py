@@ -305,5 +305,5 @@ def _accept(response: Any, stamp: int, elapsed: int) -> Any:
 
 
 def main(scene: Scene | None = None) -> int:
-    """Run the node; returns its exit code. ``scene``: the scene of its parameter, if it is loaded already."""
+    """Run the node; returns its exit code. ``scene``: scene that its parameter names, if loaded already."""
     return run_node(lambda: MotionPlayerNode(scene=scene))

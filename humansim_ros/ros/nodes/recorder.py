@@ -126,7 +126,7 @@ class _Recorded:
 
 
 class RecorderNode(SuiteNode):
-    """Records topics into a bag. ``scene``: the scene of its parameter, if it is loaded already."""
+    """Records topics into a bag. ``scene``: scene that its parameter names, if loaded already."""
 
     def __init__(self, scene: Scene | None = None, **options: Any) -> None:
         super().__init__("recorder", **options)
@@ -461,5 +461,5 @@ def _stamp(data: bytes) -> int | None:
 
 
 def main(scene: Scene | None = None) -> int:
-    """Run the node; returns its exit code. ``scene``: the scene of its parameter, if it is loaded already."""
+    """Run the node; returns its exit code. ``scene``: scene that its parameter names, if loaded already."""
     return run_node(lambda: RecorderNode(scene=scene))

@@ -248,5 +248,5 @@ def _at_standstill(state: HumanState) -> HumanState:
 
 
 def main(scene: Scene | None = None) -> int:
-    """Run the node; returns its exit code. ``scene``: the scene of its parameter, if it is loaded already."""
+    """Run the node; returns its exit code. ``scene``: scene that its parameter names, if loaded already."""
     return run_node(lambda: SkinnerNode(scene=scene))

@@ -55,5 +55,5 @@ class SkinnerRigNode(SceneNode):
 
 
 def main(scene: Scene | None = None) -> int:
-    """Run the node; returns its exit code. ``scene``: the scene of its parameter, if it is loaded already."""
+    """Run the node; returns its exit code. ``scene``: scene that its parameter names, if loaded already."""
     return run_node(lambda: SkinnerRigNode(scene=scene))

@@ -91,7 +91,8 @@ class Refusal(Exception):
 
 
 def serve_simulation(player: FramePlayer) -> SimulationServices | None:
-    """Serve the standard services of a player; None, and nothing else, where the package is not installed."""
+    """Serve the standard services of a player. If the package simulation_interfaces is not installed, nothing
+    is served and None is returned."""
     try:
         types = SimpleNamespace(
             msg=import_module(f"{_PACKAGE}.msg"),

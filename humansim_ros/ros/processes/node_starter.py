@@ -220,7 +220,8 @@ def _ended() -> list[tuple[int, int]]:
 
 
 def _load(path: str) -> Scene | None:
-    """The scene with what all nodes need of it; None if it is wrong, which the nodes will report."""
+    """Load the scene, with everything that all nodes need; None if it is wrong, which the nodes will
+    report."""
     from humansim_ros.scene import Scene
 
     with warnings.catch_warnings():

@@ -47,7 +47,7 @@ _MAX_TAKING = 1.0
 
 
 class EvaluatorNode(SuiteNode):
-    """Evaluates an estimate against the truth. ``scene``: scene that its parameter names, if loaded already."""
+    """Compares an estimate with the truth. ``scene``: scene that its parameter names, if loaded already."""
 
     def __init__(self, scene: Scene | None = None, **options: Any) -> None:
         super().__init__("evaluator", **options)

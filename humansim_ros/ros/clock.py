@@ -1,4 +1,4 @@
-"""Clocks: one publisher of ``/clock``, and steps of a node's clock."""
+"""Clocks: check that only one publisher of ``/clock`` exists; detect steps of a node's clock."""
 
 from __future__ import annotations
 
@@ -14,24 +14,26 @@ from humansim_ros.ros.graph import publishers_of
 from humansim_ros.ros.guarded_node import GuardedNode
 from humansim_ros.ros.qos import ALIVE
 
-#: Topic without messages: a player in lockstep that lives, also during a pause, has a live publisher of it.
+#: Topic without messages. A player in lockstep is alive, even during a pause, if a live publisher of it
+#: exists.
 _LOCKSTEP_ALIVE = "/_lockstep_alive"
-#: Most seconds between two calls that count.
+#: Longest time between two calls that is counted, seconds.
 _MAX_STEP = 0.1
-#: Seconds in which a publisher that sends nothing may be a dead node: the middleware forgets it after 20 s.
+#: A publisher that sends nothing may belong to a dead node for this time, seconds, since the middleware
+#: forgets it after 20 s.
 _DEAD_FOR = 25.0
 _CLOCK = "/clock"
 
 
 class ClockOwner:
-    """Finds another publisher of ``/clock`` that lives.
+    """Finds another publisher of ``/clock`` that is alive.
 
     A node that was killed stays in the graph for seconds: it counts only if it sends, or if it is a player
     whose liveliness the middleware confirms.
 
     Args:
         node: Node that wants to publish.
-        search: Seconds of the search: those in which nodes find each other.
+        search: Length of the search, seconds: the time that nodes need to find each other.
     """
 
     def __init__(self, node: GuardedNode, search: float) -> None:
@@ -53,9 +55,8 @@ class ClockOwner:
         self._has_time = True
 
     def check(self) -> str | None:
-        """Text on another publisher; empty if there is none; None if unknown yet. Call it often: the executor
-        must read messages between two calls."""
-        # not the time in which the executor has read no message
+        """Text about another publisher. Empty if there is none, None if that is not known yet."""
+        # without the time during which the executor has read no message
         now = time.monotonic()
         self._waited += min(now - self._last, _MAX_STEP)
         self._last = now
@@ -78,21 +79,21 @@ class ClockOwner:
         return ""
 
     def close(self) -> None:
-        """Show other players that this one publishes ``/clock`` now."""
+        """Show other players that this player publishes ``/clock`` now."""
         for subscription in (self._others, self._clock):
             self._node.destroy_subscription(subscription)
         self._own = self._node.create_publisher(Header, _LOCKSTEP_ALIVE, ALIVE)
 
 
-#: Smallest step of the system clock that counts, nanoseconds; smaller ones do not disturb the output.
+#: Smallest step of the system clock that counts, nanoseconds. A smaller step does not disturb the output.
 _SMALLEST = 10_000_000
 
 
 class ClockSteps:
-    """Tells by how much a clock has been set between two readings.
+    """Measures by how much a clock has been set between two readings.
 
-    The system clock is compared with the monotonic clock, which nobody can set. Simulated time may run at any
-    rate, so that only a jump back is a step of it, and its start.
+    The system clock is compared with the monotonic clock, which cannot be set. Simulated time may run at any
+    rate, so only its start and a jump back count as steps.
 
     Args:
         now: Nanoseconds of the clock.
@@ -103,11 +104,12 @@ class ClockSteps:
         self._now, self._is_simulated = now, is_simulated
         self._last: int | None = None
         self._was_simulated = False
-        # system clock minus monotonic clock, and the most by which it may be wrong
+        # system clock minus monotonic clock, and its uncertainty
         self._offset = self._doubt = 0
 
     def read(self) -> tuple[int, int]:
-        """Nanoseconds of the clock, and by how many it has been set since the last call (0: it was not)."""
+        """Read the clock, nanoseconds. Returns also by how much it was set since the last call (0: not
+        set)."""
         before = time.monotonic_ns()
         now, simulated = self._now(), self._is_simulated()
         doubt = time.monotonic_ns() - before  # the process may have waited between the two clocks

@@ -1,4 +1,4 @@
-"""Topics of a live graph that hold an estimate: found, subscribed to, and read as topics of bags are."""
+"""Topics of a live graph with an estimate: they are found, subscribed to, and read like topics of bags."""
 
 from __future__ import annotations
 
@@ -25,27 +25,28 @@ from humansim_ros.ros.guarded_node import ANY_SIZE, GuardedNode
 from humansim_ros.ros.qos import LATCHED, subscription_profile
 from humansim_ros.ros.transforms import TFMessage
 
-#: Seconds between two looks for topics and publishers.
+#: Seconds between two searches for topics and publishers.
 _DISCOVERY_EVERY = 0.25
-#: Most topics of one estimate: a topic for each person.
+#: Most topics of one estimate. Each person may have a topic.
 _MAX_TOPICS = 100
-#: Bytes of the longest message that is read, except of point clouds: 100 people with 40 joints.
+#: Longest message that is read, bytes, except point clouds: 100 people with 40 joints.
 _MAX_BYTES = 256 << 10
-#: Seconds between two log lines about one problem.
+#: Seconds between two log lines about the same problem.
 _LINE_EVERY = 5.0
 
 
 class PoseTopics:
-    """Subscriptions of a node to all topics with poses that match a name, also those that appear later.
+    """Subscriptions of a node to all topics with poses that match a name, including topics that appear later.
 
     Messages that are too long or cannot be read, and those that ``on_frame`` refuses with a HumansimError,
-    are ignored with an error in the log; the node goes on.
+    are ignored, with an error in the log.
 
     Args:
         node: The node.
-        topic: Name of the topic; ``*`` stands for the name of a person. A relative one is in its namespace.
-        options: Names of points that have none.
-        on_frame: Gets each message, its topic, and the person that the topic names.
+        topic: Name of the topic. ``*`` stands for the name of a person. A relative name is in the namespace
+            of the node.
+        options: Names for points without names.
+        on_frame: Called with each message, its topic, and the person that the topic names.
 
     Raises:
         RosError: The name is no name of a topic.
@@ -70,7 +71,7 @@ class PoseTopics:
         self._pattern = topic_pattern(self.topic)
         #: By topic: type, profile and subscription.
         self._subscriptions: dict[str, tuple[str, QoSProfile, Any]] = {}
-        #: Transforms, and subscriptions to them, once a message is not in ``map``.
+        #: Transforms and subscriptions to them. They are made when a message is not in ``map``.
         self._transforms: Transforms | None = None
         self._tf: list[Any] = []
         node.create_timer(_DISCOVERY_EVERY, self.discover, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -82,7 +83,7 @@ class PoseTopics:
         return list(self._subscriptions)
 
     def discover(self) -> None:
-        """Subscribe to topics that have appeared, and follow changes of their publishers."""
+        """Subscribe to topics that have appeared, and react to changes of their publishers."""
         for name, types in self._node.get_topic_names_and_types():
             if match := self._pattern.fullmatch(name):
                 self._follow(name, types, topic_person(match))
@@ -135,7 +136,7 @@ class PoseTopics:
             raise
 
     def _known_transforms(self) -> Transforms:
-        """Transforms of tf; from the first call on, those that arrive are added."""
+        """Transforms of tf. After the first call, transforms that arrive are added."""
         if self._transforms is None:
             self._transforms = Transforms()
             if TFMessage is None:
@@ -154,7 +155,7 @@ class PoseTopics:
         self._node.get_logger().warn(text, throttle_duration_sec=_LINE_EVERY)
 
     def take_waiting(self, deadline: float) -> None:
-        """Read messages that have arrived, until a monotonic time."""
+        """Read the messages that have arrived already, at most until a monotonic time."""
         for *_, subscription in self._subscriptions.values():
             self._node.take_waiting(subscription, deadline)
 

@@ -26,16 +26,17 @@ from humansim_ros.scene.human_state import HumanState
 from humansim_ros.scene.state import OnAccess, SceneState
 from humansim_ros.types import Float32Array
 
-#: Seconds without any vertices after which the scene at its start is shown.
+#: If no vertices arrive within this time, seconds, the scene at its start is shown.
 _START_SCENE_AFTER = 1.5
-#: Seconds that frames wait for the first scene time, if noise depends on it.
+#: If noise depends on the scene time, frames wait for the first scene time for at most this time, seconds.
 _SCENE_TIME_WITHIN = 1.0
-#: Seconds after the start in which the other nodes may still be starting.
+#: Within this time after the start, seconds, other nodes may still be starting.
 _STARTING = 15.0
-#: Seconds for which stamps must look like another clock until it is said, and seconds that end such a row.
+#: Stamps are reported as those of another clock after this time, seconds; and gap that ends a row of such
+#: stamps, seconds.
 _CLOCK_DOUBT, _CLOCK_GAP = 10.0, 5.0
 
-#: Bytes of a point, of the largest cloud of vertices that is read, and of everything else in the message.
+#: Largest size in bytes of a point in a cloud of vertices, and of everything else in the message.
 _MAX_POINT, _MAX_HEADER = 64, 64 << 10
 
 
@@ -132,7 +133,7 @@ class FrameSynchronizer:
         Args:
             message_type: Type of the messages.
             topic: Topic name.
-            read: Function that gives the content of a message.
+            read: Function that returns the content of a message.
             options: Other options of ``create_subscription``.
         """
 
@@ -163,7 +164,8 @@ class FrameSynchronizer:
         return frame_at(scene_time, self._scene.config.rate)
 
     def _require_scene_time(self, required: bool) -> None:
-        """Set whether frames wait for their scene time. If nothing moves, it is all that they wait for."""
+        """Set whether frames wait for their scene time. If nothing moves, it is the only thing that they wait
+        for."""
         self._frames.require(SCENE_TIME, required or not self._topics)
         if not required and self._frames.has_whole:
             self._schedule_next_frame()
@@ -172,7 +174,7 @@ class FrameSynchronizer:
         self._store(topic, messages.serialised_stamp(data), data)
 
     def _read_vertices(self, human: str, message: PointCloud2) -> Float32Array:
-        """Vertices of a message. Raises RosError unless the body has as many."""
+        """Vertices of a message. Raises RosError unless their number fits the body."""
         vertices = messages.read_vertices(message)
         count = len(self._scene.actors[human].human.mesh.vertices)
         if len(vertices) != count:
@@ -180,7 +182,7 @@ class FrameSynchronizer:
         return vertices
 
     def _read_human(self, human: str, content: Mapping[str, Any]) -> HumanState:
-        """State of a human from the messages of a stamp. Raises RosError unless the body has these joints."""
+        """State of a human from the messages of a stamp. Raises RosError unless the joints fit the body."""
         actor = self._scene.actors[human]
         poses = messages.read_joints(deserialised(content[f"humans/{human}/joints"], MultiDOFJointState))
         if poses.names != actor.human.skeleton.joint_names:
@@ -223,7 +225,8 @@ class FrameSynchronizer:
         )
 
     def _schedule_next_frame(self) -> None:
-        """Process a frame after all messages that have already arrived, so that a late node notices it."""
+        """Process a frame after all messages that have arrived already, so that a late node notices that it
+        is late."""
         # executors that do not take events in turn run tasks before arrived messages: thus two tasks
         self._node.run_soon(lambda: self._node.run_soon(self._process_next_frame))
 
@@ -269,7 +272,7 @@ class FrameSynchronizer:
             self._schedule_next_frame()
 
     def _await_first_frame(self) -> None:
-        """Show the scene at its start until there are frames, and do not wait for ever for a scene time."""
+        """Show the scene at its start until frames arrive, and do not wait for ever for a scene time."""
         if self._has_frames:
             self._start_timer.cancel()
             return

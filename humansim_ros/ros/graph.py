@@ -1,4 +1,4 @@
-"""The ROS graph: chosen topics, endpoints that join and leave, and other publishers of the same topics."""
+"""The ROS graph: choice of topics, endpoints that join and leave, and other publishers of the same topics."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from humansim_ros.messages.types import begins_with_stamp, message_type
 from humansim_ros.ros.guarded_node import GuardedNode
 from humansim_ros.ros.qos import CAMERA_ALIVE
 
-#: Topics of every ROS node: no pattern means them, and they carry no data.
+#: Topics of every ROS node. Patterns do not match them, since they carry no data.
 _OF_EVERY_NODE = ("/rosout", "/parameter_events")
 
 
 @dataclass(frozen=True)
 class TopicChoice:
-    """Topics that are asked for.
+    """The topics that a user has chosen.
 
     Attributes:
-        patterns: Absolute names of topics, or patterns with ``*``, ``?`` and ``[…]``; none: all topics.
+        patterns: Absolute names of topics, or patterns with ``*``, ``?`` and ``[…]``; empty: all topics.
     """
 
     patterns: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, names: Iterable[str], namespace: str = "/") -> TopicChoice:
-        """Choice of names as users give them: without the first / they are below ``namespace``.
+        """Choice of the names that a user gives. A name without the first / is in ``namespace``.
 
         Raises:
             RosError: A name is empty or has spaces.
@@ -47,7 +47,8 @@ class TopicChoice:
         return cls(tuple(dict.fromkeys(patterns)))
 
     def has(self, topic: str) -> bool:
-        """Whether a topic is chosen. Patterns mean neither hidden topics (``_``) nor topics of every node."""
+        """Whether a topic is chosen. Patterns match neither hidden topics (``_``) nor topics of every
+        node."""
         if topic in self.patterns:
             return True
         if topic in _OF_EVERY_NODE or "/_" in topic:
@@ -62,12 +63,12 @@ class TopicChoice:
 
 
 def absolute(name: str, namespace: str) -> str:
-    """Absolute name of a topic; without the first / it is below ``namespace``."""
+    """Absolute name of a topic. A name without the first / is in ``namespace``."""
     return name if name.startswith("/") else f"{namespace.rstrip('/')}/{name}"
 
 
 def similar(name: str, topics: Sequence[str]) -> str:
-    """End of a message about a topic that does not exist: a name that resembles it, or nothing."""
+    """End of a message about a topic that does not exist: a similar name, or nothing."""
     return "" if any(c in name for c in "*?[") else did_you_mean(name, topics)
 
 
@@ -87,8 +88,7 @@ class Endpoint:
 
 
 class GraphWatch:
-    """Compares the graph with the graph of the last look. ``node``: a node. Its own endpoints are among those
-    that it finds."""
+    """Compares the graph with the graph at the last call."""
 
     def __init__(self, node: Any) -> None:
         self._node = node
@@ -113,7 +113,7 @@ class GraphWatch:
 
 
 def publishers_of(node: Any, topic: str) -> dict[bytes, Endpoint]:
-    """Publishers of a topic by their ids, as ``node`` knows them, without its own."""
+    """Publishers of a topic by id, as ``node`` knows them. Its own publishers are left out."""
     own = (node.get_name(), node.get_namespace())
     return {
         bytes(each.endpoint_gid): Endpoint(
@@ -126,9 +126,9 @@ def publishers_of(node: Any, topic: str) -> dict[bytes, Endpoint]:
     }
 
 
-#: Queue of a subscription, messages.
+#: Length of the queue of a subscription, messages.
 _DEPTH = 50
-#: Bytes of the longest message; only its stamp is read.
+#: Longest message, bytes. Only its stamp is read.
 _MAX_BYTES = 1 << 30
 
 
@@ -145,11 +145,12 @@ class StampedTopics:
         self, node: GuardedNode, topics: Iterable[str], on_stamp: Callable[[str, int], object]
     ) -> None:
         self._node, self._on_stamp = node, on_stamp
-        # by topic: subscription, its type and whether it is reliable
+        # by topic: subscription, its type, and whether it is reliable
         self._subscriptions: dict[str, tuple[Any, str, bool] | None] = dict.fromkeys(topics)
 
     def update(self) -> None:
-        """Subscribe to topics that have a publisher now, or publishers of another type or reliability.
+        """Subscribe to topics that have a publisher now, or publishers with another type or reliability than
+        before.
 
         Raises:
             RosError: The messages of a topic cannot be used.
@@ -193,10 +194,10 @@ class StampedTopics:
 
 
 def _usable(topic: str, publishers: Iterable[Endpoint]) -> tuple[str, Any]:
-    """Name and class of a message type of the publishers.
+    """Name and class of a message type among those of the publishers.
 
     Raises:
-        RosError: None of their types can be used.
+        RosError: No type can be used.
     """
     reasons = []
     for name in dict.fromkeys(each.type for each in publishers):
@@ -211,12 +212,13 @@ def _usable(topic: str, publishers: Iterable[Endpoint]) -> tuple[str, Any]:
     raise RosError(f"{topic}: {'; '.join(reasons)}")
 
 
-#: Topics that many nodes publish, and names of topics that all camera processes publish.
+#: Topics that many nodes publish; and names of topics that all camera processes publish.
 _SHARED = ("/rosout", "/parameter_events", "/diagnostics", f"/{TF_TOPIC}", f"/{TF_STATIC_TOPIC}")
 _SHARED_NAMES = ("frame_done", CAMERA_ALIVE)
-#: Seconds for which another node is seen before it is named.
+#: Another node is named after it has been seen for this time, seconds.
 _SEEN_FOR = 1.5
-#: The same, if it may be a node that was killed and started again: the middleware forgets it after 20 s.
+#: The same for a node that may have been killed and started again, since the middleware forgets it after 20
+#: s.
 _DEAD_FOR = 25.0
 #: Topics that a line names.
 _MAX_NAMED = 3
@@ -225,8 +227,8 @@ _MAX_NAMED = 3
 class Neighbours:
     """Warns once of each other node whose messages mix with messages of a node.
 
-    It publishes a topic of the node, or has its name, or it is one of several senders of a topic that should
-    have one.
+    Such a node publishes a topic of this node, or has the same name, or is one of several senders of a topic
+    that should have one sender.
 
     Args:
         node: The node.
@@ -235,17 +237,17 @@ class Neighbours:
     def __init__(self, node: Any) -> None:
         self._node = node
         self._inputs: list[str] = []
-        # by name of the other node: monotonic seconds since which it has been there
+        # by name of the other node: monotonic time since it has been seen, seconds
         self._since: dict[str, float] = {}
         self._named: set[str] = set()
         self._was_alone = False
 
     def expect_one_sender(self, topic: str) -> None:
-        """Check an input of the node, too: it should have one publisher."""
+        """Also check an input of the node, which should have one publisher."""
         self._inputs.append(topic)
 
     def check(self) -> None:
-        """Look at the graph; call it about once a second."""
+        """Check the graph. Call it about once a second."""
         now, own = time.monotonic(), self._node.get_fully_qualified_name()
         found = self._others(own)
         self._since = {name: self._since.get(name, now) for name in found}
@@ -259,7 +261,7 @@ class Neighbours:
         self._was_alone |= own not in found
 
     def _others(self, own: str) -> dict[str, Counter[str]]:
-        """Topics of other nodes by node name; the topic "" if it may be a dead node."""
+        """Topics of other nodes, by node name. The topic "" stands for a node that may be dead."""
         others: dict[str, Counter[str]] = {}
         names = [_joined(name, space) for name, space in self._node.get_node_names_and_namespaces()]
         if names.count(own) > 1:
@@ -283,7 +285,7 @@ class Neighbours:
         return others
 
     def _senders(self, topic: str) -> Counter[str]:
-        """Number of publishers by node name; empty if there is only one."""
+        """Number of publishers by node name. Empty if there is only one."""
         if self._node.handle.get_count_publishers(topic) < 2:
             return Counter()
         found = self._node.get_publishers_info_by_topic(topic)

@@ -1,4 +1,4 @@
-"""Node with callbacks that cannot end it: their errors are logged and counted, and the node goes on."""
+"""A node that errors in callbacks cannot end. They are logged and counted, and the node goes on."""
 
 from __future__ import annotations
 
@@ -21,13 +21,14 @@ from humansim_ros.errors import HumansimError, RosError, printable
 from humansim_ros.messages.cdr import check_serialised, deserialised
 from humansim_ros.ros.requests import limited
 
-#: ``max_bytes`` of subscriptions that take serialised messages of any size, and do not read them.
+#: ``max_bytes`` of subscriptions that accept serialised messages of any size and do not read them.
 ANY_SIZE = -1
-#: Bytes of a refused message from which its memory is given back to the system.
+#: The memory of a refused message of at least this size, bytes, is given back to the system.
 _LARGE = 1 << 22
-#: Seconds between two log lines about errors of one callback.
+#: Seconds between two log lines about errors in one callback.
 _LINE_EVERY = 1.0
-#: Most elements of a sequence in a request: each of the parameters to set is checked alone.
+#: Most parameters in a request that sets parameters, since each is checked separately; and most elements of
+#: other sequences.
 _MAX_PARAMETERS, _MAX_REQUESTED = 300, 1000
 #: Most characters of the value of a parameter.
 _MAX_TEXT = 100_000
@@ -35,7 +36,8 @@ _MAX_TEXT = 100_000
 
 @dataclass
 class Fault:
-    """An exception that a guard has caught. ``reason``: its kind and text, or empty if there was none."""
+    """An exception that a guard has caught. ``reason``: its kind and text. Empty if there was no
+    exception."""
 
     reason: str = ""
 
@@ -43,14 +45,14 @@ class Fault:
 class GuardedNode(Node):
     """Node that survives any exception of its callbacks.
 
-    Every subscription, timer, service and parameter callback is guarded, also those that rclpy makes for each
-    node. A failed request is answered with a refusal. Subscriptions take serialised messages: messages that
-    are too long are not deserialised, because that takes seconds and a multiple of their memory.
+    Every subscription, timer, service and parameter callback is guarded, including those that rclpy makes for
+    each node. A failed request is answered with a refusal. Subscriptions receive serialised messages, so that
+    messages that are too long are not deserialised, which would take seconds and a multiple of their memory.
     """
 
     def __init__(self, name: str, **options: Any) -> None:
         self._counts: dict[str, int] = {}
-        #: Monotonic time of the next log line, and errors since the last one, by source.
+        #: By source: monotonic time of the next log line, and errors since the last line.
         self._next_line: dict[str, float] = {}
         self._unlogged: dict[str, int] = {}
         #: Exit code with which the process of the node ends; None while it goes on.
@@ -58,7 +60,7 @@ class GuardedNode(Node):
         super().__init__(name, **options)
 
     def complete(self) -> None:
-        """Complete the work of the node before its process ends. It may take long.
+        """Complete the work of the node before its process ends. This may take long.
 
         Raises:
             HumansimError: The work is not complete.
@@ -89,7 +91,7 @@ class GuardedNode(Node):
             self._log_fault(source, f"{fault.reason}; {consequence}", bool(kind))
 
     def run_soon(self, callback: Callable[[], object]) -> None:
-        """Run a callback in the executor after this one."""
+        """Run a callback in the executor after the present callback."""
 
         def run() -> None:
             with self.guard(f"task {_name(callback)}", "it is not repeated"):
@@ -120,7 +122,7 @@ class GuardedNode(Node):
         max_bytes: int | None = None,
         **options: Any,
     ) -> Any:
-        """Create a subscription, as ``Node.create_subscription``, with a callback that cannot end the node.
+        """Create a subscription like ``Node.create_subscription``. Its callback cannot end the node.
 
         Args:
             msg_type: Message type.
@@ -144,10 +146,8 @@ class GuardedNode(Node):
         return super().create_subscription(msg_type, topic, on_data, qos_profile, raw=True, **options)
 
     def take_waiting(self, subscription: Any, deadline: float) -> None:
-        """Pass messages that have arrived, but for which the executor had no time, to the callback.
-
-        ``deadline``: monotonic time of the end, because publishers may go on.
-        """
+        """Pass messages that have arrived to the callback, if the executor had no time for them.
+        ``deadline``: monotonic time at which this ends, since publishers may go on."""
         handle = subscription.handle
         with handle:
             while time.monotonic() < deadline and (
@@ -158,7 +158,7 @@ class GuardedNode(Node):
     def create_timer(
         self, timer_period_sec: float, callback: Callable[[], object], *arguments: Any, **options: Any
     ) -> Any:
-        """Create a timer, as ``Node.create_timer``, with a callback that cannot end the node."""
+        """Create a timer like ``Node.create_timer``. Its callback cannot end the node."""
 
         def on_time() -> None:
             with self.guard(f"timer {_name(callback)}", "it goes on at its next time"):
@@ -169,9 +169,7 @@ class GuardedNode(Node):
     def create_service(
         self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any], **options: Any
     ) -> Any:
-        """Create a service, as ``Node.create_service``, with a callback that cannot end the node. A request
-        that is too long, or at which it fails, is answered with a refusal. The callback may return a future
-        of the response: the request is answered when it is done."""
+        """Create a service like ``Node.create_service``. Its callback cannot end the node."""
         source = f"service {self.resolve_service_name(srv_name)}"
 
         def on_request(request: Any, response: Any) -> Any:
@@ -182,13 +180,14 @@ class GuardedNode(Node):
                 self.run_soon(release_memory)
             return _refusal(request, srv_type.Response(), fault.reason)
 
-        # a longer queue than rclpy's, as the services of parameters have it: requests beyond it are lost
+        # a queue longer than rclpy's, like that of the services of parameters, since requests beyond it are
+        # lost
         options.setdefault("qos_profile", qos_profile_parameters)
         service = super().create_service(srv_type, srv_name, on_request, **options)
         service.srv_type = limited(srv_type, _MAX_PARAMETERS)
         send = service.send_response
 
-        # not a coroutine, which the EventsExecutor does not await
+        # no coroutine, since the EventsExecutor does not await coroutines
         def send_when_done(response: Any, header: Any) -> None:
             def send_result(done: Future) -> None:
                 with self.guard(source, "the request is not answered"):
@@ -203,7 +202,7 @@ class GuardedNode(Node):
         return service
 
     def add_pre_set_parameters_callback(self, callback: Callable[[Any], Any]) -> None:
-        """Add a callback that completes parameters; all are refused if it fails."""
+        """Add a callback that completes parameters. If it fails, all parameters are refused."""
 
         def on_parameters(parameters: Sequence[Any]) -> Any:
             with self.guard("parameters", f"{_names(parameters)} refused"):
@@ -213,7 +212,7 @@ class GuardedNode(Node):
         super().add_pre_set_parameters_callback(on_parameters)
 
     def add_on_set_parameters_callback(self, callback: Callable[[Any], Any]) -> None:
-        """Add a callback that accepts or refuses parameters. They are refused if it fails."""
+        """Add a callback that accepts or refuses parameters. If it fails, the parameters are refused."""
 
         def on_parameters(parameters: Sequence[Any]) -> Any:
             with self.guard("parameters", f"{_names(parameters)} refused") as fault:
@@ -233,7 +232,7 @@ class GuardedNode(Node):
 
 
 def release_memory() -> None:
-    """Give freed memory back to the system: glibc keeps up to 100 MB after large messages."""
+    """Give freed memory back to the system, since glibc keeps up to 100 MB after large messages."""
     with suppress(AttributeError, OSError):  # another C library
         ctypes.CDLL(None).malloc_trim(0)
 
@@ -267,7 +266,7 @@ def _refusal(request: Any, response: Any, reason: str) -> Any:
 
 
 def _check_request(request: Any) -> None:
-    """Raise RosError for a service request that rclpy cannot read, or not in a short time."""
+    """Raise RosError for a service request that rclpy cannot read, or cannot read in a short time."""
     if isinstance(request, RosError):
         raise request
     for name in request.get_fields_and_field_types():

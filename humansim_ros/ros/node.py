@@ -26,10 +26,11 @@ from humansim_ros.scene import Scene
 if TYPE_CHECKING:
     from humansim_ros.messages.topic import Topic
 
-#: Share of dropped frames, and seconds in a row that have it, from which a warning is logged: frames are few
-#: while cameras prepare their first ones.
+#: A warning is logged if this share of frames is dropped for so many seconds in a row. Frames are few while
+#: cameras prepare their first ones.
 _MAX_LOST, _LATE_AFTER = 0.05, 5
-#: Seconds between two looks for simulated time that has not started: a busy machine starts a suite in five.
+#: Seconds between two checks for simulated time that has not started. A busy machine starts all nodes within
+#: five seconds.
 _CLOCK_CHECK_EVERY = 10.0
 
 
@@ -39,7 +40,7 @@ class SuiteNode(GuardedNode):
 
     def __init__(self, name: str, **options: Any) -> None:
         super().__init__(name, **options)
-        #: Nobody can set this clock, so that timers go on when the system clock is set back.
+        #: A clock that cannot be set, so that timers go on when the system clock is set back.
         self._steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         self._lateness: dict[str, list[float]] = {}
         self._late_seconds = 0
@@ -54,7 +55,7 @@ class SuiteNode(GuardedNode):
 
     @property
     def nodes(self) -> Sequence[SuiteNode]:
-        """Nodes to spin: this one, and nodes that it has created."""
+        """Nodes to spin: this node, and nodes that it has created."""
         return [self]
 
     def text_parameter(self, name: str, default: str, description: str) -> str:
@@ -84,7 +85,7 @@ class SuiteNode(GuardedNode):
     ) -> Any:
         """Declare a parameter and return its value.
 
-        An integer is accepted for a floating-point parameter, here and later: 10 is a number as 10.0 is.
+        An integer is accepted for a floating-point parameter, at the start and later.
 
         Args:
             name: Name of the parameter.
@@ -92,7 +93,7 @@ class SuiteNode(GuardedNode):
             description: Text of the parameter descriptor.
             limits: Smallest and largest value of a number.
             constraints: Text on values that ``limits`` cannot express.
-            read_only: The parameter cannot be set after the start.
+            read_only: Whether the parameter cannot be set after the start.
 
         Raises:
             RosError: The override has the wrong type or is out of range.
@@ -101,7 +102,7 @@ class SuiteNode(GuardedNode):
         descriptor.additional_constraints = constraints
         if limits is not None:
             low, high = limits
-            # a type is an integer from rclpy 9 (Kilted) on
+            # from rclpy 9 (Kilted) on, a type is an integer
             if isinstance(default, int) and not isinstance(default, Parameter.Type):
                 descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high), step=1)]
             else:
@@ -127,7 +128,7 @@ class SuiteNode(GuardedNode):
                 Parameter.Type(self.describe_parameter(parameter.name).type) if known else parameter.type_
             )
             given.append(_as_float(parameter) if wanted == Parameter.Type.DOUBLE else parameter)
-            # rclpy says this with words or numbers, as its version is
+            # different versions of rclpy say this in words or numbers
             if wanted != given[-1].type_ and Parameter.Type.NOT_SET not in (wanted, parameter.type_):
                 reason = f"{parameter.name}: the type is {parameter.type_.name}, expecting type {wanted.name}"
                 return SetParametersResult(successful=False, reason=reason)
@@ -139,7 +140,7 @@ class SuiteNode(GuardedNode):
         return self.create_publisher(topic.type, name, offered_profile(topic))
 
     def publish_latched(self, message: Any, topic: str) -> None:
-        """Publish a message that late joiners get, too."""
+        """Publish a message that nodes which join later get, too."""
         publisher = self.create_publisher(type(message), topic, LATCHED)
         publisher.publish(message)
         self._latched_publishers.append(publisher)
@@ -175,7 +176,7 @@ class SuiteNode(GuardedNode):
 
     @contextmanager
     def skip_frame_on_error(self) -> Iterator[None]:
-        """Context manager that reports an error of the block as a skipped frame, and goes on."""
+        """Context manager. It reports an error in the block as a skipped frame, and the node goes on."""
         with self.guard("frame", "it is skipped") as fault:
             try:
                 yield
@@ -185,10 +186,8 @@ class SuiteNode(GuardedNode):
             self.count("drops")
 
     def report_other_clock(self, topics: Iterable[str], seconds: float, others: str) -> None:
-        """Log that the stamps of some topics come from another clock.
-
-        ``seconds``: by which they are ahead of the stamps of the ``others``.
-        """
+        """Log that the stamps of some topics come from another clock. ``seconds``: by how much these stamps
+        are ahead of the stamps of ``others``."""
         names = ", ".join(map(self.resolve_topic_name, topics))
         side = "ahead of" if seconds > 0 else "behind"
         self.get_logger().warn(
@@ -205,14 +204,14 @@ class SuiteNode(GuardedNode):
         self.report_time((self.now() - stamp) * 1e-6, event)
 
     def report_time(self, milliseconds: float, event: str) -> None:
-        """Record a time for the diagnostics: its maximum and median in a second."""
+        """Record a time for the diagnostics, which show its maximum and median per second."""
         self._lateness.setdefault(event, []).append(milliseconds)
 
     def close(self) -> None:
-        """Free resources besides the ROS entities of the node."""
+        """Free resources that are not ROS entities of the node."""
 
     def _check_clock(self) -> None:
-        """Log while simulated time does not start: timers stand until then."""
+        """Log if simulated time does not start, since timers stand still until then."""
         if self.now() or not self.has_simulated_time():
             return
         publishers = self.count_publishers("/clock")
@@ -262,7 +261,7 @@ def loaded_scene(path: str) -> Scene:
 
 
 class SceneNode(SuiteNode):
-    """Node with a scene: the one it is given, or the scene that parameter ``scene`` names."""
+    """Node with a scene: the given scene, or the scene that parameter ``scene`` names."""
 
     def __init__(self, name: str, scene: Scene | None = None, **options: Any) -> None:
         super().__init__(name, **options)

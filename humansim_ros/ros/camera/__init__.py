@@ -1,1 +1,1 @@
-"""Parts of a camera node: publishers, calibration, pose."""
+"""The parts that a camera node consists of: publishers, calibration, pose."""

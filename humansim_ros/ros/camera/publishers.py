@@ -44,9 +44,9 @@ def read_single_camera(url: str, name: str) -> Camera:
 
 
 class PublishedCalibration:
-    """Content of ``<camera>/camera_info``, and the service ``<camera>/set_camera_info``.
+    """Content of ``<camera>/camera_info``; and the service ``<camera>/set_camera_info``.
 
-    The service replaces the content and writes it where camera drivers do, to
+    The service replaces the content and writes it to the same place as camera drivers:
     ``$ROS_HOME/camera_info/<camera>.yaml``.
 
     Attributes:
@@ -62,7 +62,7 @@ class PublishedCalibration:
         node.create_service(SetCameraInfo, f"{name}/set_camera_info", self._on_set)
 
     def replace(self, camera: Camera, source: str | None = None) -> None:
-        """Publish another calibration. Raises CameraError naming ``source`` for another image size."""
+        """Publish another calibration. If its image size is wrong, CameraError names ``source``."""
         if camera.size != self._rendered.size:
             (w, h), (width, height) = camera.size, self._rendered.size
             message = f"this calibration is for {w}x{h} pixels, the camera has {width}x{height}"
@@ -93,12 +93,13 @@ class PublishedCalibration:
         return response
 
 
-#: Seconds in which subscribers take what is sent at the end of a run.
+#: Subscribers get this time to receive what is sent at the end of a run, seconds.
 _MAX_WAIT = 1.0
 
 
 class _Held(NamedTuple):
-    """A message that is sent later. ``in_turn``: at the end of a frame, not when its time has come."""
+    """A message that is sent later. ``in_turn``: send it at the end of a frame, not when its time has
+    come."""
 
     due: int
     number: int
@@ -109,11 +110,9 @@ class _Held(NamedTuple):
 
 
 class CameraDriver:
-    """Sends the messages of a camera that its faults concern.
-
-    Without faults a message is sent at once. Others are held until a frame has a stamp at which they are due:
-    in lockstep, time stands between frames. In real time a timer sends them meanwhile.
-    """
+    """Sends those messages of a camera that its faults change. A message without faults is sent at once.
+    Other messages are held until they are due. In lockstep, time stands still between frames, so they are
+    sent with a later frame. In real time, a timer sends them."""
 
     def __init__(self, node: SceneNode) -> None:
         self._node = node
@@ -124,7 +123,7 @@ class CameraDriver:
 
     @contextmanager
     def frame(self, stamp: int, faults: FrameFaults) -> Iterator[None]:
-        """Context manager for the messages of one frame. ``stamp``: of the frame, nanoseconds."""
+        """Context manager for the messages of one frame. ``stamp``: stamp of the frame, nanoseconds."""
         self._faults = faults
         if self._held:  # a frame that is shown again, or the clock was set back: its messages come again
             self._held = [held for held in self._held if held.stamp < stamp]
@@ -140,7 +139,7 @@ class CameraDriver:
         """Send a message of the frame.
 
         Args:
-            topic: Its topic.
+            topic: Topic of the message.
             publisher: Publisher of the topic.
             content: Content of the message.
             stamp: Stamp of the frame, nanoseconds.
@@ -158,7 +157,7 @@ class CameraDriver:
             heapq.heappush(self._held, held)
 
     def send_held(self) -> None:
-        """Send all messages that are held at the end of a run, and wait until they have been received."""
+        """Send all held messages at the end of a run, and wait until they have been received."""
         if not self._held:
             return
         publishers = {id(held.publisher): held.publisher for held in self._held}
@@ -169,7 +168,8 @@ class CameraDriver:
             publisher.wait_for_all_acked(Duration(seconds=left))
 
     def _send_due(self, time: int, in_turn: bool = True) -> None:
-        """Send what is due; without ``in_turn`` up to a message that waits for the end of a frame."""
+        """Send the messages that are due. Without ``in_turn``, stop at a message that waits for the end of a
+        frame."""
         while self._held and self._held[0].due <= time and (in_turn or not self._held[0].in_turn):
             held = heapq.heappop(self._held)
             held.publisher.publish(held.message)
@@ -189,10 +189,8 @@ class CameraDriver:
 
 
 class _CompressedPublisher:
-    """Publisher of compressed images, with its parameters.
-
-    ``topic``: its name ends with the name of the plugin of image_transport.
-    """
+    """Publisher of compressed images, with its parameters. ``topic``: its name ends with the name of the
+    plugin of image_transport. ``topic``: its name ends with the name of the plugin of image_transport."""
 
     def __init__(self, node: SceneNode, topic: Topic[View]) -> None:
         self._node = node
@@ -211,7 +209,7 @@ class _CompressedPublisher:
         return self._node.get_parameter(self._parameters + name).value
 
     def _restrict_format(self, *values: str) -> None:
-        """Reject other values of the parameter ``format``, now and later."""
+        """Reject other values of the parameter ``format``, at the start and later."""
         full = f"{self._parameters}format"
 
         def check(parameters: Sequence[Any]) -> SetParametersResult:
@@ -314,7 +312,8 @@ def _has_subscribers(publisher: Any) -> bool:
 
 
 class InfoPublishers:
-    """Publishers of a camera's calibration: ``<camera>/camera_info``, and one next to each image."""
+    """Publishers of a camera's calibration: ``<camera>/camera_info``, and one in the namespace of each
+    image."""
 
     def __init__(self, node: SceneNode, topics: CameraTopics, driver: CameraDriver) -> None:
         self._driver = driver
@@ -336,7 +335,7 @@ class InfoPublishers:
 
 
 class DepthSensorPublishers:
-    """Publishers of what the depth sensor of a camera measures."""
+    """Publishers of the measurements of a camera's depth sensor."""
 
     def __init__(self, node: SceneNode, topics: DepthSensorTopics, driver: CameraDriver) -> None:
         self._driver = driver
@@ -370,9 +369,7 @@ class FaultsPublisher:
 
 
 class TruthPublishers:
-    """Publishers of a camera's ground truth: joints and keypoints of humans; boxes and visible vertices of
-    humans and labelled objects.
-    """
+    """Publishers of a camera's ground truth."""
 
     def __init__(self, node: SceneNode, topics: CameraTopics) -> None:
         _ = node.scene.joint_surfaces  # computed now: later it would delay a frame

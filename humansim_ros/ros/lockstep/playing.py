@@ -47,13 +47,15 @@ from humansim_ros.scene.names import BRIDGE_NODE, LOCKSTEP
 from humansim_ros.scene.playback import Tick
 from humansim_ros.scene.state import SceneState
 
-#: Seconds between two looks at the members.
+#: Seconds between two checks of the members.
 _LOOK_EVERY = 0.05
-#: Seconds between two looks at the graph while a frame is unfinished, and until the first one.
+#: Seconds between two checks of the graph while a frame is unfinished, and seconds until the first check.
 _GRAPH_EVERY, _GRAPH_AFTER = 0.25, 0.3
-#: Most seconds that count between two looks: while the player itself was stopped, nobody is late.
+#: Longest time between two checks that counts, seconds, since nobody is late while the player itself was
+#: stopped.
 _MAX_STEP = 0.5
-#: Newest stamp of lockstep, eleven days; stamps of the wall clock come from an earlier run in real time.
+#: Newest stamp of lockstep, nanoseconds (eleven days). Stamps of the wall clock come from an earlier run in
+#: real time.
 _MAX_STAMP = 10**15
 #: Queue of ``/clock``.
 _CLOCK_QUEUE = QoSProfile(depth=10)
@@ -69,12 +71,12 @@ class LockstepSettings:
         names: Names of nodes that report on ``frame_done``.
         topics: Topics with messages that are reports.
         timeout: Seconds after which a frame waits no longer.
-        on_timeout: What happens then.
+        on_timeout: What happens after this time.
         pace: Most frames per second of the wall clock. If 0, as fast as possible.
         frames: Number of frames. If 0, without end.
         summary: File for a summary as JSON at the end; empty: none.
         recorder: Name of the recorder, which is among ``names`` and starts with the scene; empty: none.
-        clock_search: Seconds in which another publisher of ``/clock`` is looked for before the first frame.
+        clock_search: Time of the search for another publisher of ``/clock`` before the first frame, seconds.
     """
 
     names: tuple[str, ...]
@@ -89,7 +91,7 @@ class LockstepSettings:
 
     @classmethod
     def of_parameters(cls, node: SceneNode) -> LockstepSettings | None:
-        """Declare the parameters of lockstep; None if the mode is realtime.
+        """Declare the parameters of lockstep. Returns None if the mode is realtime.
 
         Raises:
             RosError: A value is not valid.
@@ -127,7 +129,7 @@ class LockstepSettings:
 
 
 def _choice(node: SceneNode, name: str, default: str, values: Sequence[str], description: str) -> str:
-    """Declare a parameter with some possible values, and return its value.
+    """Declare a parameter with a fixed set of values, and return its value.
 
     Args:
         node: The node.
@@ -137,7 +139,7 @@ def _choice(node: SceneNode, name: str, default: str, values: Sequence[str], des
         description: Text of the parameter descriptor.
 
     Raises:
-        RosError: The value is none of them.
+        RosError: The value is not in the set.
     """
     constraints = " or ".join(values)
     value = str(node.described_parameter(name, default, description, constraints=constraints, read_only=True))
@@ -153,10 +155,10 @@ def _finishing(scene: Scene) -> list[str]:
 class LockstepPlaying(Playing):
     """Sends ``/clock``, then the frame, and waits until all members have finished it.
 
-    Members: the cameras and scanners of the scene, its bridge, the names and topics of ``wait_for``, and
-    everybody who reports on ``frame_done``. A frame is sent at least once; the same stamp is sent again for
-    nodes that have joined. A player that is started again goes on with the frame that was in flight, or,
-    without a file for the summary, with the newest frame that a camera has finished.
+    The members are the cameras and scanners of the scene, its bridge, the names and topics of ``wait_for``,
+    and every node that reports on ``frame_done``. A frame is sent at least once. The same stamp is sent again
+    for nodes that have joined. A player that is started again goes on with the frame that was in flight.
+    Without a file for the summary, it goes on with the newest frame that a camera has finished.
 
     Args:
         player: The node.
@@ -174,7 +176,8 @@ class LockstepPlaying(Playing):
         self.state = Lockstep(dict.fromkeys(names), starting, settings.timeout, 0.0)
         self._graph = GraphWatch(player)
         self._next_graph = 0.0
-        #: Topic that moves the robot, if frames wait for it: a message reports when the robot has it.
+        #: Topic that moves the robot, if frames wait for it. Each message reports that the robot has its
+        #: pose.
         robot = player.scene.robot
         own = None if robot is None else robot.config.odometry
         odometry = own and player.resolve_topic_name(own)
@@ -182,13 +185,13 @@ class LockstepPlaying(Playing):
         self._odometry = [name for name in settings.topics if player.resolve_topic_name(name) == odometry]
         others = [name for name in settings.topics if name not in self._odometry]
         self._topics = StampedTopics(player, others, self._on_report)
-        #: Ids of publishers of reports, by member that has joined, as far as they are its own.
+        #: By member that has joined: ids of its own publishers of reports.
         self._reporters: dict[str, set[bytes]] = {}
         self._is_paused = False
-        #: Callbacks of the frames to play during a pause, None for those without one.
+        #: Callbacks of the frames to play during a pause. None for a frame without callback.
         self._steps: deque[Callable[[], object] | None] = deque()
         self._done: Callable[[], object] | None = None
-        #: The frame in flight, and the one after it with the version of the playback that it shows.
+        #: The frame in flight; and the next frame, with the version of the playback that it shows.
         self._frame: tuple[Tick, SceneState] | None = None
         self._prepared: tuple[Tick, int, SceneState] | None = None
         #: Number of frames of the run before this player was started.
@@ -197,7 +200,7 @@ class LockstepPlaying(Playing):
         self._is_over = False
         self._is_due = True
         steady = RosClock(clock_type=ClockType.STEADY_TIME)
-        #: Stamp with which a player that is started again goes on: from its file, or from the cameras.
+        #: Stamp that a restarted player goes on with: from its file, or from the cameras.
         self._progress = ProgressFile(Path(f"{settings.summary}.stamp")) if settings.summary else None
         self._newest = self._progress.stamp if self._progress else 0
         player.create_subscription(Header, CAMERA_ALIVE, self._on_latched, ALIVE)
@@ -212,7 +215,7 @@ class LockstepPlaying(Playing):
 
     @property
     def is_paused(self) -> bool:
-        """Whether frames follow only on request; simulated time stands between them."""
+        """Whether frames are sent only on request. Simulated time stands still between them."""
         return self._is_paused
 
     @property
@@ -226,17 +229,15 @@ class LockstepPlaying(Playing):
         self._advance()
 
     def step(self, frames: int = 1, done: Callable[[], object] | None = None) -> Tick:
-        """Play some frames during a pause, each when the one before is finished.
-
-        ``done``: called when all members have finished the last one.
-        """
+        """Play some frames during a pause. Each is sent when the previous one is finished. ``done``: called
+        when all members have finished the last one."""
         self._steps.extend([*[None] * (frames - 1), done])
         tick = self._planned(len(self._steps))
         self._advance()
         return tick
 
     def seek(self, seconds: float) -> Tick:
-        """Show a scene time in the next frame, which is sent also during a pause."""
+        """Show a scene time in the next frame. It is sent even during a pause."""
         self.clock.seek(seconds)
         tick = self._planned(1)
         if self._is_paused and not self._steps:
@@ -248,12 +249,12 @@ class LockstepPlaying(Playing):
         """Nothing: the next frame has the new period."""
 
     def report(self, stamp: int) -> None:
-        """Take odometry of the robot as a report, if frames wait for its topic."""
+        """Count odometry of the robot as a report, if frames wait for its topic."""
         for name in self._odometry:
             self._on_report(name, stamp)
 
     def work(self) -> None:
-        """Look at the members: send the frame again, remind, or end the wait."""
+        """Check the members: send the frame again, print a reminder, or end the wait."""
         now = time.monotonic()
         self._now += min(now - self._last_look, _MAX_STEP)
         self._last_look = now
@@ -272,7 +273,7 @@ class LockstepPlaying(Playing):
     # --- start
 
     def _begin(self) -> None:
-        """Publish the first frame as soon as it is known that no other node publishes ``/clock``."""
+        """Publish the first frame as soon as it is certain that no other node publishes ``/clock``."""
         owner = self._owner.check()
         if owner is None:
             return
@@ -288,7 +289,7 @@ class LockstepPlaying(Playing):
         self._advance()
 
     def _on_latched(self, report: Header) -> None:
-        """Newest report of a camera that was there before this player."""
+        """Read the newest report of a camera that ran before this player."""
         # not destroyed when it has served: more reports may wait, and the executor would fail at them
         if any(self.state.finished.values()):
             return
@@ -338,7 +339,7 @@ class LockstepPlaying(Playing):
         self._advance()
 
     def _advance(self) -> None:
-        """Send the next frame if it is time."""
+        """Send the next frame if its time has come."""
         if self._clock_publisher is None or self._is_over or not self.state.is_finished:
             return
         if self._done is not None:
@@ -375,7 +376,7 @@ class LockstepPlaying(Playing):
         return self.state.members.keys() - {*_finishing(scene), self._settings.recorder, TEST_NODE}
 
     def _take_prepared(self, tick: Tick) -> SceneState:
-        """Poses of a frame, which have been computed already unless something has changed since."""
+        """Poses of a frame. They have been computed in advance, unless something has changed since."""
         playback = self.player.playback
         if self._prepared is not None:
             prepared, version, shown = self._prepared
@@ -392,7 +393,7 @@ class LockstepPlaying(Playing):
         playback.elapsed = shown
 
     def _planned(self, frames: int) -> Tick:
-        """A later frame, if nothing is changed until then."""
+        """A later frame, provided that nothing is changed until then."""
         clock = copy.copy(self.clock)
         for _ in range(frames - 1):
             clock.next()
@@ -440,7 +441,7 @@ class LockstepPlaying(Playing):
         return self._before + self.state.sent - 1
 
     def _remove_members(self) -> None:
-        """Remove members that had joined by a report, and with a publisher that has left the graph."""
+        """Remove members that had joined by a report, if their publisher has left the graph."""
         publishers = publishers_of(self.player, self.player.resolve_topic_name(FRAME_DONE))
         joined = [name for name, each in self.state.members.items() if not each.required]
         nodes = {self._name(each.node) for each in publishers.values()}
@@ -488,7 +489,7 @@ class LockstepPlaying(Playing):
         self.player.exit_code = code
 
     def close(self, error: str = "") -> None:
-        """Send no more frames, and give a summary. ``error``: why it ends early."""
+        """Send no more frames, and write a summary. ``error``: why the run ends early."""
         if self._is_over:
             return
         self._is_over = True

@@ -1,4 +1,4 @@
-"""Lockstep without ROS: its rules, its files and its summary."""
+"""Lockstep without ROS: its rules, files and summary."""
 
 from __future__ import annotations
 
@@ -13,35 +13,35 @@ from typing import Literal
 
 from humansim_ros.io.files import atomic_path
 
-#: Members that join by their reports: names come from the network.
+#: Most members that may join by their reports, since their names come from the network.
 MAX_JOINED = 100
-#: Seconds after a node has joined the graph at which the frame is sent again, and seconds between later
-#: times: the endpoints of a node find each other one after the other.
+#: Seconds after a node has joined at which the frame is sent again, and seconds between later repetitions,
+#: since the endpoints of a node find each other one after the other.
 _AGAIN_AFTER, _AGAIN_EVERY = (0.5, 1.0, 2.0, 4.0), 5.0
 #: Multiple of the longest recent time of a member after which the frame is sent again, besides
 #: ``_AGAIN_EVERY``: a message may have been lost.
 _SLOWER = 3.0
-#: Share of its longest time that a member keeps when it answers sooner.
+#: A member that answers sooner keeps this share of its longest time.
 _FORGETTING = 0.9
-#: Seconds that the nodes of a scene have for their start.
+#: The nodes of a scene may take this time for their start, seconds.
 START_LIMIT = 60.0
-#: Seconds between two reminders of the members that are missing.
+#: Seconds between two reminders about missing members.
 _REMIND_EVERY = 5.0
 
 
 @dataclass
 class Member:
-    """Somebody that frames wait for.
+    """A node or topic that frames wait for.
 
     Attributes:
         name: Name of the node, or name of the topic.
         required: Whether frames wait for it before its first report, and after it has left the graph.
-        since: Time from which it is waited for, seconds.
+        since: Time from which frames wait for it, seconds.
         finished: Number of frames that it has finished.
         newest: Stamp of the newest frame that it has finished or reported.
         heard: Whether it has reported.
-        absent: Whether it was given up: it is waited for again when it reports.
-        seconds: Its longest recent time for a frame.
+        absent: Whether it was given up. When it reports, frames wait for it again.
+        seconds: Longest time that it has recently needed for a frame.
     """
 
     name: str
@@ -57,16 +57,16 @@ class Member:
 class Lockstep:
     """The frame in flight, and the members that have finished it.
 
-    A frame is sent at least once: again while a node joins the graph or has never reported, because a node
-    that was killed and started again has not seen the frame; and when a member is silent for long. So frame
-    k + 1 is sent only when each member has finished frame k, also one that was killed meanwhile.
+    A frame is sent at least once. It is sent again when a node joins the graph or has never reported, since a
+    node that was killed and started again has not seen it; and also when a member is silent for long. So
+    frame k + 1 is sent only when each member has finished frame k, even a member that was killed in between.
 
     Args:
         required: Names of the members that frames wait for from the start.
         starting: Members that belong to the scene. Until each of them has reported once, or for 60 s,
             no time-out counts.
         timeout: Seconds after which a member is overdue.
-        now: Present time. All times are in seconds of one clock that never goes back.
+        now: Present time. All times are seconds of one clock that never goes back.
     """
 
     def __init__(
@@ -76,16 +76,16 @@ class Lockstep:
         self._starting = set(starting)
         self._timeout = timeout
         self._started, self._ready = now, now
-        #: Time of the newest start of a node of the scene that had died; None if frames go on since.
+        #: Time at which a dead node of the scene was last started; None if frames have gone on since.
         self._restarted: float | None = None
-        #: Members that have left, with the numbers of frames that they had finished.
+        #: Members that have left, each with the number of frames that it had finished.
         self._left: dict[str, int] = {}
         #: Stamp of the frame in flight; None before the first one.
         self.stamp: int | None = None
         self._resting: Collection[str] = ()
         self._first = self._sent = 0
         self._sent_at = now
-        #: Time at which the frame is sent again, and the times of a row that follow.
+        #: Time at which the frame is sent again, and further such times.
         self._again = float("inf")
         self._row: list[float] = []
         #: Whether it is sent again for nodes that have joined.
@@ -115,7 +115,7 @@ class Lockstep:
 
     @property
     def finished(self) -> dict[str, int]:
-        """Number of frames that each member has finished, also those that have left."""
+        """Number of frames that each member has finished, including members that have left."""
         return {**self._left, **{each.name: each.finished for each in self.members.values()}}
 
     def begin(self, stamp: int, now: float, resting: Collection[str] = ()) -> None:
@@ -124,10 +124,10 @@ class Lockstep:
         Args:
             stamp: Stamp of the frame.
             now: Present time.
-            resting: Members that do not finish this frame, and that it does not wait for.
+            resting: Members that do not answer this frame. It does not wait for them.
 
         Raises:
-            ValueError: The frame before is unfinished.
+            ValueError: The previous frame is unfinished.
         """
         if self.missing or (self.stamp is not None and stamp <= self.stamp):
             raise ValueError(f"frame {stamp} must not follow {self.stamp} now")
@@ -143,7 +143,7 @@ class Lockstep:
             self.add_node(now)
 
     def withdraw(self) -> None:
-        """Forget the frame in flight, which nobody has finished: a later one follows in its place."""
+        """Forget the frame in flight, which no member has finished. A later frame replaces it."""
         self.stamp = None
         self._sent -= 1
 
@@ -154,25 +154,23 @@ class Lockstep:
         self._again = self._row.pop(0) if self._row else now + self._patience()
 
     def _patience(self) -> float:
-        """Seconds after which a frame that nobody has missed is sent again."""
+        """Seconds after which a frame is sent again although no member seems to have missed it."""
         return _AGAIN_EVERY + _SLOWER * max((each.seconds for each in self.missing), default=0.0)
 
     def is_due_again(self, now: float, paused: bool = False) -> bool:
-        """Whether the frame is to be sent again.
-
-        ``paused``: no frame follows, so that nodes that join get this one although it is finished.
-        """
+        """Whether the frame is to be sent again. ``paused``: no further frame is sent, so that nodes that
+        join get this frame although it is finished."""
         wanted = not self.is_finished or (paused and self._for_nodes)
         return now >= self._again and wanted and self.stamp is not None
 
     def add_node(self, now: float) -> None:
-        """Note that endpoints have joined the graph: they may have missed the frame."""
+        """Note that endpoints have joined the graph, since they may have missed the frame."""
         self._row = [now + seconds for seconds in _AGAIN_AFTER]
         self._again = self._row[0] if self.is_finished else min(self._again, self._row[0])
         self._for_nodes = True
 
     def add_report(self, name: str, stamp: int, now: float) -> bool:
-        """Note that somebody has finished the frame of a stamp.
+        """Note that a member has finished the frame with a stamp.
 
         A stamp that is newer than the frame counts, too. An older one does not finish the frame. It tells
         that its sender is there. An unknown sender becomes a member if it reports a frame that was sent.
@@ -209,7 +207,7 @@ class Lockstep:
         return sum(not each.required for each in self.members.values())
 
     def leave(self, name: str) -> bool:
-        """Remove a member that has joined by its reports; whether there was one."""
+        """Remove a member that has joined by its reports. Returns whether there was one."""
         member = self.members.get(name)
         if member is None or member.required:
             return False
@@ -219,14 +217,12 @@ class Lockstep:
         return True
 
     def restart(self, now: float) -> None:
-        """Note that a node of the scene has died, or is started again: it has 60 s until a time-out counts.
-
-        ``now``: when it was; earlier times than the last one change nothing.
-        """
+        """Note that a node of the scene has died, or is started again. It has 60 s before a time-out counts.
+        ``now``: when this happened. A time before the last one changes nothing."""
         self._restarted = now if self._restarted is None else max(self._restarted, now)
 
     def overdue(self, now: float) -> list[Member]:
-        """Members whose time-out has passed."""
+        """Members with a time-out that has passed."""
         limit = max(self._timeout, START_LIMIT)
         if self._starting and now < self._started + limit:
             return []
@@ -236,10 +232,10 @@ class Lockstep:
         return [each for each in self.missing if now - max(since, each.since) >= self._timeout]
 
     def give_up(self, overdue: Iterable[Member]) -> bool:
-        """Go on without some members until they report again.
+        """Give up some members. Frames do not wait for them until they report again.
 
         Returns:
-            False, and nobody is given up, if no member would be left: nobody would see the next frames.
+            False if no member would be left to see the next frames. Then no member is given up.
         """
         names = {each.name for each in overdue}
         if all(each.absent or each.name in names for each in self.members.values()):
@@ -249,7 +245,7 @@ class Lockstep:
         return True
 
     def is_reminder_due(self, now: float) -> bool:
-        """Whether the missing members are to be named now: every five seconds."""
+        """Whether the missing members must be named now. This is the case every five seconds."""
         if now < self._next_reminder or self.is_finished:
             return False
         self._next_reminder = next(
@@ -258,7 +254,7 @@ class Lockstep:
         return True
 
     def waited(self, now: float) -> float:
-        """Seconds since the frame in flight was sent first."""
+        """Seconds since the frame in flight was sent for the first time."""
         return now - self._sent_at
 
 
@@ -273,11 +269,11 @@ class LockstepSummary:
     Attributes:
         frames: Number of frames of the run.
         sent: Number of those that this player has sent. Others were sent before it was started again.
-        finished: Number of frames that each member has finished, of those that this player has sent.
-        seconds: Wall-clock time until the last of these was finished; 0 if none was.
-        scene_seconds: Simulated time of these.
-        is_complete: Whether these are all the frames that were requested.
-        error: Why it ended early; empty if it did not.
+        finished: By member: number of the sent frames that it has finished.
+        seconds: Wall-clock time until the last sent frame was finished. 0 if none was.
+        scene_seconds: Simulated time of the sent frames.
+        is_complete: Whether all requested frames were sent.
+        error: Why the run ended early. Empty if it did not.
     """
 
     frames: int
@@ -304,19 +300,19 @@ class LockstepSummary:
         return f"{self.frames} frames in lockstep{again}; {rates}\nfinished: {members}"
 
     def write(self, path: str) -> None:
-        """Write it to a file."""
+        """Write the summary to a file."""
         with atomic_path(path) as target:
             target.write_text(json.dumps(asdict(self)))
 
     @classmethod
     def read(cls, path: Path) -> LockstepSummary | None:
-        """Read what :meth:`write` has written; None if there is nothing."""
+        """Read a summary from a file; None if there is nothing in it."""
         return cls(**json.loads(path.read_text())) if path.is_file() else None
 
 
 class RestartFile:
-    """File by which the process that starts nodes tells a player that one has died or is started again.
-    ``summary``: file for the summary of the run, next to which it is."""
+    """File that tells the player that a node has died or is started again. The process that starts nodes
+    writes it."""
 
     def __init__(self, summary: str) -> None:
         self._path = Path(f"{summary}.restart")
@@ -327,7 +323,7 @@ class RestartFile:
             target.write_text(repr(time.monotonic()))
 
     def age(self) -> float | None:
-        """Seconds since the newest restart; None if there was none."""
+        """Seconds since the newest restart; None if there was no restart."""
         try:
             return time.monotonic() - float(self._path.read_text())
         except (OSError, ValueError):
@@ -343,15 +339,15 @@ class ProgressFile:
 
     @property
     def stamp(self) -> int:
-        """Stamp that was written last, nanoseconds; 0 if there is none."""
+        """Stamp that was written last, nanoseconds. 0 if no stamp was written."""
         text = os.pread(self._file, 20, 0)
         return int(text) if text.isdigit() else 0
 
     def write(self, stamp: int) -> None:
-        """Write a stamp. One write of 20 bytes is whole or absent also if the process is killed."""
+        """Write a stamp. The write of 20 bytes is complete or absent, even if the process is killed."""
         os.pwrite(self._file, b"%020d" % stamp, 0)
 
     def remove(self) -> None:
-        """Close and remove the file: a later run begins at its start."""
+        """Close and remove the file, so that a later run begins at its start."""
         os.close(self._file)
         self._path.unlink(missing_ok=True)

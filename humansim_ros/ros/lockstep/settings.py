@@ -14,13 +14,13 @@ from humansim_ros.scene.names import LOCKSTEP
 if TYPE_CHECKING:
     from humansim_ros.scene.config import TimeConfig
 
-#: Prefix of a topic among the members of lockstep; other members are names of nodes.
+#: Prefix of a topic among the members of lockstep. Members without the prefix are names of nodes.
 TOPIC_PREFIX = "topic:"
-#: Name of the node of ``SceneGraph``, which reports every frame, also without a picture.
+#: Name of the node of ``SceneGraph``. It reports every frame, even a frame without a picture.
 TEST_NODE = "humansim_test"
 #: Values of parameters.
 ParameterValue = str | bool | float | list[str]
-#: Seconds in which another publisher of ``/clock`` is looked for before the first frame.
+#: Time of the search for another publisher of ``/clock`` before the first frame, seconds.
 CLOCK_SEARCH = 2.0
 _NAME = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 _MAX_NAME, _MAX_MEMBERS = 255, 100
@@ -31,7 +31,7 @@ class Setting(NamedTuple):
     """A setting of lockstep.
 
     Attributes:
-        help: What it is, without the full stop.
+        help: Description without a full stop.
         low: Smallest value of a number.
         high: Largest value of a number.
     """
@@ -41,7 +41,7 @@ class Setting(NamedTuple):
     high: float = 0.0
 
 
-#: The settings by name. A scene has them in its section ``time``, where ``pace`` is ``rate``.
+#: The settings by name. A scene has them in its section ``time``, with the name ``rate`` for ``pace``.
 SETTINGS = {
     "frames": Setting("Number of frames in lockstep", 1, MAX_FRAMES),
     "wait_for": Setting(
@@ -55,12 +55,12 @@ SETTINGS = {
 
 @dataclass(frozen=True)
 class TimeOptions:
-    """How time goes on, in place of the section ``time`` of a scene (docs/lockstep.md).
+    """How time advances. These options replace the section ``time`` of a scene (docs/lockstep.md).
 
-    Values of None are as the scene says. Raises RosError for a value that is not valid.
+    If a value is None, the value of the scene holds. Raises RosError for a value that is not valid.
 
     Attributes:
-        lockstep: Lockstep, or real time.
+        lockstep: Whether time advances in lockstep. If False, in real time.
         wait_for: Names of nodes that frames wait for, and topics after ``topic:``.
         timeout: Seconds after which a frame waits no longer.
         on_timeout: ``stop`` or ``continue``.
@@ -92,7 +92,7 @@ class TimeOptions:
         return {name: value for name, value in values.items() if value is not None}
 
 
-#: Launch arguments of :class:`TimeOptions`; empty: as the scene says.
+#: Launch arguments of :class:`TimeOptions`. An empty argument stands for the value of the scene.
 TIME_ARGUMENTS = {
     "lockstep": "true: send the next frame when all nodes have finished this one; false: real time",
     **{name: setting.help for name, setting in SETTINGS.items()},
@@ -101,7 +101,7 @@ TIME_ARGUMENTS = {
 
 
 def time_options(arguments: Mapping[str, str]) -> TimeOptions:
-    """Options of launch arguments. Raises RosError naming a wrong one."""
+    """Options from launch arguments. RosError names a wrong argument."""
     given = {name: text.strip() for name, text in arguments.items() if text.strip()}
     return TimeOptions(
         lockstep=true_or_false("lockstep", given["lockstep"]) if "lockstep" in given else None,
@@ -114,7 +114,7 @@ def time_options(arguments: Mapping[str, str]) -> TimeOptions:
 
 
 def whole_number(name: str, text: str) -> int | None:
-    """Read an argument of the launch file that is a number from 1, or empty. Raises RosError naming it."""
+    """Read a launch argument that is a whole number from 1, or empty. RosError names a wrong argument."""
     if not text.strip():
         return None
     if not text.strip().isdecimal() or int(text) < 1:
@@ -123,7 +123,7 @@ def whole_number(name: str, text: str) -> int | None:
 
 
 def true_or_false(name: str, text: str) -> bool:
-    """Read an argument of the launch file that is true or false. Raises RosError naming it."""
+    """Read a launch argument that is true or false. RosError names a wrong argument."""
     word = text.strip().lower()
     if word not in ("true", "false"):
         raise RosError(f"launch argument {name} must be true or false, not {text!r}")
@@ -131,7 +131,7 @@ def true_or_false(name: str, text: str) -> bool:
 
 
 def _number(name: str, arguments: Mapping[str, str]) -> float | None:
-    """A number of the launch arguments; None if it is not given. Raises RosError."""
+    """Number from a launch argument; None if it is not given. Raises RosError."""
     if name not in arguments:
         return None
     try:
@@ -141,12 +141,12 @@ def _number(name: str, arguments: Mapping[str, str]) -> float | None:
 
 
 def member_texts(time: TimeConfig) -> list[str]:
-    """Members of a scene as the parameter ``wait_for`` has them."""
+    """Members of a scene, in the form of the parameter ``wait_for``."""
     return [each.node or f"{TOPIC_PREFIX}{each.topic}" for each in time.wait_for]
 
 
 def read_members(texts: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names and topics of a setting ``wait_for``. Raises RosError if one is neither."""
+    """Names and topics in a setting ``wait_for``. Raises RosError for any other text."""
     if len(texts) > _MAX_MEMBERS:
         raise RosError(f"wait_for: {len(texts)} members; at most {_MAX_MEMBERS}")
     names: dict[str, None] = {}
@@ -163,13 +163,13 @@ def read_members(texts: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]
 
 
 def topic_name(setting: str, text: str) -> str:
-    """Return the value of a setting that names a topic. Raises RosError if it is no such name."""
+    """Return the value of a setting that must be the name of a topic. Raises RosError for any other text."""
     if len(text) > _MAX_NAME or not _NAME.fullmatch(text):
         raise RosError(f"{setting}: '{printable(text, 60)}' is no name of a topic, such as /tracker/poses")
     return text
 
 
 def check_choice(name: str, value: str, values: Sequence[str]) -> None:
-    """Raise RosError if the value of a setting is none of some values."""
+    """Raise RosError if the value of a setting is not one of ``values``."""
     if value not in values:
         raise RosError(f"{name}: '{printable(value, 80)}' must be {' or '.join(values)}")

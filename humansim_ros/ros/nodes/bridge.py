@@ -1,10 +1,10 @@
 """Node ``bridge``: publishes the truth of a scene in the messages of other people stacks.
 
-A scene says in its section ``adapters`` which (docs/people_messages.md). The node subscribes to what they are
-made of: joints and vertices of the humans, and topics of cameras such as ``<camera>/boxes``, also of a bag
-that is played. It joins them by exact stamp, and publishes with that stamp. Messages without subscribers are
-not built, but for latched ones, which are sent when they change. Images are received only while a topic that
-needs them has subscribers. Lists of ROS4HRI are sent each second while there are no frames.
+The section ``adapters`` of a scene names them (docs/people_messages.md). The node subscribes to their inputs:
+joints and vertices of the humans, and topics of cameras such as ``<camera>/boxes``. The inputs may come from
+a bag that is played. Inputs with the same stamp are joined, and the result has this stamp. Messages without
+subscribers are not built. Latched messages are sent when they change. Images are received only while a topic
+that needs them has subscribers. Lists of ROS4HRI are sent each second while there are no frames.
 
 Node ``hri_bridge`` publishes ROS4HRI alone (docs/ros4hri.md), also for a scene without ``hri``.
 """
@@ -27,16 +27,17 @@ from humansim_ros.ros.runtime import run_node
 from humansim_ros.scene import Scene
 from humansim_ros.scene.state import SceneState
 
-#: In place of a topic: bodies and objects of a frame.
+#: Stands for a topic: bodies and objects of a frame.
 _STATE = "state"
-#: Frames that wait for a topic of a camera, and nanoseconds by which a stamp goes back in a new run.
+#: Most frames that wait for a topic of a camera. If a stamp goes back by more than the second number,
+#: nanoseconds, a new run has begun.
 _MAX_FRAMES, _NEW_RUN = 16, 10**9
-#: Seconds between two looks for subscribers of crops, and until lists are sent again.
+#: Seconds between two checks for subscribers of crops, and seconds until lists are sent again.
 _LOOK_EVERY, _AGAIN_EVERY = 0.2, 1.0
 
 
 class _Join(NamedTuple):
-    """Topics that are made of the same messages, and these messages by stamp."""
+    """Topics with the same inputs, and these inputs by stamp."""
 
     camera: str
     topics: list[AdapterTopic]
@@ -65,9 +66,9 @@ class BridgeNode(SceneNode):
         for topic in topics:
             if not topic.per_frame:
                 self.publish_latched(topic.build(received_frame(0, None, {}, self.scene), 0), topic.name)
-        #: Newest messages of topics that are latched or sent again, by topic.
+        #: By topic that is latched or sent again: its newest messages.
         self._newest: dict[str, list[Any]] = {}
-        #: By what their topics are made of.
+        #: By inputs of the topics.
         self._joins: dict[tuple[str, ...], _Join] = {}
         for topic in per_frame:
             self._join(topic)
@@ -98,7 +99,7 @@ class BridgeNode(SceneNode):
         self._joins[needed].topics.append(topic)
 
     def _update_inputs(self) -> None:
-        """Receive the topics of cameras that something is made of."""
+        """Receive the topics of cameras that are needed at present."""
         needed = dict.fromkeys(
             name
             for names, join in self._joins.items()
@@ -109,7 +110,7 @@ class BridgeNode(SceneNode):
         for name in needed.keys() - self._inputs.keys():
             kind, read, _ = CAMERA_INPUTS[name.partition("/")[2]]
             receive: Callable[[Any], None] = partial(self._on_message, name, read)
-            # a long queue: frames in lockstep do not wait for it
+            # a long queue, since frames in lockstep do not wait for it
             self._inputs[name] = self.create_subscription(kind, name, receive, subscription_profile([]))
         for name in self._inputs.keys() - needed.keys():
             self.destroy_subscription(self._inputs.pop(name))
@@ -129,7 +130,7 @@ class BridgeNode(SceneNode):
         self._add(_STATE, state.stamp, state)
 
     def _add(self, name: str, stamp: int, content: Any) -> None:
-        """Add what has arrived, and publish what is whole with it."""
+        """Add content that has arrived, and publish what is complete with it."""
         for needed, join in self._joins.items():
             if name in needed and join.frames.add(name, stamp, content):
                 with self.skip_frame_on_error():

@@ -5,7 +5,8 @@ In a running scene the node has the name of its camera.
 Subscribes to ``humans/<id>/vertices`` and ``joints`` of every human, ``objects/<name>/marker`` and ``twist``
 of every moving object, and the camera's own ``pose`` and ``twist`` if it has a trajectory, and synchronizes
 them by exact stamp. Publishes images and ground truth with that stamp. Only subscribed topics are rendered.
-As camera drivers, it has ``camera_info``, ``set_camera_info`` and ``camera_info_url`` (docs/lenses.md).
+Like camera drivers, the node has ``camera_info``, ``set_camera_info`` and ``camera_info_url``
+(docs/lenses.md).
 """
 
 from __future__ import annotations
@@ -50,9 +51,9 @@ from humansim_ros.scene.timing import PictureTimer
 from humansim_ros.truth import CameraTruth
 from humansim_ros.types import Image
 
-#: Received poses that are held: frames are a little older than the newest pose.
+#: Most received poses that are held. Frames are a little older than the newest pose.
 _MAX_POSES = 200
-#: Nanoseconds from which a pose ahead of a frame has a stamp of another clock.
+#: A pose that is ahead of a frame by this time, nanoseconds, has a stamp of another clock.
 _MAX_AHEAD = 5_000_000_000
 #: A camera counts as moving for this time after its last motion, nanoseconds, since poses may come less often
 #: than frames.
@@ -62,11 +63,11 @@ _MOVING_FOR = 1_000_000_000
 class CameraPosePublisher:
     """Publishes ``<camera>/extrinsics`` and ``projection``, both latched, and tf.
 
-    A static camera has them once, a moving one with the stamp of every frame. tf has a camera on a robot
-    once, in ``base_link``. ``<camera>/pose`` (optical frame in ``map``) moves any other camera: poses are
-    interpolated, and the camera stays at the last one. A pose far ahead of a frame has a stamp of another
-    clock: it holds from that frame on. With a wrong calibration these are wrong, and
-    ``<camera>/truth/extrinsics`` has the true pose.
+    For a static camera they are published once, for a moving camera with the stamp of every frame. A camera
+    on a robot is in tf once, in ``base_link``. ``<camera>/pose`` (optical frame in ``map``) moves any other
+    camera. Poses are interpolated, and the camera stays at the last one. A pose far ahead of a frame has a
+    stamp of another clock, so it holds from this frame on. If the calibration is wrong, these topics are
+    wrong, and ``<camera>/truth/extrinsics`` has the true pose.
     """
 
     def __init__(self, node: SceneNode, camera: SceneCamera, topics: CameraTopics) -> None:
@@ -92,7 +93,8 @@ class CameraPosePublisher:
             node.create_subscription(topics.pose.type, topics.pose.name, self._on_pose, NEWEST)
 
     def exposure(self, state: SceneState) -> Exposure:
-        """Exposure of the camera at a scene state; publishes the camera's pose at its stamp."""
+        """Exposure of the camera at a scene state. Publishes the camera's pose with the stamp of the
+        state."""
         exposure, pose = state.exposure(self._camera), state.calibrated_pose(self._camera)
         if self._poses and state.stamp < self._last_stamp:
             self._follow_clock(self._last_stamp, state.stamp)
@@ -120,12 +122,13 @@ class CameraPosePublisher:
         return exposure
 
     def _publish_true(self, pose: CameraPose, stamp: int) -> None:
-        """Publish the pose that a camera with a wrong calibration really has."""
+        """Publish the true pose of a camera with a wrong calibration."""
         if self._true_extrinsics is not None:
             self._true_publisher.publish(self._true_extrinsics.build(self._camera.camera_at(pose), stamp))
 
     def _restamp_poses_ahead(self, stamp: int) -> None:
-        """Give the newest pose the stamp of a frame if its own is far ahead, and would never be reached."""
+        """Give the newest pose the stamp of a frame if its own stamp is far ahead, since it would never be
+        reached."""
         newest, pose = self._poses[-1]
         if newest - stamp <= _MAX_AHEAD:
             return
@@ -160,7 +163,7 @@ class CameraPosePublisher:
             return
         stamp = messages.to_nanoseconds(message.header.stamp) or self._node.now()
         if not self._poses:
-            # late joiners must not get the old pose
+            # nodes that join later must not get the old pose
             fixed = [part for part in self._topics.transforms if part is not self._topics.extrinsics]
             self._transforms.send_static(fixed, self._node.now())
         if self._poses and stamp <= self._poses[-1][0]:
@@ -186,11 +189,8 @@ _FORWARD, _BACKWARD = comparing_with("next_frame"), comparing_with("previous_fra
 
 
 class CameraNode(SceneNode):
-    """One camera with its ground truth.
-
-    A camera of a rig is given its ``name``, and ``scene`` and ``renderer``, which it shares with the other
-    cameras of the process; the rig calls :meth:`publish_frame`.
-    """
+    """One camera with its ground truth. A camera of a rig gets its ``name``, and ``scene`` and ``renderer``,
+    which all cameras of the process share. The rig calls :meth:`publish_frame`."""
 
     def __init__(
         self, name: str = "", scene: Scene | None = None, renderer: Any = None, **options: Any
@@ -205,7 +205,7 @@ class CameraNode(SceneNode):
         self._driver = CameraDriver(self)
         self._images = ImagePublishers(self, self._topics, self._driver)
         self._timer = PictureTimer(self._camera.timing)
-        #: States and exposures of the last frame and of the one before it, if flow is subscribed to.
+        #: States and exposures of the last two frames, if flow has subscribers.
         self._last: tuple[SceneState, Exposure] | None = None
         self._previous: tuple[SceneState, Exposure] | None = None
         self._infos = InfoPublishers(self, self._topics, self._driver)
@@ -216,7 +216,7 @@ class CameraNode(SceneNode):
             self._depth = DepthSensorPublishers(self, self._topics.depth_sensor, self._driver)
         schedule = self._camera.faults
         self._freezes = schedule is not None and schedule.config.freeze is not None
-        #: Colours of the last frame that was not frozen, if the camera may freeze.
+        #: Colours of the last frame that was not frozen, if faults can freeze the camera.
         self._last_colours: Image | None = None
         self._calibration = PublishedCalibration(self, self._camera)
         if url := self.text_parameter(
@@ -272,10 +272,8 @@ class CameraNode(SceneNode):
             self._renderer.close()
 
     def publish_frame(self, state: SceneState) -> None:
-        """Render and publish the subscribed channels, and the forward flow of the previous frame.
-
-        Nothing happens in a frame in which a camera with a rate of its own takes no picture.
-        """
+        """Render and publish the subscribed channels, and the forward flow of the previous frame. If the
+        camera has its own rate, nothing happens in frames that it does not capture."""
         if not self._timer.takes(state.index):
             return
         start = time.monotonic()
@@ -346,7 +344,8 @@ class CameraNode(SceneNode):
     def _captured(
         self, state: SceneState, exposure: Exposure, channels: set[str], faults: FrameFaults
     ) -> CameraTruth:
-        """Images and truth of a state; with the colours of an earlier frame while the camera is frozen."""
+        """Images and truth of a state. While the camera is frozen, the colours are those of an earlier
+        frame."""
         frozen = self._last_colours if faults.picture and "rgb" in channels else None
         shot = CameraShot(self._camera, exposure, channels, faults, frozen)
         captured = observe(state, self._renderer, shot)

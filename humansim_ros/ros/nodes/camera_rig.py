@@ -1,8 +1,8 @@
 """Node ``camera_rig``: several cameras of a scene in one process.
 
-Each camera is a node with the name, topics, services and diagnostics that it has in a process of its own. The
-cameras share one OpenGL context, the subscriptions to humans and objects, and all cached results of the
-renderer. The node that receives the frames for them is hidden.
+Each camera is a node with the same name, topics, services and diagnostics as in its own process. The cameras
+share one OpenGL context, the subscriptions to humans and objects, and all cached results of the renderer. The
+node that receives the frames for them is hidden.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class CameraRigNode(SceneNode):
                 camera.publish_frame(state)
 
     def count(self, counter: str, number: int = 1) -> None:
-        """Add to a counter of all cameras: what happens to a frame happens to each of them."""
+        """Add to a counter of all cameras, since an event of a frame concerns each of them."""
         for camera in self.cameras:
             camera.count(counter, number)
 

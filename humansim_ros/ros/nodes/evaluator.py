@@ -34,15 +34,16 @@ from humansim_ros.ros.qos import DATA, SCENE_TIME, subscription_profile
 from humansim_ros.ros.runtime import run_node
 from humansim_ros.scene import Scene
 
-#: Seconds without an estimate, although there are frames, after which a tracker counts as silent.
+#: A tracker counts as silent after this time without an estimate, seconds, if there are frames.
 _SILENT_AFTER = 2.0
-#: Multiple of the time of a computation that passes before the next one: of the window, and of the whole run.
+#: After a computation, a pause follows that is this many times as long: for the window, and for the whole
+#: run.
 _WINDOW_REST, _TOTAL_REST = 4.0, 20.0
-#: Stamps that differ from the clock by more nanoseconds are of another clock.
+#: A stamp that differs from the clock by more than this, nanoseconds, comes from another clock.
 _SAME_CLOCK = 3600 * 10**9
-#: Frames whose times of sending are kept.
+#: Most frames with times of sending that are kept.
 _MAX_SENT = 10_000
-#: Seconds in which a node that is stopped waits for estimates of the last frames.
+#: A stopped node waits for estimates of the last frames for at most this time, seconds.
 _MAX_TAKING = 1.0
 
 
@@ -72,10 +73,10 @@ class EvaluatorNode(SuiteNode):
         if path and scene is None:
             scene = loaded_scene(path)
         computed = SceneTruth(scene) if path and scene else None
-        #: Monotonic time at which each frame was sent, by stamp; the newest last.
+        #: By stamp: monotonic time at which the frame was sent, the newest last.
         self._sent: dict[int, float] = {}
         self._heard = time.monotonic()
-        #: When a computation may follow, by name, and the newest results.
+        #: By name: time of the next computation; and the newest results.
         self._next: dict[str, float] = {}
         self._results: dict[str, Evaluation | EvaluationError] = {}
         self._thread = ThreadPoolExecutor(1)
@@ -123,7 +124,8 @@ class EvaluatorNode(SuiteNode):
             self.report_time(latency * 1e3, "latency")
 
     def _latency(self, stamp: int) -> float | None:
-        """Seconds since a stamp; in simulated time, since its frame was sent. None if neither is known."""
+        """Seconds since a stamp. In simulated time, seconds since its frame was sent. None if neither is
+        known."""
         late = self.now() - stamp
         if not self.has_simulated_time() and abs(late) < _SAME_CLOCK:
             return late * 1e-9
@@ -133,7 +135,8 @@ class EvaluatorNode(SuiteNode):
     # --- results
 
     def _on_timer(self) -> None:
-        """Publish the newest results, and compute others in a thread: latencies are measured meanwhile."""
+        """Publish the newest results, and compute others in a thread, so that latencies are still
+        measured."""
         if self._work is None or self._work.done():
             if self._work is not None:
                 with self.guard("evaluation", "it is repeated"):
@@ -142,7 +145,7 @@ class EvaluatorNode(SuiteNode):
         self.publish_results()
 
     def compute_results(self) -> None:
-        """Evaluate the window and the whole run, unless that would take too much of the time."""
+        """Evaluate the window and the whole run, unless this would take too much of the time."""
         evaluation = self.evaluation
         computations = (
             ("window", lambda: evaluation.window(self._window), _WINDOW_REST),
@@ -195,7 +198,7 @@ class EvaluatorNode(SuiteNode):
         return f"no estimate has arrived on {self._estimate.topic}"
 
     def _silence(self) -> float:
-        """Seconds without an estimate if frames were sent meanwhile; else 0."""
+        """Seconds without an estimate, if frames were sent in this time. Otherwise 0."""
         silence = time.monotonic() - self._heard
         newest = next(reversed(self._sent.values()), 0.0)
         return silence if silence > _SILENT_AFTER and newest > self._heard else 0.0
@@ -203,7 +206,7 @@ class EvaluatorNode(SuiteNode):
     # --- end
 
     def complete(self) -> None:
-        """Read what has arrived, compute the whole result, print it, and write it.
+        """Read what has arrived, compute the result of the whole run, print it, and write it.
 
         Raises:
             EvaluationError: There is nothing to write, or truth and estimate cannot be compared.

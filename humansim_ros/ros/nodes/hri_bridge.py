@@ -1,4 +1,4 @@
-"""Node ``hri_bridge``: publishes the people of a scene as ROS4HRI has them (docs/ros4hri.md).
+"""Node ``hri_bridge``: publishes the people of a scene in the messages of ROS4HRI (docs/ros4hri.md).
 
 It is node ``bridge`` with one adapter: ``hri`` of the scene, or that of parameter ``camera``.
 """
@@ -22,7 +22,8 @@ class HriBridgeNode(BridgeNode):
         super().__init__(scene, "hri_bridge", **options)
 
     def adapters(self) -> dict[str, Section]:
-        """Return the adapter of the scene, or of the parameter. Raises SceneError without a camera."""
+        """Return the adapter of the scene, or that of the parameter. Raises SceneError if there is no
+        camera."""
         camera = self.text_parameter("camera", "", "Camera that sees the people; empty: hri.camera")
         known = self.scene.scene_cameras
         if camera and camera not in known:

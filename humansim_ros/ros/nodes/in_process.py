@@ -24,7 +24,7 @@ class InProcessNodes:
         scene: The scene.
         namespace: ROS namespace of the nodes.
         player: Parameters of the motion player, such as the mode.
-        is_simulated: All but the motion player take the time from ``/clock``.
+        is_simulated: Whether all nodes except the motion player take the time from ``/clock``.
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class InProcessNodes:
         return self._owners[-1].exit_code is not None
 
     def check(self) -> None:
-        """Raise RosError if the motion player cannot go on. Its log has the reason."""
+        """Raise RosError if the motion player cannot go on. The log of the player has the reason."""
         if self.has_ended:
             raise RosError("the motion player cannot go on: see its last log line")
 

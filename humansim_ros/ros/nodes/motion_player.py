@@ -53,9 +53,9 @@ from humansim_ros.scene.live import JointSource
 from humansim_ros.scene.playback import Change, Playback, PlaybackClock, Tick
 from humansim_ros.scene.state import SceneState
 
-#: Largest accepted lead in seconds.
+#: Largest lead that is accepted, seconds.
 MAX_LEAD = 0.1
-#: Seconds until a request is given up with motions that are not ready.
+#: A request with motions that are not ready is given up after this time, seconds.
 MAX_READING = 20.0
 
 
@@ -84,7 +84,7 @@ class MotionPlayerNode(FramePlayer):
             description = "publish the motion; false: another node does, such as live motion capture"
             declare(f"{name}.play", True, description)
         self._scene_time = self.topic_publisher(SCENE_TIME_TOPIC)
-        #: Publishers of motions by human, and of the stamps of its frames for a live human.
+        #: By human: publisher of the motion; and publisher of the stamps of frames for a live human.
         self._motions: dict[str, Any] = {}
         self._live: dict[str, Any] = {}
         #: Topics of moving objects and moving cameras with their publishers, by name.
@@ -140,7 +140,7 @@ class MotionPlayerNode(FramePlayer):
         self.count("frames")
 
     def restart_legends(self) -> None:
-        """Publish legends that are valid for all stamps, because stamps have jumped back."""
+        """Publish legends that are valid for all stamps, since stamps have jumped back."""
         # no legend may be of a later stamp than its motion
         self._sources = {name: replace(source, since=0) for name, source in self._sources.items()}
         for name in self._motions:
@@ -156,7 +156,7 @@ class MotionPlayerNode(FramePlayer):
     # --- parameters
 
     def _prepare(self, parameters: Sequence[Parameter]) -> SetParametersResult:
-        """Prepare all changes before any is made, so that rejected parameters change nothing."""
+        """Prepare all changes before any is applied, so that rejected parameters change nothing."""
         self._changes = []
         try:
             self._changes = self._prepared(self._motion_parameters.changes(parameters))
@@ -175,11 +175,8 @@ class MotionPlayerNode(FramePlayer):
         )
 
     def change_motions(self, changes: Mapping[str, Mapping[str, Any]]) -> None:
-        """Change the motions of humans at once.
-
-        ``changes``: keys of a section ``motion`` by human. Raises HumansimError, and changes nothing, if one
-        cannot be played.
-        """
+        """Change the motions of several humans at once. ``changes``: keys of a section ``motion`` by human.
+        Raises HumansimError, and changes nothing, if one cannot be played."""
         self._changes = self._prepared(changes)
         self._apply_changes()
 
@@ -189,7 +186,7 @@ class MotionPlayerNode(FramePlayer):
         return change, JointSource.of_actor(change.actor)
 
     def _allowed_motions(self) -> RequestedMotions:
-        """Motions that parameters may name over the network; the motions of the start are among them."""
+        """Motions that parameters may name over the network. They include the motions of the start."""
         folders = self.described_parameter(
             MOTION_FOLDERS,
             Parameter.Type.STRING_ARRAY,
@@ -223,10 +220,8 @@ class MotionPlayerNode(FramePlayer):
         self._changes = []
 
     def _update_sources(self, changed: Collection[str] = ()) -> None:
-        """Publish the motion of every human that is not live, and the legend of each change.
-
-        ``changed``: humans with another motion.
-        """
+        """Publish the motion of every human that is not live, and the legend of each change. ``changed``:
+        humans with another motion. ``changed``: humans with another motion."""
         for name in self._legends:
             live = self.playback.settings[name].file == LIVE or not self.get_parameter(f"{name}.play").value
             old, new = (self._motions, self._live) if live else (self._live, self._motions)
@@ -271,7 +266,7 @@ class MotionPlayerNode(FramePlayer):
         return _accept(response, tick.stamp, tick.elapsed)
 
     def _stamped_step(self, response: Any) -> Any:
-        """Answer when the message of the step is there: a future of the response, or a refusal."""
+        """Answer when the message of the step has arrived. Returns a future of the response, or a refusal."""
         answered: Any = Future()
 
         def on_end(tick: Tick | None, failure: str) -> None:

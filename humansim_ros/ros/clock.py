@@ -29,7 +29,7 @@ class ClockOwner:
     """Finds another publisher of ``/clock`` that is alive.
 
     A node that was killed stays in the graph for seconds: it counts only if it sends, or if it is a player
-    whose liveliness the middleware confirms.
+    that the middleware confirms to be alive.
 
     Args:
         node: Node that wants to publish.

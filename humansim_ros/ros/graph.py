@@ -225,7 +225,7 @@ _MAX_NAMED = 3
 
 
 class Neighbours:
-    """Warns once of each other node whose messages mix with messages of a node.
+    """Warns once about each other node with messages that mix with messages of a node.
 
     Such a node publishes a topic of this node, or has the same name, or is one of several senders of a topic
     that should have one sender.

@@ -28,18 +28,20 @@ def _profile(depth: int, durability: QoSDurabilityPolicy) -> QoSProfile:
     )
 
 
-#: Publishers of frame data, as camera drivers have it: matches reliable and best-effort subscribers.
+#: Profile of publishers of frame data, as camera drivers use it. It matches reliable and best-effort
+#: subscribers.
 DATA = _profile(DATA_DEPTH, QoSDurabilityPolicy.VOLATILE)
 
-#: Subscriptions between nodes of this package: a late node finds only the newest frames in its queue.
+#: Profile of subscriptions between nodes of this package. A late node finds only the newest frames in its
+#: queue.
 NEWEST = _profile(3, QoSDurabilityPolicy.VOLATILE)
 
-#: Publishers of messages that are sent once; late joiners get the last one.
+#: Profile of publishers of messages that are sent once. Nodes that join later get the last message.
 LATCHED = _profile(LATCHED_DEPTH, QoSDurabilityPolicy.TRANSIENT_LOCAL)
 
-#: Topic whose quality of service tells the motion player half a second after a camera process has died, and
-#: gives its newest report to a player that is started again. Reports on ``frame_done`` have neither, because
-#: other nodes may report, too.
+#: Topic with liveliness: the motion player learns within half a second that a camera process has died. It
+#: also gives the newest report to a restarted player. Reports on ``frame_done`` do neither, since other nodes
+#: may report there, too.
 CAMERA_ALIVE = "_camera_alive"
 ALIVE = QoSProfile(
     depth=1,
@@ -50,11 +52,12 @@ ALIVE = QoSProfile(
     liveliness_lease_duration=Duration(seconds=0.5),
 )
 
-#: Topic on which everybody reports the frames that it has finished.
+#: Topic on which nodes report the frames that they have finished.
 FRAME_DONE = "frame_done"
 #: Publishers of these reports.
 DONE = DATA
-#: Subscriptions to reports: one for each camera process and frame; a lost one is replaced by the next.
+#: Profile of subscriptions to reports. There is one report per camera process and frame. The next report
+#: replaces a lost one.
 REPORTS = _profile(50, QoSDurabilityPolicy.VOLATILE)
 
 
@@ -63,17 +66,15 @@ def offered_profile(topic: Topic[Any]) -> QoSProfile:
     return LATCHED if topic.latched else DATA
 
 
-#: Messages that wait until they are recorded. The middleware takes memory only for those that it has.
+#: Most messages that wait until they are recorded. The middleware uses memory only for existing messages.
 RECORDED_DEPTH = 1000
-#: Messages of a player that wait for slow subscribers.
+#: Most messages of a player that wait for slow subscribers.
 PLAYED_DEPTH = 1000
 
 
 def subscription_profile(offers: Sequence[QoSProfile]) -> QoSProfile:
-    """Profile of a subscription that gets the messages of all publishers, and as many as they permit.
-
-    ``offers``: profiles of the publishers.
-    """
+    """Profile of a subscription that gets the messages of all publishers, with the best quality that all of
+    them offer. ``offers``: profiles of the publishers."""
     reliable = all(offer.reliability != QoSReliabilityPolicy.BEST_EFFORT for offer in offers)
     latched = bool(offers) and all(
         offer.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL for offer in offers
@@ -82,12 +83,12 @@ def subscription_profile(offers: Sequence[QoSProfile]) -> QoSProfile:
 
 
 def recorded_qos(offers: Sequence[QoSProfile]) -> tuple[Qos, ...]:
-    """Profiles of publishers for the description of a topic in a bag."""
+    """Profiles of publishers, for the description of a topic in a bag."""
     return tuple(
         Qos(
             reliable=offer.reliability != QoSReliabilityPolicy.BEST_EFFORT,
             transient_local=offer.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL,
-            # not known of publishers of other processes
+            # unknown for publishers of other processes
             **({"depth": offer.depth} if offer.history == QoSHistoryPolicy.KEEP_LAST and offer.depth else {}),
             keep_all=offer.history == QoSHistoryPolicy.KEEP_ALL,
         )

@@ -1,4 +1,4 @@
-"""Requests of services with too many elements: refused before rclpy makes Python objects of them."""
+"""Refuse service requests with too many elements before rclpy makes Python objects of them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 from humansim_ros.errors import RosError
 
-#: Bytes of the numbers of messages in C; strings and lists are a pointer, a size and a capacity.
+#: Size in bytes of the numbers of messages in C. Strings and lists are a pointer, a size and a capacity.
 _BYTES = {"boolean": 1, "octet": 1, "char": 1, "wchar": 2, "float": 4, "double": 8}
 _LIST = 24
 
@@ -27,9 +27,8 @@ _Create, _Destroy = ctypes.PYFUNCTYPE(ctypes.c_void_p), ctypes.PYFUNCTYPE(None, 
 
 
 def limited(srv_type: Any, most: int) -> Any:
-    """Service type with requests that are RosErrors if one of their lists has more than ``most`` messages.
-    rclpy makes an object of each message before it calls the callback of the service: of 200,000 parameters
-    in ten seconds, with hundreds of megabytes, in which the node does nothing else."""
+    """Make a service type that raises RosError for a request if one of its lists has more than ``most``
+    messages."""
     kind = srv_type.Request
     lists = [(name, at) for name, field, at in _fields(kind) if "/" in field and "<" in field]
     if not lists:
@@ -61,9 +60,8 @@ def limited(srv_type: Any, most: int) -> Any:
 
 
 def _are_right(kind: Any, counts: Callable[[int], list[tuple[str, int]]]) -> bool:
-    """Whether ``counts`` finds the lengths of the lists of a request in C: of its own lists, not of those in
-    its messages.
-    """
+    """Whether ``counts`` finds the lengths of the lists of a request in C. The lists in its messages do not
+    count."""
     meta, sample = type(kind), kind()
     create, fill, destroy = (
         function(_get_pointer(capsule, _get_name(capsule)))
@@ -91,7 +89,7 @@ def _are_right(kind: Any, counts: Callable[[int], list[tuple[str, int]]]) -> boo
 
 
 def _fields(kind: Any, at: int = 0) -> Iterator[tuple[str, str, int]]:
-    """Name, type and address of each field of a message in C, also of messages within it."""
+    """Name, type and address of each field of a message in C, including fields of messages within it."""
     for name, field in kind.get_fields_and_field_types().items():
         size, align = _layout(field)
         at += -at % align

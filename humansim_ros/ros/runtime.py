@@ -1,4 +1,4 @@
-"""Node processes: transports, start, spinning, errors and shutdown."""
+"""Node processes: transport, start, spinning, errors and shutdown."""
 
 from __future__ import annotations
 
@@ -27,11 +27,12 @@ if TYPE_CHECKING:
 
     from humansim_ros.ros.guarded_node import GuardedNode
 
-#: Seconds after which an idle node notices a stop signal.
+#: An idle node notices a stop signal within this time, seconds.
 _SPIN_TIMEOUT = 0.1
-#: Seconds that the executor rests after a first error, and seconds of nothing but errors that end a node.
+#: The executor rests for this time after a first error, seconds. A node ends after this time with only
+#: errors, seconds.
 _FIRST_PAUSE, _MAX_SECONDS_OF_ERRORS = 0.001, 10.0
-#: Seconds after which a shutdown that hangs is aborted.
+#: A shutdown that hangs is aborted after this time, seconds.
 _SHUTDOWN_LIMIT = 5
 
 
@@ -56,10 +57,10 @@ def prepare_transport(participants: int | None = None, network: bool = True) -> 
 
     Args:
         participants: Number of processes that start together. If None, this process alone.
-        network: Other hosts may find the nodes, unless the user has set it.
+        network: Whether other hosts may find the nodes, unless the user has set this.
 
     Returns:
-        The transport, which is set for this process and its children.
+        The transport. It is set for this process and its children.
     """
     prepare_logs()
     remove_dead_files()
@@ -72,7 +73,8 @@ def prepare_transport(participants: int | None = None, network: bool = True) -> 
 
 
 def prepare_logs() -> None:
-    """Let ROS log to a folder for temporary files if its own cannot be written: it would not start.
+    """If the log folder of ROS cannot be written, use a temporary folder, since ROS would not start
+    otherwise.
 
     Raises:
         RosError: There is no such folder either.
@@ -102,10 +104,10 @@ def prepare_logs() -> None:
 def make_executor(context: Context | None = None) -> Any:
     """Create rclpy's EventsExecutor if there is one, else the default executor.
 
-    ``context``: rclpy's default one if None.
+    ``context``: ROS context. If None, rclpy's default context.
 
-    The default one polls every service, timer and topic for each callback, which takes a fifth of all CPU
-    time.
+    The default executor polls every service, timer and topic for each callback, which takes a fifth of all
+    CPU time.
     """
     try:
         from rclpy.experimental import EventsExecutor
@@ -129,10 +131,10 @@ def spin(
         node: The node that reports errors.
         executor: Executor with the node.
         stopped: Called after each callback.
-        context: Context of the executor; rclpy's default one if None.
+        context: Context of the executor. If None, rclpy's default context.
 
     Raises:
-        RosError: Nothing but errors for ten seconds.
+        RosError: There were only errors for ten seconds.
     """
     import rclpy
     from rclpy.executors import ExternalShutdownException
@@ -155,7 +157,8 @@ def spin(
 
 
 def run_node(make: Callable[[], Any]) -> int:
-    """Run one node, and nodes that it has created, until a stop signal; a second one ends it at once.
+    """Run one node, and nodes that it has created, until a stop signal. A second signal ends the process at
+    once.
 
     Returns:
         Exit code: ``exit_code`` of a node that has ended by itself, 0 after a stop signal, 1 if the

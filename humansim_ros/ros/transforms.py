@@ -21,12 +21,13 @@ except ImportError:  # not on PyPI
 
 
 class TransformSender:
-    """Publishes transforms on ``/tf`` and ``/tf_static``, or nowhere without the package tf2_msgs.
+    """Publishes transforms on ``/tf`` and ``/tf_static``. If the package tf2_msgs is missing, nothing is
+    published.
 
     Args:
         node: The node that publishes.
-        parts: Topics of its transforms. Those that have no message per frame are published at once.
-        stamp: Stamp of these, nanoseconds.
+        parts: Topics of its transforms. Topics without a message per frame are published at once.
+        stamp: Stamp of the transforms that are published at once, nanoseconds.
     """
 
     def __init__(self, node: SceneNode, parts: Sequence[Topic[Any]], stamp: int) -> None:
@@ -42,7 +43,7 @@ class TransformSender:
             self._dynamic.publish(TFMessage(transforms=transforms))
 
     def send_static(self, parts: Sequence[Topic[Any]], stamp: int) -> None:
-        """Publish all static transforms of the node: late subscribers get the last call.
+        """Publish all static transforms of the node. Nodes that subscribe later get those of the last call.
 
         Args:
             parts: Their topics, with a content that does not depend on the frame.

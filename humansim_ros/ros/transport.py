@@ -18,11 +18,11 @@ from pathlib import Path
 
 from humansim_ros.io.assets import resource_path
 
-#: Bytes of a segment on a machine with enough memory: frames of several cameras.
+#: Size of a segment on a machine with enough memory, bytes: room for frames of several cameras.
 FULL_SEGMENT = 1 << 26
-#: Bytes of a segment below which it loses more images than UDP.
+#: A segment smaller than this, bytes, would lose more images than UDP.
 _MIN_SEGMENT = 1 << 20
-#: Share of the free memory for processes that start together; the rest is for subscribers and ports.
+#: Share of the free memory for processes that start together. The rest is for subscribers and ports.
 _SHARE = 0.8
 _FOLDER = Path("/dev/shm")
 #: Beginning of the names of files: of Fast DDS 2 (Jazzy), and of Fast DDS 3 (Kilted and later).
@@ -31,17 +31,15 @@ _SEGMENT, _PORT = re.compile(rf"{_PREFIX}[0-9a-f]{{16}}"), re.compile(rf"{_PREFI
 _LOCK = re.compile(rf"/dev/shm/({_PREFIX}\w+)_[es]l")
 #: First bytes of a segment or port that its process has completed (boost::interprocess).
 _COMPLETE = (2).to_bytes(4, "little")
-#: Seconds in which a live process has surely made and locked a file that it has begun.
+#: A live process has surely made and locked a file this time after beginning it, seconds.
 _MAKING = 3.0
-#: Seconds between two looks at the files of a process.
+#: Seconds between two checks of the files of a process.
 _INTERVAL = 1.0
 
 
 def free_memory(folder: Path | None = None) -> float:
-    """Free bytes of /dev/shm: 0 if there is none or it is not writable, infinity without a limit.
-
-    ``folder``: another folder in its place.
-    """
+    """Free bytes of /dev/shm. 0 if it is missing or not writable, infinity if it has no limit. ``folder``:
+    folder to check in place of /dev/shm."""
     folder = folder or _FOLDER
     try:
         found = os.statvfs(folder)
@@ -53,7 +51,7 @@ def free_memory(folder: Path | None = None) -> float:
 
 
 def segment_size(free: float, participants: int | None = None) -> int:
-    """Bytes of a segment for which /dev/shm has space; 0 if it has too little.
+    """Size of a segment that fits into /dev/shm, bytes. 0 if there is too little space.
 
     Args:
         free: Free bytes of /dev/shm.
@@ -65,14 +63,15 @@ def segment_size(free: float, participants: int | None = None) -> int:
 
 
 class SharedMemoryFiles:
-    """Segments and ports of child processes, noted while they live, removed after their death."""
+    """Segments and ports of child processes. They are noted while the children live, and removed after their
+    death."""
 
     def __init__(self) -> None:
         self._names: dict[int, set[str]] = {}
         self._next = 0.0
 
     def note(self, pids: Iterable[int], now: bool = False) -> None:
-        """Note the files of living processes, once a second or ``now``. Call it as often as you like."""
+        """Note the files of living processes, at most once a second unless ``now`` is set."""
         if not now and time.monotonic() < self._next:
             return
         for pid in pids:
@@ -103,10 +102,8 @@ def files_of_fast_dds(folder: Path) -> list[Path]:
 
 
 def remove_dead_files() -> None:
-    """Remove segments of dead processes of this user, and ports that were not completed.
-
-    Complete ports stay: Fast DDS takes them over, and another process may be about to do so.
-    """
+    """Remove segments of dead processes of this user, and ports that were not completed. Complete ports stay,
+    since Fast DDS reuses them, and another process may be about to do so."""
     with suppress(OSError):
         for path in files_of_fast_dds(_FOLDER):
             with suppress(OSError):
@@ -134,7 +131,7 @@ def _remove(name: str) -> None:
 
 @contextmanager
 def _locked(path: Path) -> Iterator[Path]:
-    """Lock a file as Fast DDS does, so that no process takes it over meanwhile; OSError if it is locked."""
+    """Lock a file in the same way as Fast DDS, so that no process reuses it. OSError if it is locked."""
     flags = os.O_RDONLY | os.O_CREAT | os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC
     descriptor = os.open(path, flags, 0o644)
     try:
@@ -146,7 +143,7 @@ def _locked(path: Path) -> Iterator[Path]:
 
 #: Environment variables that name the profiles of Fast DDS: version 2 reads the first, version 3 the second.
 PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
-#: Environment variables that mean that the user has configured the transports of Fast DDS.
+#: If one of these environment variables is set, the user has said which hosts may find the nodes.
 _TRANSPORT_SETTINGS = (
     *PROFILES,
     "FASTDDS_BUILTIN_TRANSPORTS",
@@ -158,22 +155,22 @@ _DISCOVERY_SETTINGS = (_RANGE, "ROS_STATIC_PEERS", "ROS_LOCALHOST_ONLY", *_TRANS
 _FAST_DDS = ("", "rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp")
 #: Environment variable that profiles of Fast DDS read.
 _SEGMENT_BYTES = "HUMANSIM_SEGMENT_BYTES"
-#: Environment variable by which rmw_fastrtps takes the memory policy of readers from the profiles.
+#: Environment variable that makes rmw_fastrtps take the memory policy of readers from the profiles.
 _MEMORY_POLICY = "RMW_FASTRTPS_USE_QOS_FROM_XML"
-#: Bytes of a segment below which large images may be lost.
+#: With a smaller segment than this, bytes, large images may be lost.
 _SMALL_SEGMENT = 1 << 24
-#: Bytes in /dev/shm of a process with a segment that has its full size.
+#: Size in /dev/shm of a process with a full-size segment, bytes.
 _FULL_PROCESS = 70e6
 
 
 @dataclass(frozen=True)
 class Transport:
-    """Transport of the nodes that a process starts, and of its own.
+    """Transport for this process and the nodes that it starts.
 
     Attributes:
         environment: Environment variables that set it.
         reach: Who can find the nodes, for people.
-        warning: Effect of too little shared memory, and the remedy; empty if there is enough.
+        warning: Effect of too little shared memory, and the remedy. Empty if there is enough.
     """
 
     environment: dict[str, str]
@@ -186,7 +183,7 @@ def choose_transport(participants: int | None = None, network: bool = True) -> T
 
     Args:
         participants: Number of processes that start together. If None, this process starts alone.
-        network: Other hosts may find the nodes.
+        network: Whether other hosts may find the nodes.
     """
     for name in _DISCOVERY_SETTINGS:
         if os.environ.get(name):
@@ -214,13 +211,13 @@ def choose_transport(participants: int | None = None, network: bool = True) -> T
 
 @functools.cache
 def _has_fast_dds_3() -> bool:
-    """Whether the ROS of this process has Fast DDS 3, as Kilted and later: its library has another name."""
+    """Whether the ROS of this process has Fast DDS 3 (Kilted and later). Its library has another name."""
     folders = [f"{sys.prefix}/lib", *os.environ.get("LD_LIBRARY_PATH", "").split(":")]
     return any(any(Path(folder).glob("libfastdds.so*")) for folder in folders if folder)
 
 
 def _profile(segment: int, network: bool) -> str:
-    """Name of the profile of Fast DDS for segments of a size. If 0, without shared memory."""
+    """Name of the profile of Fast DDS for segments of a size. 0 stands for no shared memory."""
     if segment == FULL_SEGMENT and network:
         return "fastdds"
     if segment:
@@ -241,18 +238,18 @@ def _warning(segment: int, free: float, participants: int | None) -> str:
     return f"/dev/shm has {free / 1e6:.0f} MB free, so {effect}. In Docker: --shm-size={gigabytes}g"
 
 
-#: Domains whose UDP ports lie below the ephemeral ports of Linux; everybody else uses domain 0.
+#: Domains with UDP ports below the ephemeral ports of Linux. Domain 0 is left out, since everybody uses it.
 _DOMAINS = range(1, 100)
 
 
 def claim_domain() -> int:
-    """A ROS domain that no other test or challenge of this machine uses, until this process ends."""
+    """A ROS domain that no other test or challenge on this machine uses until this process ends."""
     return _claim(os.getpid())[0]
 
 
 @functools.cache
 def _claim(process: int) -> tuple[int, int | None]:
-    """The domain of a process, and the descriptor of the file that is locked until the process ends."""
+    """The domain of a process, and the descriptor of a file that stays locked until the process ends."""
     first = process % len(_DOMAINS)
     for domain in (*_DOMAINS[first:], *_DOMAINS[:first]):
         path = Path(tempfile.gettempdir()) / f"humansim_test_domain_{domain}.lock"
@@ -270,5 +267,5 @@ def _claim(process: int) -> tuple[int, int | None]:
 
 
 def domain_environment(domain: int) -> dict[str, str]:
-    """Environment variables of a ROS domain that other hosts do not see."""
+    """Environment variables for a ROS domain that other hosts do not see."""
     return {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}

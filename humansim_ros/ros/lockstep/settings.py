@@ -131,7 +131,7 @@ def true_or_false(name: str, text: str) -> bool:
 
 
 def _number(name: str, arguments: Mapping[str, str]) -> float | None:
-    """Number from a launch argument; None if it is not given. Raises RosError."""
+    """Number from a launch argument; None for an empty argument. Raises RosError."""
     if name not in arguments:
         return None
     try:

@@ -50,14 +50,14 @@ from humansim_ros.ros.runtime import run_node
 from humansim_ros.scene import Scene
 from humansim_ros.scene.faults import FaultSchedule
 
-#: Frames with images that are remembered: late images come after images of newer frames.
+#: Most frames that are remembered with their images, since late images come after images of newer frames.
 _REMEMBERED = 1000
 #: Most copies of an image that faults make.
 _MOST = 2
 
 
 class ImageCopies:
-    """Number of copies of the message of a topic and stamp.
+    """Knows how many times the message of a topic and stamp is sent.
 
     Args:
         schedules: Faults by topic, of topics with messages that may be sent twice.
@@ -80,25 +80,27 @@ class ImageCopies:
                 del known[next(iter(known))]
 
     def __call__(self, topic: str, stamp: int) -> int:
-        """Copies of the message of a topic with a stamp; the most if its frame has not been noted yet."""
+        """Number of copies of the message of a topic with a stamp. If its frame has not been noted yet, the
+        largest number."""
         if topic not in self._schedules:
             return 1
         return self._known[topic].get(stamp, _MOST)
 
 
-#: Seconds between two looks for new topics and publishers.
+#: Seconds between two searches for new topics and publishers.
 _DISCOVERY_EVERY = 0.25
-#: Most new subscriptions of one look: each takes milliseconds in which no message is received.
+#: Most new subscriptions in one search. Each takes milliseconds during which no message is received.
 _MAX_NEW = 20
-#: Most topics: the middleware needs 100 kB for each.
+#: Most topics, since the middleware needs 100 kB for each.
 _MAX_TOPICS = 1000
 #: Seconds after which topics without messages are reported.
 _REPORT_AFTER = 5.0
-#: Seconds in which a recorder that is stopped takes messages that have arrived: publishers may go on.
+#: A recorder that is stopped takes messages that have arrived for at most this time, seconds, since
+#: publishers may go on.
 _MAX_TAKING = 1.0
 #: Most topics that a line of the log names.
 _MAX_NAMED = 5
-#: Nanoseconds at the end of a bag that is continued with messages that may come again.
+#: Messages in this time before the end of a continued bag, nanoseconds, may come again.
 _REPEATED = 10_000_000_000
 
 
@@ -110,7 +112,7 @@ class _Recorded:
         name: Its name.
         kind: Message class.
         number: Its number in the bag.
-        stamped: Messages begin with a stamp.
+        stamped: Whether messages begin with a stamp.
         publishers: Number of publishers to which the profile was adapted.
         profile: Profile of the subscription.
         subscription: The subscription.
@@ -152,7 +154,7 @@ class RecorderNode(SuiteNode):
         if topics and not names:
             names = [*(topic.in_namespace(space) for topic in topics if topic.recorded), "/clock"]
         self._choice = TopicChoice.of([*names, *awaited], space)
-        #: Types of the topics of the scene.
+        #: Types of the topics of the scene, by name.
         self._types = {topic.in_namespace(space): topic.type_name for topic in topics}
         self._frames: RecordedFrames | None = None
         self._timed: TimedTopics | None = None
@@ -170,7 +172,7 @@ class RecorderNode(SuiteNode):
         self._clock_steps = ClockSteps(lambda: self.now(), self.has_simulated_time)
         #: Log time of the last message, and nanoseconds by which the clock has been set back.
         self._log_time = self._set_back = 0
-        #: Number of messages that are in the bag or its queue, and of those that were dropped.
+        #: Numbers of messages: those in the bag or its queue, and those that were dropped.
         self.received = self._dropped = 0
         self._recorded: dict[str, _Recorded] = {}
         self._refused: dict[str, tuple[str, ...]] = {}
@@ -179,12 +181,12 @@ class RecorderNode(SuiteNode):
         on_written = self._report if lockstep else None
         self._bag = BagThread(self._bag_opener(compression), max_queue, compression, on_written)
         if lockstep:
-            # a second subscription, if the topic is recorded, too
+            # a second subscription, even if the topic is recorded
             self.create_subscription(TimeReference, SCENE_TIME, self._on_scene_time, DATA, raw=True)
         self.create_timer(_DISCOVERY_EVERY, self._discover, clock=self._steady_clock)
 
     def _bag_opener(self, compression: Compression) -> Callable[[], BagWriter]:
-        """Read the parameters of the bag; returns the function that opens it."""
+        """Read the parameters of the bag. Returns the function that opens it."""
         declare = self.described_parameter
         text = self.text_parameter("output", "", "Folder of the bag")
         storage = self._choice_parameter("storage", "Format of the files", Storage)
@@ -207,7 +209,7 @@ class RecorderNode(SuiteNode):
         )
 
     def _resumed(self, folder: Path, max_size: int, max_duration: float) -> BagWriter:
-        """Open a bag that exists, and note its last messages: they will be repeated or followed."""
+        """Open an existing bag, and note its last messages, since they will be repeated or continued."""
         writer = BagWriter.resume(folder, max_size=max_size, max_duration=max_duration)
         if writer.end is None:
             return writer
@@ -232,7 +234,7 @@ class RecorderNode(SuiteNode):
     # --- topics
 
     def _discover(self) -> None:
-        """Subscribe to chosen topics that have appeared, and follow changes of publishers."""
+        """Subscribe to chosen topics that have appeared, and react to changes of publishers."""
         if self._bag.error is not None:
             self.exit_code = 1
             return
@@ -256,13 +258,13 @@ class RecorderNode(SuiteNode):
         self._report_missing()
 
     def _is_new(self, name: str, types: tuple[str, ...]) -> bool:
-        """Whether a topic is to be recorded, and has publishers; not if it was refused with these types."""
+        """Whether a topic must be recorded now: it has publishers, and was not refused with these types."""
         if not self._choice.has(name) or self._refused.get(name) == types:
             return False
         return self.publisher_count(name) > 0
 
     def publisher_count(self, topic: str) -> int:
-        """Number of publishers of a topic, also of one with a name that ROS does not permit."""
+        """Number of publishers of a topic, even if ROS does not permit its name."""
         return int(self.handle.get_count_publishers(topic))
 
     def _record(self, name: str, types: Sequence[str]) -> None:
@@ -297,7 +299,7 @@ class RecorderNode(SuiteNode):
             self.destroy_subscription(old)
 
     def _follow_publishers(self, recorded: _Recorded) -> None:
-        """Change the profile of a subscription if new publishers offer less."""
+        """Change the profile of a subscription if new publishers offer less quality of service."""
         number = self.publisher_count(recorded.name)
         if number in (0, recorded.publishers):
             return
@@ -318,7 +320,7 @@ class RecorderNode(SuiteNode):
             self.get_logger().warn(f"nothing publishes {pattern}: it is recorded when it appears{advice}")
 
     def _report_missing(self) -> None:
-        """Report the topics for which a frame in lockstep waits, every five seconds."""
+        """Report, every five seconds, the topics that a frame in lockstep waits for."""
         now = time.monotonic()
         if self._frames is None or not self._frames.missing:
             self._waiting_since = now
@@ -372,7 +374,7 @@ class RecorderNode(SuiteNode):
     # --- lockstep
 
     def _on_scene_time(self, data: bytes) -> None:
-        """A frame begins, or is sent again: perhaps because a new player has not heard the report."""
+        """A frame begins or is sent again, perhaps because a new player has not received the report."""
         stamp = serialised_stamp(data)
         if self._frames is None:
             return
@@ -388,7 +390,7 @@ class RecorderNode(SuiteNode):
         self._end_frame()
 
     def _end_frame(self) -> None:
-        """Let a frame that has become whole be written, and then reported."""
+        """If a frame has become complete, let it be written and then reported."""
         stamp = self._frames.take_whole() if self._frames else None
         if stamp is not None:
             self._bag.end_frame(stamp)
@@ -403,7 +405,7 @@ class RecorderNode(SuiteNode):
     # --- end
 
     def complete(self) -> None:
-        """Write all that has been received, and finish the bag."""
+        """Write everything that has been received, and finish the bag."""
         deadline = time.monotonic() + _MAX_TAKING
         for recorded in self._recorded.values():
             self.take_waiting(recorded.subscription, deadline)
@@ -423,10 +425,10 @@ class RecorderNode(SuiteNode):
 
 
 def has_message_per_frame(topic: Topic[Any]) -> bool:
-    """Whether a topic has exactly one message for each frame when the frame has been shown.
+    """Whether a topic has exactly one message for each frame, soon after the frame.
 
-    Not those that compare a frame with the next or the previous one, because a camera that was started again
-    lacks that; nor those without a stamp, those that a camera with faults may lose, sweeps of scanners, and
+    These topics do not: topics that compare a frame with the next or previous one, since a restarted camera
+    lacks it; topics without a stamp; topics that a camera with faults may lose; sweeps of scanners; and
     people who may not be seen.
     """
     compared = any(CHANNEL_TABLE[channel].adjacent_frame for channel in topic.channels)
@@ -435,7 +437,7 @@ def has_message_per_frame(topic: Topic[Any]) -> bool:
 
 
 def _copies(scene: Scene, topics: Mapping[str, Topic[Any]]) -> ImageCopies:
-    """How often the messages of topics are sent; ``topics``: by absolute name."""
+    """How many times the messages of topics are sent. ``topics``: topics by absolute name."""
     faults = {
         name: scene.scene_cameras[topic.camera].faults for name, topic in topics.items() if topic.faulty
     }
@@ -453,7 +455,7 @@ def _listed(texts: Sequence[str], separator: str) -> str:
 
 
 def _stamp(data: bytes) -> int | None:
-    """Stamp at the beginning of a message; None if it is not valid."""
+    """Stamp at the start of a message; None for an invalid stamp."""
     try:
         return serialised_stamp(data)
     except RosError:

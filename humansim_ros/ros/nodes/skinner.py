@@ -1,11 +1,10 @@
 """Node ``skinner``: poses and skins one human from its motion messages.
 
-Subscribes to ``humans/<id>/motion`` of any sender: the motion player, or live motion capture, whose joint
-names, scale and rest pose are detected from its messages (docs/playing.md); to the legend of the motion
-player, ``humans/<id>/motion/legend``; and to ``humans/<id>/frame``, with which the motion player gives the
-stamps of the frames of a live human. Publishes ``humans/<id>/joints``, ``vertices``, ``markers``, ``face`` of
-a human whose face moves and, for subscribers, ``keypoints/<set>`` with the same stamp, and latched
-``humans/<id>/mesh``.
+Subscribes to ``humans/<id>/motion`` of any sender: the motion player, or live motion capture. For the latter,
+joint names, scale and rest pose are detected from the messages (docs/playing.md). Subscribes also to the
+legend of the motion player, ``humans/<id>/motion/legend``, and to ``humans/<id>/frame``, the stamps of frames
+for a live human. Publishes ``humans/<id>/joints``, ``vertices``, ``markers``, ``face`` if the face moves and,
+for subscribers, ``keypoints/<set>`` with the same stamp, and latched ``humans/<id>/mesh``.
 """
 
 from __future__ import annotations
@@ -32,14 +31,14 @@ from humansim_ros.scene.config import LIVE
 from humansim_ros.scene.human_state import HumanState
 from humansim_ros.scene.live import LiveRetargeter
 
-#: Seconds between two lines about changes of the source.
+#: Seconds between two log lines about changes of the source.
 _CHANGES_EVERY = 10.0
-#: Seconds without a message after which a live source is silent, before its first message and after it.
+#: A live source is silent after this time without a message, seconds: before its first message, and later.
 _SILENT_AT_START, _SILENT_AFTER = 3.0, 2.0
 
 
 class SourceLog:
-    """Writes what a user of live motion capture has to know, each thing once.
+    """Logs what a user of live motion capture must know. Each fact is logged once.
 
     Args:
         log: Writes a line.
@@ -55,7 +54,7 @@ class SourceLog:
         self._heard = self._silent = False
 
     def add_source(self, number: int, text: str, now: float) -> bool:
-        """Log a change of the source: at once, and then at most every ten seconds.
+        """Log a change of the source. Further changes are logged at most every ten seconds.
 
         Args:
             number: Number of the source; 0 for the source of the scene.
@@ -76,7 +75,7 @@ class SourceLog:
         return True
 
     def add_frame(self, has_message: bool, now: float) -> bool:
-        """Record a frame of a live human, and log when its source is silent and when it is back.
+        """Record a frame of a live human. Logs when the source becomes silent and when it is back.
 
         ``has_message``: whether a message has arrived since the last frame. ``now``: monotonic seconds.
 
@@ -101,19 +100,17 @@ class SourceLog:
         return True
 
     def forget_frames(self) -> None:
-        """Forget the live frames: the motion player moves the human again."""
+        """Forget the live frames, since the motion player moves the human again."""
         self._since, self._heard, self._silent = None, False, False
 
 
-#: Seconds without a frame of the motion player after which a live source gives the stamps itself.
+#: After this time without a frame of the motion player, seconds, a live source sets the stamps itself.
 _PLAYER_GONE_AFTER = 3.0
 
 
 class SkinnerNode(SceneNode):
-    """Computes joints and vertices of a body from the joints of a motion.
-
-    A skinner of a rig is given the name of its ``human``, which others read from a parameter.
-    """
+    """Computes joints and vertices of a body from the joints of a motion. A skinner of a rig gets the name of
+    its ``human``. Other skinners read it from a parameter."""
 
     def __init__(self, human: str = "", **options: Any) -> None:
         super().__init__("skinner", **options)
@@ -131,7 +128,7 @@ class SkinnerNode(SceneNode):
         )
         live = self.scene.config.humans[name].motion.file == LIVE
         self._live_retargeter = LiveRetargeter(self._actor, self._find_table(table), live)
-        # of a live human: its newest message, its last body, and when the player last asked for a frame
+        # for a live human: its newest message, its last body, and when the player last asked for a frame
         self._message: MultiDOFJointState | None = None
         self._body: HumanState | None = None
         self._asked: float | None = None
@@ -219,10 +216,8 @@ class SkinnerNode(SceneNode):
         self.report_lateness(stamp)
 
     def _wait_for(self, stamp: int) -> None:
-        """Wait until a stamp: the motion player sends motions ahead, but bodies are published on time.
-
-        A stamp farther ahead than any lead is from another clock.
-        """
+        """Wait until a stamp, since the motion player sends motions ahead, but bodies are published on time.
+        A stamp farther ahead than any lead is from another clock."""
         if self.has_simulated_time():  # it may run at any rate, and /clock may arrive after the motion
             return
         wait = (stamp - self.now()) * 1e-9

@@ -1,7 +1,7 @@
 """Node ``skinner_rig``: the skinners of several humans of a scene in one process.
 
-Each skinner is a node with the name, topics, parameters and diagnostics that it has in a process of its own.
-They share the scene, and bodies that several humans have. The node that holds them is hidden.
+Each skinner is a node with the same name, topics, parameters and diagnostics as in its own process. The
+skinners share the scene, and bodies that several humans have. The node that holds them is hidden.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""Parts of the motion player: real time, motions, services."""
+"""The parts that the motion player consists of: real time, motions, services."""

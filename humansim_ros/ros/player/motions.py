@@ -1,4 +1,4 @@
-"""Motions of the player: parameters, motions that requests name, and reading them in a thread."""
+"""Motions of the player: parameters, motions that requests name, and a thread that reads them."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ from humansim_ros.scene.source import SceneSource
 MAX_SECONDS = 1e6
 #: Value of the parameter of the hands for the hands of the scene file.
 HANDS_OF_SCENE = "scene"
-#: Most characters of that parameter.
+#: Most characters of the parameter of the hands.
 _MAX_HANDS = 100
 
 
 @dataclass(frozen=True)
 class _Setting:
-    """Parameter of a human's motion. ``key``: its key below ``motion`` in the scene file."""
+    """A parameter of a human's motion. ``key``: its key under ``motion`` in the scene file."""
 
     key: str
     type: Parameter.Type
@@ -46,14 +46,14 @@ class _Setting:
     constraints: str = ""
 
     def parameter_value(self, motion: MotionConfig) -> Any:
-        """Value of the parameter for a motion of a scene file; 0 for an absent end."""
+        """Value of the parameter for a motion of a scene file. An absent end is 0."""
         if self.key == "hands":
             return HANDS_OF_SCENE
         value = getattr(motion, self.key)
         return 0.0 if value is None else value
 
     def config_value(self, value: Any, of_scene: MotionConfig) -> Any:
-        """Value of the scene key for a value of the parameter; ``of_scene``: the motion of the scene file."""
+        """Value of the scene key for a value of the parameter. ``of_scene``: motion of the scene file."""
         if self.key == "hands":
             return of_scene.hands if value == HANDS_OF_SCENE else _hand_keys(value)
         return None if self.key == "end" and value == 0 else value
@@ -95,12 +95,13 @@ _SETTINGS = {
         f"{HANDS_OF_SCENE}",
     ),
 }
-#: Settings with a parameter for all humans; parameter ``speed`` without a human is the speed of the clock.
+#: Settings with a parameter for all humans. Parameter ``speed`` without a human is the speed of the clock.
 _SHARED = tuple(name for name in _SETTINGS if name not in ("speed", "hands"))
 
 
 def _hand_keys(text: str) -> tuple[dict[str, str], ...]:
-    """Keys of ``hands`` of a scene file for a value of the parameter: a pose, or poses of sides.
+    """Keys of ``hands`` of a scene file for a value of the parameter. The value is a pose, or a pose for each
+    side.
 
     Raises:
         MotionError: The text is too long.
@@ -148,10 +149,9 @@ class MotionParameters:
         node.set_parameters([Parameter(name, value=value) for name, value in self._common({}).items()])
 
     def complete(self, parameters: Sequence[Parameter]) -> list[Parameter]:
-        """Add parameters that change along: each human's with that for all, start and end with the file.
-
-        None is added to parameters of a wrong type, which rclpy refuses.
-        """
+        """Add parameters that change together with the given ones: those of each human with those for all,
+        start and end with the file. Nothing is added to parameters with a wrong type, since rclpy refuses
+        them."""
         for parameter in parameters:
             setting = _SETTINGS.get(parameter.name.rpartition(".")[2])
             if setting is not None and parameter.type_ != setting.type:
@@ -176,10 +176,8 @@ class MotionParameters:
         return list(out.values())
 
     def changes(self, parameters: Sequence[Parameter]) -> dict[str, dict[str, Any]]:
-        """Changed motion settings by human, with the keys of the scene file.
-
-        A motion that is set is always among them: its file may have changed.
-        """
+        """Changed motion settings by human, with the keys of the scene file. A motion that is set is always
+        included, since its file may have changed."""
         changes: dict[str, dict[str, Any]] = {}
         for parameter in parameters:
             human, _, name = parameter.name.rpartition(".")
@@ -193,7 +191,7 @@ class MotionParameters:
         return changes
 
     def _common(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Values that all humans have in common, by parameter. ``values`` replace present ones."""
+        """Values that hold for all humans, by parameter. ``values`` replace present values."""
         common = {}
         for name in _SHARED:
             each = [
@@ -207,13 +205,13 @@ class MotionParameters:
 
 #: Name of the parameter with the folders.
 MOTION_FOLDERS = "motion_folders"
-#: Largest motion file that a request may name: it is read within seconds.
+#: Largest motion file that a request may name, bytes. It is read within seconds.
 MAX_BYTES = 64 << 20
 
 
 @dataclass(frozen=True)
 class RequestedMotions(SceneSource):
-    """Source of the motions of requests: built-in motions, and files in some folders.
+    """Finds the motions that requests name: built-in motions, and files in some folders.
 
     Attributes:
         allowed: Folders with files that may be named, without links.
@@ -229,8 +227,8 @@ class RequestedMotions(SceneSource):
 
         Args:
             source: Source of the scene.
-            folders: Further folders; relative ones start from the scene's folder.
-            named: Names of motions that are allowed wherever they are.
+            folders: Further folders. Relative paths start from the scene's folder.
+            named: Names of motions that are allowed in any folder.
 
         Raises:
             MotionError: A folder is missing.
@@ -297,10 +295,8 @@ T = TypeVar("T")
 
 
 class BackgroundWork:
-    """Runs one piece of work at a time in a thread, and waits for it for a limited time.
-
-    A thread cannot be stopped: after work that takes longer, new work is refused until it has ended.
-    """
+    """Runs one piece of work at a time in a thread, and waits for it for a limited time. A thread cannot be
+    stopped. So if work takes longer, new work is refused until it has ended."""
 
     def __init__(self, seconds: float) -> None:
         self._seconds = seconds
@@ -308,11 +304,11 @@ class BackgroundWork:
 
     @property
     def is_busy(self) -> bool:
-        """Whether earlier work has not ended."""
+        """Whether earlier work has not ended yet."""
         return self._result is not None and not self._result.done()
 
     def run(self, work: Callable[[], T], meanwhile: Callable[[], object], pause: float) -> T:
-        """Return the result of ``work``; until then call ``meanwhile`` every ``pause`` seconds.
+        """Return the result of ``work``. Until it is ready, call ``meanwhile`` every ``pause`` seconds.
 
         Raises:
             RosError: The work takes too long, or earlier work has not ended.

@@ -1,4 +1,4 @@
-"""How a motion player goes on from frame to frame: its strategies share this interface."""
+"""How a motion player advances from frame to frame. Its strategies share this interface."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from humansim_ros.scene.state import SceneState
 
 #: Most frames that are requested during a pause and not sent yet.
 MAX_WAITING = 100
-#: Seconds between two looks at the topic of steps, and the range of their time limit.
+#: Seconds between two checks of the topic of steps, and range of their time limit.
 _LOOK_EVERY, _LIMITS = 0.05, (0.1, 3600.0)
 
 
 class FramePlayer(SceneNode):
-    """Node whose frames a :class:`Playing` sends.
+    """Node with frames that a :class:`Playing` sends.
 
     Attributes:
         playback: Motions.
         playback_clock: Stamp and scene time of each frame.
-        playing: How it goes on from frame to frame.
+        playing: Strategy that sends the frames.
         stamped_steps: Steps that wait for a message on a topic.
     """
 
@@ -46,15 +46,12 @@ class FramePlayer(SceneNode):
         raise NotImplementedError
 
     def restart(self) -> Tick:
-        """Jump to scene time 0; returns the frame that shows it."""
+        """Jump to scene time 0. Returns the frame that shows it."""
         raise NotImplementedError
 
     def change_motions(self, changes: Mapping[str, Mapping[str, Any]]) -> None:
-        """Change the motions of humans at once.
-
-        ``changes``: keys of a section ``motion`` by human. Raises HumansimError, and changes nothing, if one
-        cannot be played.
-        """
+        """Change the motions of several humans at once. ``changes``: keys of a section ``motion`` by human.
+        Raises HumansimError, and changes nothing, if one cannot be played."""
         raise NotImplementedError
 
     def restart_legends(self) -> None:
@@ -75,7 +72,7 @@ class Playing(ABC):
     @property
     @abstractmethod
     def is_paused(self) -> bool:
-        """Whether frames follow only on request."""
+        """Whether frames are sent only on request."""
 
     @property
     @abstractmethod
@@ -88,9 +85,9 @@ class Playing(ABC):
 
     @abstractmethod
     def step(self, frames: int = 1, done: Callable[[], object] | None = None) -> Tick:
-        """Play some frames during a pause. At most ``MAX_WAITING`` may wait, see :attr:`waiting`.
+        """Play some frames during a pause. At most ``MAX_WAITING`` may wait (see :attr:`waiting`).
 
-        ``done``: called when they are finished.
+        ``done``: called when the frames are finished.
 
         Returns:
             The last of these frames.
@@ -98,29 +95,30 @@ class Playing(ABC):
 
     @abstractmethod
     def seek(self, seconds: float) -> Tick:
-        """Jump to a scene time, as soon as possible; returns the frame that shows it."""
+        """Jump to a scene time as soon as possible. Returns the frame that shows it."""
 
     @abstractmethod
     def follow_rate(self) -> None:
-        """Go on after a change of the frames per second."""
+        """React to a change of the frames per second."""
 
     def report(self, stamp: int) -> None:  # noqa: B027
-        """Take note that the player has the odometry of a stamp in nanoseconds from another node."""
+        """Note that the player has received odometry of another node with a stamp in nanoseconds."""
 
     def close(self) -> None:  # noqa: B027
         """End playing."""
 
     @abstractmethod
     def work(self) -> None:
-        """Go on while the executor of the node waits for a callback."""
+        """Work while the executor of the node waits for a callback."""
 
 
 @dataclass
 class _Step:
-    """A step that is not answered yet.
+    """A step that has not been answered yet.
 
     Attributes:
-        done: Called at its end with the frame and why it has failed; no frame if none was played.
+        done: Called at its end with the frame, and the reason if it has failed. The frame is None if none was
+            played.
         deadline: Monotonic seconds at which it fails.
         tick: The frame, as soon as it is requested.
         is_played: Whether the player has finished it.
@@ -135,10 +133,10 @@ class _Step:
 
 
 class StampedSteps:
-    """Steps of a pause, each of which ends when a message with the stamp of its frame is on a topic.
+    """Steps of a pause. Each ends when a message with the stamp of its frame arrives on a topic.
 
     Parameters of the player, which may be set at any time: ``step_topic`` is the topic, such as the output of
-    a tracker; empty: steps wait for none. ``step_timeout``: seconds until a step fails.
+    a tracker. If it is empty, steps do not wait. ``step_timeout`` is the time until a step fails, seconds.
 
     Args:
         player: The node.
@@ -169,8 +167,8 @@ class StampedSteps:
     def play(self, done: Callable[[Tick | None, str], object]) -> None:
         """Play the next frame of a pause as soon as the topic has a publisher, and wait for its message.
 
-        ``done``: called once with the frame, and the reason why the step has failed, empty if it has not.
-        There is no frame if none was played.
+        ``done``: called once with the frame, and the reason why the step has failed, empty if it has not. The
+        frame is None if none was played.
 
         Raises:
             RosError: Another step waits.
@@ -181,13 +179,13 @@ class StampedSteps:
         self._look()
 
     def cancel(self, reason: str, done: Callable[[Tick | None, str], object] | None = None) -> None:
-        """End the step that waits, if there is one. ``done``: only a step that was played with it."""
+        """End the step that waits, if any. ``done``: only a step that was played with this ``done``."""
         if (step := self._step) is not None and done in (None, step.done):
             self._step = None
             step.done(step.tick, reason)
 
     def _look(self) -> None:
-        """Connect with the topic, send the frame of a step, or end it."""
+        """Check the topic. Then connect with it, send the frame of a step, or end the step."""
         step = self._step
         try:
             self._topics.update()
@@ -238,12 +236,12 @@ class StampedSteps:
 
 
 def _checked(topic: str) -> str:
-    """Return the value of ``step_topic``. Raises RosError if it is neither empty nor a name of a topic."""
+    """Return the value of ``step_topic``. Raises RosError if it is not empty and no name of a topic."""
     return topic_name("step_topic", topic) if topic else ""
 
 
 def _check(parameters: Sequence[Parameter]) -> SetParametersResult:
-    """Refuse a ``step_topic`` that is no name: it comes over the network."""
+    """Refuse a ``step_topic`` that is no valid name, since it comes over the network."""
     try:
         for parameter in parameters:
             if parameter.name == "step_topic" and isinstance(parameter.value, str):

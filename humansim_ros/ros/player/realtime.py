@@ -17,32 +17,32 @@ from humansim_ros.ros.qos import ALIVE, CAMERA_ALIVE, FRAME_DONE, REPORTS
 from humansim_ros.scene.playback import Tick
 from humansim_ros.scene.state import SceneState
 
-#: Newest sent frames that are remembered.
+#: Number of newest sent frames that are remembered.
 _MAX_SENT = 128
-#: Periods after the stamp of a frame until which two more may be sent while a camera still works on it: so
-#: that a short delay loses no frame.
+#: Until this many periods after the stamp of a frame, two more frames may be sent although a camera still
+#: works on it, so that a short delay loses no frame.
 _PERIODS_OF_GRACE = 2.5
-#: Camera processes that are waited for.
+#: Most camera processes that frames wait for.
 _MAX_CAMERAS = 100
-#: Seconds without a report after which a camera no longer delays the others; of a slow camera so many times
-#: the time of its last frame, up to the largest number of seconds.
+#: A camera without a report for this time, seconds, no longer delays the others. For a slow camera it is this
+#: multiple of the time of its last frame, up to the largest number of seconds.
 _GIVE_UP_AFTER, _FRAMES_WAITED, _LONGEST_WAIT = 2.0, 4.0, 10.0
-#: Cause of drops while camera processes run, of which none reports.
+#: Cause of drops while camera processes run but none has reported.
 _UNHEARD = "cameras, none of which has reported yet"
 #: Seconds without a report after which a camera is forgotten during a pause.
 _FORGET_AFTER = 10.0
-#: Seconds after which a paused pose is sent again: later images push earlier ones out of the queue to a slow
-#: subscriber.
+#: A paused pose is sent again after this time, seconds, since later images push earlier ones out of the queue
+#: to a slow subscriber.
 _REPEAT_AFTER = 0.5
-#: Seconds that the reason of drops looks back.
+#: The reason for drops considers this time before the present, seconds.
 _REASON_OVER = 1.0
 
 
 def pace_reason(causes: Mapping[str, int], load: float, cores: int) -> str:
-    """Text that says who sets the pace of a run that drops frames, and what helps.
+    """Text that says what limits the pace of a run that drops frames, and what helps.
 
     Args:
-        causes: Dropped frames by the camera that was late; by the empty name if the player was late itself.
+        causes: Number of dropped frames by camera that was late. The empty name stands for the player itself.
         load: Mean number of processes that want to run, of this machine.
         cores: Number of processors.
     """
@@ -57,14 +57,14 @@ def pace_reason(causes: Mapping[str, int], load: float, cores: int) -> str:
 
 
 class FramePacing:
-    """Frames that cameras have not finished yet, by the reports of the cameras.
+    """Knows which frames the cameras have not finished yet, from the reports of the cameras.
 
-    A camera that is late would have to skip frames. Each camera would skip others, and hardly a frame would
-    be complete. Therefore the sender skips them for all cameras, and a camera renders every frame that it
-    gets.
+    A camera that is late would have to skip frames. Each camera would skip different frames, so that hardly
+    any frame would be complete. So the sender skips frames for all cameras, and a camera renders every frame
+    that it gets.
 
-    While camera processes run of which none reports, as while all of them draw their static scenes, frames
-    become rarer: skinners and queues of cameras would else be full of frames that hardly a camera completes.
+    If camera processes run but none reports (all of them draw their static scenes), frames are sent less
+    often. Otherwise skinners and queues of cameras would be full of frames that hardly any camera completes.
 
     Stamps are nanoseconds; ``now`` is in monotonic seconds.
     """
@@ -73,9 +73,9 @@ class FramePacing:
         self._sent: deque[tuple[int, float]] = deque(maxlen=_MAX_SENT)
         # by camera: the newest stamp that it has finished, and the time of this report
         self._finished: dict[str, tuple[int, float]] = {}
-        # by camera, also of those that are given up: its newest stamp, and seconds from sending to the report
+        # by camera, including those that were given up: newest stamp, and seconds from sending to the report
         self._took: dict[str, tuple[int, float]] = {}
-        #: Number of camera processes that run, and when it has changed or a report has counted.
+        #: number of running camera processes; and when it has changed or a report has counted
         self._processes, self._heard = 0, 0.0
 
     def add_sent(self, stamp: int, now: float) -> None:
@@ -86,11 +86,9 @@ class FramePacing:
         self._sent.append((stamp, now))
 
     def add_finished(self, camera: str, stamp: int, now: float) -> None:
-        """Record the report of a camera that it has finished a frame, and with it all earlier ones.
-
-        Only frames that were sent count: others are reported by the cameras of another player. Frames of more
-        than ten seconds ago count if no other camera does: else a camera that needs so long delays nobody.
-        """
+        """Record that a camera has finished a frame and all earlier frames. Only sent frames count, since
+        other frames are reported by the cameras of another player. A frame from more than ten seconds ago
+        counts only if no other camera counts, so that a very slow camera does not delay others."""
         took = next((now - at for sent, at in self._sent if sent == stamp), None)
         if took is None or (took > _LONGEST_WAIT and self._finished):
             return
@@ -103,7 +101,8 @@ class FramePacing:
             self._took[camera] = stamp, took
 
     def set_processes(self, number: int, now: float) -> None:
-        """Record how many camera processes run. If one has ended, cameras count again when they report."""
+        """Record how many camera processes run. If one has ended, a camera counts again only when it
+        reports."""
         if number < self._processes:
             self.forget_cameras()
         self._processes, self._heard = number, now
@@ -114,10 +113,10 @@ class FramePacing:
         self._took.clear()
 
     def late_cameras(self, stamp: int, period: float, now: float) -> list[str]:
-        """Names of the cameras that have no time for a frame of this stamp.
+        """Names of the cameras that have no time for a frame with this stamp.
 
-        One unfinished frame is allowed, so that a camera has the next one when it finishes; two are if they
-        are recent.
+        A camera may have one unfinished frame, so that it has the next frame when it finishes. It may have
+        two if they are recent.
 
         Args:
             stamp: Stamp of the frame, nanoseconds.
@@ -143,10 +142,8 @@ class FramePacing:
         return late
 
     def _is_unheard(self, now: float) -> bool:
-        """Whether no camera reports, and the last frame was sent too recently for another one.
-
-        The time between frames grows with the silence, from one period to two seconds.
-        """
+        """Whether no camera reports, and the last frame was sent too recently to send another one. The time
+        between frames grows with the silence, from one period to two seconds."""
         if self._finished or not self._processes or not self._sent:
             return False
         last = self._sent[-1][1]
@@ -155,9 +152,9 @@ class FramePacing:
     def may_send_paused(self, unfinished: int, now: float) -> bool:
         """Whether a frame may be sent during a pause.
 
-        No frame of a pause may be lost, as it may be a step. So it is sent only while no camera has more than
-        ``unfinished`` frames to finish: they must fit into its queue. A camera that does not report delays
-        each frame by two seconds, until it is forgotten.
+        No frame of a pause may be lost, since it may be a step. So it is sent only while each camera has at
+        most ``unfinished`` frames to finish, which must fit into its queue. A camera that does not report
+        delays each frame by two seconds, until it is forgotten.
         """
         if not self._sent or now - self._sent[-1][1] > _GIVE_UP_AFTER:
             return True
@@ -170,7 +167,8 @@ class FramePacing:
         return True
 
     def may_repeat(self, now: float) -> bool:
-        """Whether the pose of a pause may be sent again: all cameras have finished it, half a second ago."""
+        """Whether the pose of a pause may be sent again: all cameras have finished it at least half a second
+        ago."""
         return self.may_send_paused(0, now) and (not self._sent or now - self._sent[-1][1] >= _REPEAT_AFTER)
 
 
@@ -178,7 +176,7 @@ class RealtimePlaying(Playing):
     """Sends frame k at start + round(k * period) on the node's clock.
 
     A late player skips to the newest frame and counts the drops. Cameras report each finished frame on
-    ``frame_done``; a frame that a camera has no time for is skipped, so that all cameras show the same
+    ``frame_done``. A frame that a camera has no time for is skipped, so that all cameras show the same
     frames.
 
     Args:
@@ -191,7 +189,7 @@ class RealtimePlaying(Playing):
         self._requested_lead = lead
         self._clock_steps = ClockSteps(lambda: player.now(), player.has_simulated_time)
         self._pacing = FramePacing()
-        #: Frames of a pause (steps, seeks) that wait until the cameras have time for them.
+        #: Frames of a pause (steps, seeks) that wait until cameras have time for them.
         self._waiting: deque[tuple[Tick, SceneState, Callable[[], object] | None]] = deque()
         #: Monotonic seconds and causes of the last drops, as :func:`pace_reason` takes them.
         self._drops: deque[tuple[float, str, int]] = deque(maxlen=_MAX_SENT)
@@ -202,12 +200,12 @@ class RealtimePlaying(Playing):
 
     @property
     def is_paused(self) -> bool:
-        """Whether scene time stands; the pose is sent twice a second."""
+        """Whether scene time stands still. The pose is then sent twice a second."""
         return self.clock.paused
 
     @property
     def waiting(self) -> int:
-        """Number of requested frames that the cameras have no time for yet."""
+        """Number of requested frames that wait for the cameras."""
         return len(self._waiting)
 
     def pause(self, paused: bool) -> None:
@@ -225,14 +223,14 @@ class RealtimePlaying(Playing):
         return tick
 
     def seek(self, seconds: float) -> Tick:
-        """Send a frame of a scene time now; continue from it."""
+        """Send a frame of a scene time now, and continue from it."""
         self.clock.seek(seconds)
         tick = self.clock.cut(self._stamp_now())
         self._send_at_once(tick)
         return tick
 
     def follow_rate(self) -> None:
-        """Send a frame now; later ones are counted from it."""
+        """Send a frame now. Later frames are counted from it."""
         self._send_at_once(self.clock.cut(self._stamp_now()))
 
     def work(self) -> None:
@@ -263,7 +261,7 @@ class RealtimePlaying(Playing):
 
     @property
     def _lead(self) -> int:
-        """Nanoseconds; at most a period, so that motions do not queue up at the skinners."""
+        """Lead in nanoseconds. It is at most a period, so that motions do not queue up at the skinners."""
         return round(min(self._requested_lead, self.clock.period))
 
     def _stamp_now(self) -> int:
@@ -294,7 +292,7 @@ class RealtimePlaying(Playing):
         self._pacing.set_processes(change.alive_count, time.monotonic())
 
     def _send_waiting(self) -> None:
-        """Publish the next waiting frames for which the cameras have time."""
+        """Publish the next waiting frames that the cameras have time for."""
         while self._waiting and self._pacing.may_send_paused(1, time.monotonic()):
             tick, shown, done = self._waiting.popleft()
             self._send(tick, shown)
@@ -320,10 +318,8 @@ class RealtimePlaying(Playing):
         self.player.drop_reason = pace_reason(recent, os.getloadavg()[0], os.cpu_count() or 1)
 
     def _send_at_once(self, tick: Tick, done: Callable[[], object] | None = None) -> None:
-        """Publish a frame between two calls of the timer; timer and clock go on from here.
-
-        During a pause it waits until the cameras have time for it, so that none loses it.
-        """
+        """Publish a frame between two calls of the timer. Timer and clock continue from here. During a pause
+        the frame waits until all cameras have time for it, so that no camera loses it."""
         self.timer.timer_period_ns = round(self.clock.period)
         self.timer.reset()
         shown = self.player.playback.show(tick.elapsed, tick.pace)

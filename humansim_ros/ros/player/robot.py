@@ -1,4 +1,4 @@
-"""The robot of a motion player: commands or odometry come in, odometry and tf go out."""
+"""The robot of a motion player. It receives commands or odometry, and publishes odometry and tf."""
 
 from __future__ import annotations
 
@@ -20,14 +20,15 @@ from humansim_ros.scene.features.robot.robot import Robot
 from humansim_ros.scene.playback import Playback, Tick
 from humansim_ros.scene.state import SceneState
 
-#: Most seconds over which a robot is moved at the velocity of its newest odometry.
+#: A robot is moved at the velocity of its newest odometry for at most this time, seconds.
 _MOST_AHEAD = 0.3
-#: Metres, besides its velocity times the time between them, between two poses of a robot that has not jumped.
+#: A robot has jumped if two poses are farther apart than its velocity explains by more than this distance,
+#: metres.
 _JUMP = 0.5
 
 
 class RobotPort:
-    """Moves the robot of a scene by commands or by the odometry of another node, and publishes where it is.
+    """Moves the robot of a scene by commands or by odometry of another node, and publishes its pose.
 
     Args:
         node: The motion player.
@@ -38,7 +39,7 @@ class RobotPort:
     def __init__(self, node: FramePlayer, playback: Playback, robot: Robot) -> None:
         self._node, self._playback, self._robot = node, playback, robot
         self._odom: Any = None
-        #: Stamp and pose of the newest odometry of another node, and of the one before it.
+        #: Stamp and pose of the newest odometry of another node, and of the previous one.
         self._newest: tuple[int, ObjectPose] | None = None
         self._before: tuple[int, ObjectPose] | None = None
         config = robot.config
@@ -53,7 +54,7 @@ class RobotPort:
         self._transforms = TransformSender(node, [self._topics.start, self._topics.base], node.now())
 
     def placed(self, tick: Tick, shown: SceneState) -> SceneState:
-        """Poses of a frame with the robot where the odometry of another node has it."""
+        """Poses of a frame, with the robot at the place that odometry of another node states."""
         if self._robot.config.odometry is None:
             return shown
         if self._newest is None:
@@ -102,7 +103,7 @@ class RobotPort:
         self._node.playing.report(stamp)
 
     def _look_for_jump(self, stamp: int, pose: ObjectPose) -> None:
-        """Say, and interpolate no more, if the newest odometry is far from the one before it."""
+        """If the newest odometry is far from the previous one, log it and do not interpolate between them."""
         if self._before is None:
             return
         seconds = (stamp - self._before[0]) * 1e-9

@@ -1,7 +1,7 @@
 """Services of the standard package ``simulation_interfaces``: tools for other simulators drive the player.
 
-They are served where the package is installed (docs/simulation_interfaces.md): below the name of the node, as
-Gazebo has them.
+They are served if the package is installed (docs/simulation_interfaces.md), in the namespace of the node's
+name, as in Gazebo.
 """
 
 from __future__ import annotations
@@ -69,21 +69,21 @@ _FEATURES = (
 _INFO = "humansim_ros: a step is a frame, an entity has the name that its topics begin with"
 #: Tags of the world, and the scheme of its URI.
 _WORLD_TAGS, _WORLD_SCHEME = ("humans",), "humansim"
-#: Most characters of a pattern, and bytes that a compiled pattern may take: it comes from the network.
+#: Most characters of a pattern, and most bytes of a compiled pattern, since it comes from the network.
 _MAX_PATTERN, _MAX_PATTERN_BYTES = 256, 1 << 20
 #: Most elements of a list in a filter.
 _MAX_FILTERS = 1000
 #: Largest deviation of a quaternion's length from 1, and of a human's rotation from one about z.
 _ROTATION_TOLERANCE = 1e-3
-#: Metres that a human may be above or below the floor in a request.
+#: A human may be above or below the floor in a request by this distance, metres.
 _FLOOR_TOLERANCE = 1e-3
 _REST = Velocity(np.zeros(3), np.zeros(3))
-#: Seconds until the process ends after the answer to a request to quit.
+#: The process ends this time after the answer to a request to quit, seconds.
 _QUIT_AFTER = 0.2
 
 
 class Refusal(Exception):
-    """A request is refused. ``code``: name of the result's constant; the text is the message."""
+    """Raised to refuse a request. ``code``: name of the result's constant. The text is the message."""
 
     def __init__(self, message: str, code: str = "RESULT_OPERATION_FAILED") -> None:
         super().__init__(message)
@@ -106,10 +106,8 @@ def serve_simulation(player: FramePlayer) -> SimulationServices | None:
 
 
 class SimulationServices:
-    """The standard services and the action of a player.
-
-    ``types``: modules ``msg``, ``srv`` and ``action`` of simulation_interfaces.
-    """
+    """The standard services of a player, and its action. ``types``: modules ``msg``, ``srv`` and ``action``
+    of simulation_interfaces."""
 
     def __init__(self, player: FramePlayer, types: Any) -> None:
         self._player = player
@@ -118,13 +116,13 @@ class SimulationServices:
         self._world_name = player.scene.path.stem if player.scene.path else "scene"
         self._is_stopped = False
         self._run: StepRun | None = None
-        #: Goal of the action that began last, and whether another one was accepted that has not begun yet.
+        #: Goal of the action that began last; and whether another one was accepted that has not begun yet.
         self._goal: Any = None
         self._is_goal_accepted = False
         static = [camera for camera in player.scene.scene_cameras.values() if not camera.moves]
-        #: Poses of static cameras as far as topic ``<camera>/pose`` has moved them, and its publishers.
+        #: By static camera: pose that topic ``<camera>/pose`` has set; and the publishers of these topics.
         self._camera_poses: dict[str, CameraPose] = {}
-        #: Own messages on these topics that have not come back yet.
+        #: Messages of this node on these topics that have not come back yet.
         self._echoes: dict[str, list[PoseStamped]] = {camera.name: [] for camera in static}
         self._pose_publishers = {
             camera.name: player.create_publisher(PoseStamped, f"{camera.name}/pose", DATA)
@@ -172,7 +170,7 @@ class SimulationServices:
 
     @contextmanager
     def _result_of(self, response: Any) -> Iterator[None]:
-        """Context manager that sets the result of a response by what its block raises."""
+        """Context manager that sets the result of a response: success, or what its block raises."""
         try:
             yield
         except Refusal as refusal:
@@ -203,7 +201,7 @@ class SimulationServices:
         response.features.custom_info = _INFO
 
     def _world(self) -> Any:
-        """The scene as a world. Its URI names it, and no file of this host."""
+        """The scene as a world. Its URI names the scene, but no file of this host."""
         world = self._types.msg.WorldResource(name=self._world_name, tags=list(_WORLD_TAGS))
         # version 2.0 names this field level_resource
         resource = world.world_resource if hasattr(world, "world_resource") else world.level_resource
@@ -265,7 +263,7 @@ class SimulationServices:
             self._player.restart()
 
     def _reset_places(self) -> None:
-        """Put everything that was moved by a request where the scene has it."""
+        """Put everything that a request has moved back to its place in the scene."""
         scene, settings = self._player.scene, self._player.playback.settings
         of_scene = {name: human.motion for name, human in scene.config.humans.items()}
         places = {
@@ -285,7 +283,7 @@ class SimulationServices:
         return self._begin_run(request.steps, lambda finished: None).ended
 
     def _begin_run(self, steps: int, report: Callable[[int], object]) -> StepRun:
-        """Begin to simulate steps. ``report`` gets the number of finished ones after each."""
+        """Begin to simulate steps. ``report``: called with the number of finished steps after each."""
         if self._run is not None:
             raise Refusal(f"{self._run.left} steps are being simulated already")
         if not self._player.playing.is_paused:
@@ -303,7 +301,7 @@ class SimulationServices:
             self._run = None
 
     def _end_run(self, reason: str) -> bool:
-        """End the steps that are being simulated after the present one; whether there are any."""
+        """End the simulated steps after the present one. Returns whether there were any."""
         run, self._run = self._run, None
         if run is not None:
             run.end(Refusal(f"{reason}, after {run.finished} steps"))
@@ -442,7 +440,7 @@ class SimulationServices:
         return self._entities[name]
 
     def _is_live(self, entity: Entity) -> bool:
-        """Whether another node moves a human, so that the player does not know its pose."""
+        """Whether another node moves a human, so that the player does not know the pose of the human."""
         if entity.kind != "human":
             return False
         live = self._player.playback.settings[entity.key].file == LIVE
@@ -473,7 +471,7 @@ class SimulationServices:
                 yield entity
 
     def _pose(self, entity: Entity) -> ObjectPose | CameraPose:
-        """Pose at the last frame, with the velocity per second of the wall clock."""
+        """Pose at the last frame. Its velocity is per second of the wall clock."""
         playback, clock = self._player.playback, self._player.playback_clock
         if entity.kind == "human":
             pose: ObjectPose | CameraPose = playback.human_pose(entity.key)
@@ -509,10 +507,11 @@ class StepRun:
     Args:
         player: The player.
         steps: Number of steps.
-        report: Gets the number of finished steps after each.
+        report: Called with the number of finished steps after each.
 
     Attributes:
-        ended: Done when all steps are finished; Refusal if the run was ended before.
+        ended: Future that is done when all steps are finished. It raises Refusal if the run was ended
+            earlier.
         finished: Number of finished steps.
     """
 
@@ -573,11 +572,8 @@ def _numbers(message: Any) -> list[float]:
 
 
 def name_filter(pattern: str) -> Callable[[str], bool]:
-    """Test of names: whether a POSIX extended pattern matches any part of a name.
-
-    RE2 matches in time linear in the name, whatever the pattern. Raises Refusal if the pattern is too long or
-    wrong.
-    """
+    """Make a test of names: whether a POSIX extended pattern matches any part of a name. RE2 needs linear
+    time in the length of the name for any pattern. Raises Refusal if the pattern is too long or wrong."""
     if not pattern:
         return lambda name: True
     if len(pattern) > _MAX_PATTERN:
@@ -602,7 +598,7 @@ def name_filter(pattern: str) -> Callable[[str], bool]:
 
 
 def _has_tags(tags: Any, own: Collection[str]) -> bool:
-    """Whether a filter by tags (TagsFilter) lets something with its own tags pass."""
+    """Whether a filter by tags (TagsFilter) accepts an entity with its own tags."""
     if len(tags.tags) > _MAX_FILTERS:
         raise Refusal(f"more than {_MAX_FILTERS} tags")
     found = [tag in own for tag in tags.tags]
@@ -611,8 +607,7 @@ def _has_tags(tags: Any, own: Collection[str]) -> bool:
 
 def _read_pose(state: Any) -> tuple[Array, Array]:
     """Position (3,) and normalised quaternion (4,) of a requested state. Raises Refusal if it is no pose in
-    ``map``.
-    """
+    ``map``."""
     frame = state.header.frame_id
     if frame not in ("", WORLD_FRAME):
         raise Refusal(f"poses must be in {WORLD_FRAME}, this is in '{printable(frame, 80)}'", "INVALID_POSE")

@@ -14,20 +14,21 @@ from humansim_ros.io.machine import cores, thread_limits
 from humansim_ros.ros.lockstep.settings import TOPIC_PREFIX, ParameterValue, TimeOptions
 from humansim_ros.scene.names import BRIDGE_NODE, LOCKSTEP, PLAYER_NODE, SceneNames, read_names, skinner_node
 
-#: Environment variable of nodes with a parent that has shown the warnings of the scene.
+#: Environment variable that is set for nodes if their parent has shown the warnings of the scene.
 WARNINGS_SHOWN = "HUMANSIM_SCENE_WARNINGS_SHOWN"
 #: Node that receives the frames for the cameras of its process. The tools of ROS hide names that begin with
 #: _, so that users see the same nodes for any number of processes.
 RIG_NODE = "_camera_rig"
 #: Node that holds the skinners of its process; hidden like that of the cameras.
 SKINNER_RIG_NODE = "_skinner_rig"
-#: Exit code of a node that has reported wrong input: another start would report it again.
+#: Exit code of a node that has reported wrong input. It is not started again, since it would report the input
+#: again.
 WRONG_INPUT = 2
-#: Names for several nodes of a scene, or for one without its name.
+#: Words for several nodes of a scene, or for a node in place of its name.
 _PLAYER, _SKINNERS, _CAMERAS, _SCANNERS = "player", "skinners", "cameras", "scanners"
 #: Exit code of a motion player that has stopped because nodes did not finish a frame in time.
 TIMED_OUT = 3
-#: Exit code of a motion player that was asked to quit: all other nodes end with it.
+#: Exit code of a motion player that was asked to quit. All other nodes end with it.
 QUIT = 4
 #: Node that records the topics of a run.
 RECORDER_NODE = "recorder"
@@ -43,8 +44,8 @@ class RecordOptions:
 
     Attributes:
         output: Folder of the bag. It must not exist.
-        topics: Names and patterns; none: the latched topics of the scene, and those that ``humansim demo``
-            shows.
+        topics: Names and patterns. If empty, the latched topics of the scene, and those that ``humansim
+            demo`` shows.
         compression: ``none``, ``zstd`` or ``lz4``.
     """
 
@@ -58,11 +59,11 @@ class EvaluateOptions:
     """An estimate that is evaluated in a run (docs/evaluation.md).
 
     Attributes:
-        topic: Its topic; ``*`` stands for the name of a person.
-        keypoints: Its keypoint set; empty: joints of bodies.
+        topic: Topic of the estimate. ``*`` stands for the name of a person.
+        keypoints: Keypoint set of the estimate. If empty, joints of bodies.
         output: JSON file for the result. If None, none.
         scale: Metres of a unit of the estimate.
-        axes: Its axes; empty: the axes of ``map``.
+        axes: Axes of the estimate. If empty, the axes of ``map``.
     """
 
     topic: str
@@ -82,9 +83,9 @@ class NodeProcess:
         parameters: Parameters of its nodes.
         log_level: Log level of its nodes.
         namespace: ROS namespace of its nodes, without the first /.
-        stop_limit: Seconds that it has to stop: more than it gives its own shutdown.
+        stop_limit: Seconds that it has to stop. This is more than its own shutdown may take.
         final_codes: Exit codes after which it is not started again.
-        stops_last: It is stopped after the others, and receives what they send until then.
+        stops_last: Whether it is stopped after the others, so that it receives what they send until then.
     """
 
     executable: str
@@ -103,12 +104,12 @@ class NodeProcess:
 
     @property
     def has_end(self) -> bool:
-        """Whether it may end by itself after a number of frames."""
+        """Whether it can end by itself after a number of frames."""
         return self.parameters.get("mode") == LOCKSTEP
 
     @property
     def visible_nodes(self) -> tuple[str, ...]:
-        """Names of its nodes without hidden ones."""
+        """Names of its nodes, without hidden nodes."""
         cameras, humans = (self.parameters.get(name) for name in ("cameras", "humans"))
         if isinstance(humans, list):
             return tuple(skinner_node(str(name)) for name in humans)
@@ -126,7 +127,7 @@ class NodeProcess:
         return arguments if self.log_level == "info" else [*arguments, "--log-level", self.log_level]
 
 
-#: Launch arguments of a recording, and their descriptions; all are empty by default.
+#: Launch arguments of a recording, with their descriptions. All are empty by default.
 RECORD_ARGUMENTS = {
     "record": "Folder of a new bag for the topics of the scene; empty: none",
     "record_topics": "Topics to record, names or patterns, separated by commas",
@@ -135,7 +136,8 @@ RECORD_ARGUMENTS = {
 
 
 def record_options(arguments: Mapping[str, str]) -> RecordOptions | None:
-    """Options of launch arguments; None if nothing is recorded. Raises RosError without a folder."""
+    """Options from launch arguments; None if nothing is recorded. Raises RosError if the folder is
+    missing."""
     given = _given(arguments, "record")
     if not given:
         return None
@@ -144,14 +146,15 @@ def record_options(arguments: Mapping[str, str]) -> RecordOptions | None:
 
 
 def _given(arguments: Mapping[str, str], first: str) -> dict[str, str]:
-    """Launch arguments that are not empty. Raises RosError if the others are given without the first one."""
+    """Launch arguments that are not empty. Raises RosError if the first one is empty and another one is
+    not."""
     given = {name: text.strip() for name, text in arguments.items() if text.strip()}
     if given and first not in given:
         raise RosError(f"launch argument {next(iter(given))} goes with {first} only")
     return given
 
 
-#: Launch arguments of an evaluation, and their descriptions; all are empty by default.
+#: Launch arguments of an evaluation, with their descriptions. All are empty by default.
 EVALUATE_ARGUMENTS = {
     "evaluate": "Topic of an estimate to evaluate, such as /tracker/poses; empty: none",
     "evaluate_keypoints": "Keypoint set of the estimate, such as coco17",
@@ -160,7 +163,8 @@ EVALUATE_ARGUMENTS = {
 
 
 def evaluate_options(arguments: Mapping[str, str]) -> EvaluateOptions | None:
-    """Options of launch arguments; None if nothing is evaluated. Raises RosError without a topic."""
+    """Options from launch arguments; None if nothing is evaluated. Raises RosError if the topic is
+    missing."""
     given = _given(arguments, "evaluate")
     if not given:
         return None
@@ -170,7 +174,7 @@ def evaluate_options(arguments: Mapping[str, str]) -> EvaluateOptions | None:
 
 
 def relative_namespace(text: str) -> str:
-    """A ROS namespace without its first /; empty for none. Raises RosError if it is not valid."""
+    """A ROS namespace without its first /. Empty for no namespace. Raises RosError if it is not valid."""
     namespace = text.strip("/")
     if namespace and not re.fullmatch(r"[A-Za-z_]\w*(/[A-Za-z_]\w*)*", namespace, re.ASCII):
         raise RosError(
@@ -196,14 +200,14 @@ def scene_processes(
 
     Args:
         scene_path: Scene file.
-        processes: Number of processes that share the cameras; one per core if None.
+        processes: Number of processes that share the cameras. If None, one per core.
         namespace: ROS namespace of all nodes.
         frame_prefix: Text before the frames of all cameras and scanners.
         only: Nodes to list, separated by commas: ``player``, ``skinners``, ``cameras``, ``scanners`` and
-            names of nodes; empty: all nodes.
-        time: How time goes on; as the scene says if None.
-        record: What is recorded; nothing if None.
-        evaluate: Estimate that is evaluated; none if None.
+            names of nodes. If empty, all nodes.
+        time: How time advances. If None, as the scene says.
+        record: What is recorded. If None, nothing.
+        evaluate: Estimate that is evaluated. If None, no estimate.
 
     Raises:
         HumansimError: A name of the scene, or the namespace, is not valid in ROS; or the scene has no node of
@@ -244,7 +248,8 @@ def scene_processes(
 
 
 def _chosen_nodes(names: SceneNames, only: str, path: Path) -> set[str]:
-    """Names of the nodes of a scene that ``only`` names, all if it is empty. Raises RosError."""
+    """Names of the nodes that ``only`` selects. If it is empty, all nodes. Raises RosError for unknown
+    names."""
     groups = {
         _PLAYER: [PLAYER_NODE],
         _SKINNERS: [skinner_node(name) for name in names.humans],
@@ -278,7 +283,7 @@ def _recorder(
         record: What is recorded.
         names: Names of the scene.
         scene: Parameters of all nodes that follow the player.
-        wait_for: Members of lockstep; the members of the scene if None.
+        wait_for: Members of lockstep. If None, the members of the scene.
 
     Raises:
         RosError: The path of the bag exists, or a camera has the name of the recorder.
@@ -308,7 +313,7 @@ def _recorder(
 
 
 def _evaluator(evaluate: EvaluateOptions, names: SceneNames, in_lockstep: bool) -> NodeProcess:
-    """The evaluator of a run. Raises RosError if a camera has its name."""
+    """The evaluator of a run. Raises RosError if a camera has the name of the evaluator."""
     _check_free(EVALUATOR_NODE, "evaluates", names)
     parameters: dict[str, ParameterValue] = {"topic": evaluate.topic, "keypoints": evaluate.keypoints}
     if evaluate.scale != 1:
@@ -332,7 +337,7 @@ def _check_free(node: str, verb: str, names: SceneNames) -> None:
 def _skinner_processes(
     humans: Sequence[tuple[int, str]], scene: Mapping[str, ParameterValue]
 ) -> Iterator[NodeProcess]:
-    """``humans``: number and name of each."""
+    """Processes of the skinners. ``humans``: number and name of each human."""
     for number, names in _shares(humans, cores()):
         if len(names) == 1:
             yield NodeProcess("skinner", skinner_node(names[0]), {**scene, "human": names[0]})
@@ -341,7 +346,8 @@ def _skinner_processes(
 
 
 def _shares(numbered: Sequence[tuple[int, str]], most: int) -> Iterator[tuple[int, list[str]]]:
-    """Divide names among at most ``most`` processes: the number of the first name of each, and its names."""
+    """Divide names among at most ``most`` processes. Yields the number of the first name, and the names of
+    each."""
     count = min(most, len(numbered))
     for i in range(count):
         yield numbered[i][0], [name for _, name in numbered[i::count]]
@@ -350,7 +356,7 @@ def _shares(numbered: Sequence[tuple[int, str]], most: int) -> Iterator[tuple[in
 def _camera_processes(
     cameras: Sequence[tuple[int, str]], processes: int, scene: Mapping[str, ParameterValue]
 ) -> Iterator[NodeProcess]:
-    """``cameras``: number and name of each."""
+    """Processes of the cameras. ``cameras``: number and name of each camera."""
     scene = {**scene, "start_scene": False}  # the skinners will come
     for number, names in _shares(cameras, processes):
         if len(names) == 1:

@@ -1,8 +1,8 @@
 """Process that loads the scene of a run once, and starts each node as a copy of itself.
 
 A fresh node needs more than a second to import its modules, and reads, matches and fits the motions of the
-scene. A copy has all of it already, in memory that the copies share. ROS and OpenGL are started in the copies
-only: their threads would not be copied.
+scene. A copy has all of this already, in memory that all copies share. ROS and OpenGL are started only in the
+copies, since their threads would not be copied.
 
 ``python -m humansim_ros.ros.processes.node_starter SCENE SOCKET`` reads requests from the socket with the
 number SOCKET, one JSON list in each packet: name, executable, environment variables and ROS arguments of a
@@ -34,18 +34,18 @@ from humansim_ros.ros.processes.stop_signals import PARENT_PID, end_process_on_s
 if TYPE_CHECKING:
     from humansim_ros.scene import Scene
 
-#: Most bytes of a packet; the arguments of a node have fewer.
+#: Largest packet, bytes. The arguments of a node are shorter.
 _MAX_PACKET = 1 << 18
-#: Modules besides the scene that nodes need, and that need no ROS.
+#: Modules that nodes need in addition to the scene, and that do not need ROS.
 _MODULES = ("messages.topics", "scene.capture", "scene.live", "scene.playback", "render.gl")
-#: Nodes that see nothing of the static scene.
+#: Nodes that need nothing of the static scene.
 _NOT_SEEING = ("motion_player", "skinner", "skinner_rig", "recorder", "evaluator", "bridge")
-#: Seconds between two looks for the end of a process.
+#: Seconds between two checks for the end of a process.
 _LOOK_EVERY = 0.02
 
 
 class StartedNode:
-    """A node that runs, with the methods of ``subprocess.Popen`` that supervision uses.
+    """A running node. It has those methods of ``subprocess.Popen`` that supervision uses.
 
     Attributes:
         pid: Process id.
@@ -55,11 +55,11 @@ class StartedNode:
         self._starter, self.pid = starter, pid
 
     def poll(self) -> int | None:
-        """Exit code, or the negative number of the signal that ended it; None while it runs."""
+        """Exit code, or the negative number of the signal that ended the node; None while it runs."""
         return self._starter.exit_code(self.pid)
 
     def wait(self, timeout: float) -> int:
-        """Wait for the end; returns the exit code. Raises ``subprocess.TimeoutExpired``."""
+        """Wait for the end. Returns the exit code. Raises ``subprocess.TimeoutExpired``."""
         end = time.monotonic() + timeout
         while (code := self.poll()) is None:
             if time.monotonic() > end:
@@ -74,7 +74,8 @@ class StartedNode:
 
 
 class NodeStarter:
-    """The process that starts the nodes, as their supervisor sees it; a context manager that ends it.
+    """The process that starts the nodes, as seen by their supervisor. As a context manager, it ends the
+    process.
 
     Args:
         scene: Scene file.
@@ -104,7 +105,7 @@ class NodeStarter:
 
     @property
     def is_running(self) -> bool:
-        """Whether it can start nodes."""
+        """Whether the process can start nodes."""
         return not self._is_gone and self.process.poll() is None
 
     def __enter__(self) -> NodeStarter:
@@ -127,7 +128,7 @@ class NodeStarter:
         raise RosError(f"the process that starts the nodes has ended (exit code {self.process.wait()})")
 
     def exit_code(self, pid: int) -> int | None:
-        """Exit code of a node; None while it runs. All nodes end with this process."""
+        """Exit code of a node; None while it runs. If this process ends, all nodes end."""
         try:
             while not self._is_gone:
                 self._receive(socket.MSG_DONTWAIT)
@@ -136,7 +137,7 @@ class NodeStarter:
         return self._codes.get(pid, -signal.SIGTERM)
 
     def _receive(self, flags: int) -> int | None:
-        """Receive a packet; returns the process id if it is of a start."""
+        """Receive a packet. If it reports a start, returns the process id."""
         try:
             packet = self._socket.recv(_MAX_PACKET, flags)
         except ConnectionError:
@@ -151,7 +152,7 @@ class NodeStarter:
         return None
 
     def close(self) -> None:
-        """End the process, and nodes that run."""
+        """End the process, and all running nodes."""
         self._socket.close()
         self._is_gone = True
         self.process.kill()
@@ -159,7 +160,7 @@ class NodeStarter:
 
 
 def main(scene_path: str, number: int) -> int:
-    """Load, and start nodes. Returns the exit code: in a copy, of its node."""
+    """Load the scene, and start nodes. Returns the exit code; in a copy, that of its node."""
     import cv2
 
     cv2.setNumThreads(1)  # its threads would not be copied
@@ -220,7 +221,7 @@ def _ended() -> list[tuple[int, int]]:
 
 
 def _load(path: str) -> Scene | None:
-    """Load the scene, with everything that all nodes need; None if it is wrong, which the nodes will
+    """Load the scene, with everything that all nodes need; None for a wrong scene, which the nodes will
     report."""
     from humansim_ros.scene import Scene
 

@@ -10,12 +10,14 @@ from collections.abc import Callable
 from typing import Any, NoReturn
 
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
-#: Seconds in which a signal that comes again is the same request: a terminal that closes sends SIGHUP twice.
+#: A signal that comes again within this time, seconds, is the same request, since a terminal that closes
+#: sends SIGHUP twice.
 _SAME_REQUEST = 0.5
 
 
 class Stopped(SystemExit):
-    """A stop signal has arrived; uncaught, it ends the process with exit code 128 + number, as in shells.
+    """A stop signal has arrived. If nothing catches it, the process ends with exit code 128 + number, as in
+    shells.
 
     Attributes:
         number: Number of the signal.
@@ -37,16 +39,16 @@ def end_process(number: int) -> NoReturn:
 
 
 class StopRequest:
-    """Handlers for a process that stops in order: the first stop signal raises :class:`Stopped`.
+    """Handlers for a process that stops in order. The first stop signal raises :class:`Stopped`.
 
-    Libraries may swallow the exception; ``number`` stays.
+    Libraries may swallow the exception, but ``number`` stays set.
 
     Args:
-        again: Called with the number of a later signal: of users who do not want to wait.
+        again: Called with the number of a later signal, which comes from users who do not want to wait.
 
     Attributes:
-        number: Number of the first signal; None before it.
-        raises: Whether the first signal raises. If not, the process looks at ``number``.
+        number: Number of the first signal. None before it.
+        raises: Whether the first signal raises. If not, the process must check ``number``.
     """
 
     def __init__(self, again: Callable[[int], object] = raise_stopped) -> None:
@@ -67,10 +69,8 @@ class StopRequest:
 
 
 def end_process_on_stop(code: int | None = None) -> None:
-    """Let a stop signal end this process at once and quietly, while there is nothing to clean up.
-
-    ``code``: exit code; 128 + number of the signal if None.
-    """
+    """Let a stop signal end this process at once and quietly, as long as there is nothing to clean up.
+    ``code``: exit code. If None, 128 + number of the signal."""
     _install(lambda number, _: end_process(number) if code is None else os._exit(code))
 
 
@@ -86,10 +86,8 @@ _PR_SET_PDEATHSIG = 1
 
 
 def end_with_parent() -> None:
-    """Request SIGTERM for the death of the process that ``PARENT_PID`` names; end now if it is dead already.
-
-    The kernel sends the signal when the parent's thread ends that has started this process.
-    """
+    """Request SIGTERM for the death of the process that ``PARENT_PID`` names. If it is dead already, end now.
+    The kernel sends the signal when the parent's thread ends that has started this process."""
     parent = os.environ.get(PARENT_PID)
     if parent is None:
         return

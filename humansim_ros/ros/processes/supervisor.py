@@ -17,7 +17,7 @@ from humansim_ros.ros.processes.node_starter import NodeStarter, StartedNode
 from humansim_ros.ros.processes.stop_signals import PARENT_PID
 from humansim_ros.ros.transport import SharedMemoryFiles, remove_dead_files
 
-#: Seconds that a process that is no node has to stop after SIGTERM.
+#: A helper process must stop within this time after SIGTERM, seconds.
 _STOP_LIMIT = 6.0
 
 
@@ -27,7 +27,7 @@ class EndedProcess:
 
     Attributes:
         process: The process.
-        code: Its exit code; the negative number of the signal that ended it.
+        code: Exit code, or the negative number of the signal that ended it.
     """
 
     process: NodeProcess
@@ -47,13 +47,13 @@ class Supervisor:
     """Context manager that runs node processes and stops them at its end.
 
     One process loads the scene and starts the nodes as copies of itself (``node_starter.py``). Nodes do not
-    repeat scene warnings; the parent has shown them. They end when the thread ends that has started them.
+    repeat scene warnings that the parent has shown. Nodes end when the thread that has started them ends.
 
     Args:
         processes: Nodes to start.
         environment: More environment variables of the nodes.
-        starter: Process that starts nodes and may be loading the scene already; a new one if None, or if it
-            has ended or loads another scene. It is ended with the nodes.
+        starter: Process that starts nodes and may be loading the scene already. If None, or if it has ended
+            or loads another scene, a new one is started. It ends with the nodes.
         helpers: Modules and their arguments, of processes that start before the nodes and may end at any
             time.
     """
@@ -105,7 +105,7 @@ class Supervisor:
         return [*self._helpers, *self._running.values()]
 
     def dead(self) -> EndedProcess | None:
-        """A process that has ended unexpectedly; None while all run."""
+        """A process that has ended unexpectedly; None if all run."""
         self._shared_memory.note(process.pid for process in self._all)
         for name, process in self._running.items():
             code = process.poll()
@@ -123,11 +123,11 @@ class Supervisor:
         """Wait until a process ends unexpectedly, or until the monotonic time ``until``.
 
         Args:
-            until: Monotonic seconds; without end if None.
-            respawn: Start processes again that have ended, and go on; not after wrong input or a time-out,
-                and not without end (:class:`RestartPolicy`).
-            is_end: Whether a process has ended as it should, and all others are to end with it.
-            on_restart: Called when a process has died that is started again, and when it is started.
+            until: Monotonic seconds. If None, there is no limit.
+            respawn: Whether processes that have ended are started again. This is not done after wrong input
+                or a time-out, and not without limit (:class:`RestartPolicy`).
+            is_end: Whether a process has ended as intended, so that all others end with it.
+            on_restart: Called when a process has died and will be started again, and when it is started.
 
         Returns:
             The process, or None at ``until``.
@@ -156,10 +156,8 @@ class Supervisor:
         return None
 
     def stop(self) -> None:
-        """Send SIGTERM to all nodes, then SIGKILL to those that still run: at once after a stop signal.
-
-        Nodes that stop last are stopped when the others have ended.
-        """
+        """Send SIGTERM to all nodes, then SIGKILL to those that still run. After a stop signal, SIGKILL
+        follows at once. Nodes that stop last are stopped when the others have ended."""
         pids = [process.pid for process in self._all]
         last = {process.pid for name, process in self._running.items() if self._processes[name].stops_last}
         self._shared_memory.note(pids, now=True)
@@ -175,7 +173,7 @@ class Supervisor:
             remove_dead_files()  # of nodes that were killed while they started
 
     def _send(self, number: signal.Signals, but: Collection[int] = ()) -> None:
-        """Send a signal to all processes that run, ``but`` some, and wait for their end."""
+        """Send a signal to all running processes, except those in ``but``, and wait for their end."""
         alive = [each for each in self._all if each.poll() is None and each.pid not in but]
         for process in alive:
             process.send_signal(number)
@@ -192,7 +190,7 @@ class Supervisor:
         self._running[name] = self._start(process)
 
     def _start(self, process: NodeProcess) -> StartedNode:
-        """Start a node; and first the process that starts nodes, if there is none or it has ended."""
+        """Start a node. If there is no running process that starts nodes, start that first."""
         scene = str(next(iter(self._processes.values())).parameters.get("scene", ""))
         if self._starter is None or not self._starter.is_running or self._starter.scene != scene:
             if self._starter is not None:
@@ -201,20 +199,19 @@ class Supervisor:
         return self._starter.start(process, self._environment)
 
 
-#: Seconds before the first start of a row, the second, and so on. After the last one the node is given up.
+#: Seconds before the first restart in a row, the second, and so on. After the last one the node is given up.
 _DELAYS = (0.0, 0.5, 1.0, 2.0, 4.0)
-#: Seconds after which a death does not belong to the row of deaths before it.
+#: A death after this time of running, seconds, begins a new row of deaths.
 _LONG_RUN = 30.0
 
 
 class RestartPolicy:
-    """Counts the deaths in a row of one node."""
+    """Counts consecutive deaths of a node."""
 
     def __init__(self) -> None:
         self._deaths = 0
 
     def delay(self, ran: float) -> float | None:
-        """Record a death, and return the seconds until the node is started again. If None, it is given up.
-        ``ran``: seconds from the start of the process to its death."""
+        """Record a death. Returns the seconds until the node is started again; None if given up."""
         self._deaths = 1 if ran >= _LONG_RUN else self._deaths + 1
         return _DELAYS[self._deaths - 1] if self._deaths <= len(_DELAYS) else None

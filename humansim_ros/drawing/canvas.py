@@ -1,4 +1,4 @@
-"""Drawing helpers that all images for people share: lines, text, palettes, PNG and video files.
+"""Drawing helpers for all images for people: lines, text, palettes, PNG and video files.
 
 Images are (H, W, 3) sRGB. Pixels are (x, y); the centre of the top-left pixel is (0, 0), as in OpenCV.
 """
@@ -29,9 +29,9 @@ TITLE_HEIGHT = 34
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 #: OpenCV draws in steps of 1 / 2^4 pixel.
 _SHIFT = 4
-#: Pixels beyond which coordinates are clipped, so that they fit OpenCV's integers.
+#: Coordinates are clipped at this distance, pixels, so that they fit OpenCV's integers.
 _FARTHEST = 1e4
-#: Step of the hue, the golden ratio: neighbouring colours of a list differ much.
+#: Step of the hue: the golden ratio, so that neighbouring colours of a list differ much.
 _HUE_STEP = 0.61803398875
 
 
@@ -55,7 +55,7 @@ def draw_disc(image: Image, pixel: ArrayLike, radius: float, color: Color, width
         pixel: Centre, (2,).
         radius: Radius in pixels.
         color: Colour of the disc or circle.
-        width: Width of the circle in pixels; -1 for a disc.
+        width: Width of the circle in pixels. -1 draws a disc.
     """
     x, y = _fixed_point(pixel).tolist()
     cv2.circle(image, (x, y), round(radius * 2**_SHIFT), color, width, cv2.LINE_AA, _SHIFT)
@@ -78,13 +78,13 @@ def fill_polygon(image: Image, pixels: ArrayLike, color: Color, opacity: float) 
 def draw_text(
     image: Image, text: str, position: tuple[int, int], scale: float, color: Color = INK, width: int = 1
 ) -> None:
-    """Draw text whose lower left corner is at a pixel.
+    """Draw text. Its lower left corner is at a pixel.
 
     Args:
         image: Image that is drawn on.
         text: One line of text.
         position: (x, y) of the lower left corner in pixels.
-        scale: Size of the font as OpenCV counts it; 0.5 is about 11 pixels high.
+        scale: Font scale of OpenCV. 0.5 is about 11 pixels high.
         color: Colour of the text.
         width: Width of its strokes in pixels.
     """
@@ -113,12 +113,12 @@ def hsv_colors(hue: ArrayLike, saturation: ArrayLike, value: ArrayLike) -> NDArr
 
 
 def distinct_hues(count: int) -> Array:
-    """Hues (N,) from 0 to 180; neighbours differ much."""
+    """Hues (N,) from 0 to 180. Neighbouring hues differ much."""
     return np.asarray(np.arange(count) * _HUE_STEP % 1 * 180)
 
 
 def write_png(path: str | os.PathLike[str], image: Image) -> None:
-    """Write an RGB image; the file is complete or absent."""
+    """Write an RGB image atomically."""
     write_file(path, encode_png(image))
 
 
@@ -132,12 +132,12 @@ def encode_png(image: Image) -> bytes:
 
 
 def write_mp4(path: str | os.PathLike[str], frames: Iterable[Image], rate: float) -> None:
-    """Write RGB frames of one size as H.264 in MP4, which browsers play; the file is complete or absent."""
+    """Write RGB frames of one size atomically, as H.264 in MP4, which browsers play."""
     _write_video(path, frames, rate, even=True, codec="libx264", quality=7, macro_block_size=2)
 
 
 def write_gif(path: str | os.PathLike[str], frames: Iterable[Image], rate: float) -> None:
-    """Write RGB frames of one size as a GIF with a palette per frame; the file is complete or absent."""
+    """Write RGB frames of one size atomically, as a GIF with a palette per frame."""
     palette = "split[a][b];[a]palettegen=stats_mode=single[p];[b][p]paletteuse=new=1:dither=none"
     filters = ["-filter_complex", palette]
     _write_video(
@@ -155,7 +155,7 @@ def write_gif(path: str | os.PathLike[str], frames: Iterable[Image], rate: float
 def _write_video(
     path: str | os.PathLike[str], frames: Iterable[Image], rate: float, even: bool = False, **options: Any
 ) -> None:
-    """``even``: crop the frames to even sides, as H.264 needs."""
+    """Write RGB frames. ``even``: crop the frames to even sides, as H.264 needs."""
     import imageio_ffmpeg
 
     iterator = iter(frames)
@@ -179,7 +179,7 @@ def _write_video(
         finally:
             writer.close()
         try:
-            # the exit code of ffmpeg is lost: on a full disk it leaves a file that is cut off
+            # the exit code of ffmpeg is lost; on a full disk it leaves an incomplete file
             written, _ = imageio_ffmpeg.count_frames_and_secs(str(temporary))
         except RuntimeError:
             written = 0

@@ -1,4 +1,4 @@
-"""Elements of HTML and SVG, for reports that are one file and load nothing else. All texts are escaped."""
+"""Elements of HTML and SVG for reports that consist of one file. All texts are escaped."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _JPEG_QUALITY = 82
 
 
 class Markup(str):
-    """Text that is HTML or SVG already, and is not escaped again."""
+    """Text that is HTML or SVG already. It is not escaped again."""
 
 
 def joined(parts: Iterable[str]) -> Markup:
@@ -31,7 +31,7 @@ def element(tag: str, *content: str, **attributes: str | float | None) -> Markup
     """An element.
 
     Args:
-        tag: Its name.
+        tag: Name of the element.
         content: Elements and texts in it.
         attributes: ``_`` in a name stands for ``-``, but not at its end, as in ``class_``. Numbers have at
             most two decimals. None leaves the attribute out.
@@ -67,7 +67,7 @@ def section(title: str, content: str) -> Markup:
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[str]], classes: Iterable[str | None] = ()) -> Markup:
-    """Table of texts. ``classes``: class of each row; none if empty."""
+    """Table of texts. ``classes``: class of each row. If empty, rows have no class."""
     lines = [element("tr", *(element("th", word) for word in header))] if header else []
     kinds = iter(classes)
     for row in rows:

@@ -44,7 +44,7 @@ _PHASES, _AZIMUTHS = 5, (0, 45, 180)
 
 
 def notebook_png(item: object) -> bytes:
-    """PNG file of a picture with the text of the object as its title, at most WIDTH pixels wide."""
+    """PNG file of a picture, at most WIDTH pixels wide. Its title is the text of the object."""
     with warnings.catch_warnings():
         # the warnings were shown when the object was made
         warnings.simplefilter("ignore", HumansimWarning)
@@ -108,7 +108,7 @@ def _(frame: Frame) -> Image:
 
 
 def _title(text: str, width: int) -> Image:
-    """Bar with a text that is made smaller, and cut off, until it fits."""
+    """Bar with a text. The text is made smaller, and then cut off, until it fits."""
     scale = float(np.clip((width - 20) / text_size(text, 1.0)[0], 0.36, _TITLE))
     while text_size(text, scale)[0] > width - 14:
         text = f"{text[:-4]}..."
@@ -116,7 +116,8 @@ def _title(text: str, width: int) -> Image:
 
 
 def _grid(images: Sequence[Image], names: Sequence[str]) -> Image:
-    """Put images into a grid, at most WIDTH wide, with their names; the first of them if there are many."""
+    """Arrange images with their names in a grid, at most WIDTH wide. If there are many, only the first
+    ones."""
     if not images:
         return np.full((40, WIDTH, 3), PAPER, np.uint8)
     shown = list(images)[:_MOST]
@@ -145,7 +146,7 @@ def _grid(images: Sequence[Image], names: Sequence[str]) -> Image:
 
 
 def _text(tile: Image, label: str, color: tuple[int, int, int], stroke: int) -> None:
-    """Write a label into the lower left corner of a tile, which is a part of a larger image."""
+    """Write a label into the lower left corner of a tile. The tile is a part of a larger image."""
     drawn = np.ascontiguousarray(tile)
     draw_text(drawn, label, (5, drawn.shape[0] - 7), 0.4, color, stroke)
     tile[:] = drawn
@@ -158,16 +159,13 @@ _INCHES = 4.0
 
 
 def channel_image(frame: Frame, camera: str, channel: str) -> Image:
-    """Picture (H, W, 3) of a channel of one camera. Raises ChannelError if the frame has not the channel."""
+    """Picture (H, W, 3) of a channel of one camera. Raises ChannelError if the frame lacks the channel."""
     return channel_picture(frame.views[camera], channel, frame.encodings.get(camera, "rgb8"))
 
 
 def joints_of_camera(frame: Frame, camera: str) -> Iterator[tuple[Skeleton, Array, NDArray[np.uint8]]]:
-    """Skeleton, pixels (J, 2) and visibility (J,) of each human in a camera.
-
-    In a frame without the channels ``depth``, ``instance`` and ``part`` all joints count as outside: whether
-    they are visible is unknown.
-    """
+    """Skeleton, pixels (J, 2) and visibility (J,) of each human in a camera. In a frame without the channels
+    ``depth``, ``instance`` and ``part``, all joints count as outside, since their visibility is unknown."""
     try:
         seen = {name: (view.pixels, view.visible) for name, view in frame.truth[camera].joints.items()}
     except ChannelError:
@@ -180,7 +178,7 @@ def joints_of_camera(frame: Frame, camera: str) -> Iterator[tuple[Skeleton, Arra
 
 
 def plot_frame(frame: Frame, channel: str = "rgb", joints: bool = True) -> Figure:
-    """Plot a channel of all cameras with matplotlib; :meth:`Frame.plot` has the parameters."""
+    """Plot a channel of all cameras with matplotlib. :meth:`Frame.plot` describes the parameters."""
     check_channels([channel])
     if not frame.views:
         raise HumansimError("the frame has no cameras to plot")
@@ -226,7 +224,7 @@ def _plot_joints(axes: Axes, frame: Frame, camera: str) -> None:
 
 
 def _figure_class() -> type[Figure]:
-    """Class of figures that notebooks show. Raises HumansimError without matplotlib."""
+    """Class of figures that notebooks show. Raises HumansimError if matplotlib is missing."""
     try:
         from matplotlib.figure import Figure
     except ImportError:

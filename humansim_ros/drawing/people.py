@@ -43,30 +43,29 @@ from humansim_ros.render import Body, GLRenderer, Lighting
 from humansim_ros.types import Array, Color, Image, Indices
 
 Viewpoint = Literal["side", "front", "three-quarter"]
-#: Shows the progress of a video: (frames, their number) -> the frames, while they are drawn.
+#: Shows the progress of a video. It gets the frames and their number, and yields the frames while they are
+#: drawn.
 Progress = Callable[[Iterable[Image], int], AbstractContextManager[Iterable[Image]]]
 SUFFIXES = (".png", ".mp4", ".gif")
 #: Azimuth of the camera, degrees from in front of the person towards its left.
 _AZIMUTHS: dict[Viewpoint, float] = {"front": 0.0, "three-quarter": 40.0, "side": 90.0}
 _SHADOW: Color = (196, 200, 206)
 _FOV = np.radians(30.0)
-#: Most samples of a motion from which the camera path is made, and seconds over which it is smoothed.
+#: Most samples of a motion for the path of the camera, and seconds over which the path is smoothed.
 _PATH_SAMPLES, _SMOOTHING = 1000, 0.4
-#: Largest height of the image, in heights of the figure; the camera follows larger movements.
+#: Largest height that the image shows, in heights of the figure. The camera follows larger movements.
 _LARGEST_SPAN = 1.6
-#: Samples that must fit into the image, and the share of the image that they may fill.
+#: Number of samples that must fit into the image, and share of the image that they may fill.
 _FIT_SAMPLES, _FIT_SHARE = 100, 0.94
-#: GIF has a resolution of 1/100 s, and browsers show no more frames per second than this.
+#: Most frames per second of a GIF, since it has a resolution of 1/100 s and browsers show no more.
 _GIF_RATE = 20.0
 
 
 @dataclass(frozen=True)
 class AnimatedFigure:
-    """Points that move, z up: ``points`` gives (N, P, 3) at times (N,), seconds.
-
+    """Points that move, z up. ``points``: function of times (N,) in seconds that returns (N, P, 3).
     ``height``: height of the standing figure; ``floor``: height of the floor; ``heading``: direction that it
-    faces, radians from +x to +y; ``cell``: distance of the grid lines on the floor.
-    """
+    faces, radians from +x to +y; ``cell``: distance of the grid lines on the floor."""
 
     points: Callable[[Array], Array]
     seconds: float
@@ -95,7 +94,7 @@ class Artist(Protocol):
 
 
 class _TrackingCamera:
-    """Camera that follows a figure at a constant distance and keeps it in the image as a whole."""
+    """Camera that follows a figure at a constant distance and keeps all of it in the image."""
 
     def __init__(self, figure: AnimatedFigure, size: tuple[int, int], viewpoint: Viewpoint) -> None:
         self._figure, self._size = figure, size
@@ -106,7 +105,7 @@ class _TrackingCamera:
         step = max(figure.seconds / max(count - 1, 1), 1e-9)
         low, high = points.min(1), points.max(1)
         self._middle = _smoothed((low[:, :2] + high[:, :2]) / 2, _SMOOTHING / step)
-        # the camera stays level for jumps and raised arms, and rises for stairs
+        # the camera stays level for jumps and raised arms, but rises for stairs
         top = high[:, 2] - figure.floor
         reach = float(np.clip(np.percentile(top, 99.5), 1.05 * figure.height, 1.3 * figure.height))
         self._lift = _smoothed(np.maximum(top - reach, 0.0)[:, None], _SMOOTHING / step)[:, 0]
@@ -118,7 +117,8 @@ class _TrackingCamera:
             self._span = min(self._span * max(1.0, extent), largest)
 
     def _extent(self, points: Array, time: float) -> float:
-        """Distance of the outermost point (P, 3) from the image centre; up to 1 it is in the image."""
+        """Distance of the outermost point (P, 3) from the image centre. Up to 1, the point is in the
+        image."""
         pixels, depth = self.camera(time).project(points)
         half = (np.array(self._size) - 1) / 2
         distance = np.where(depth[:, None] > 0, np.abs(pixels / half - 1), 1.0)
@@ -152,7 +152,7 @@ class _TrackingCamera:
 
 
 def _smoothed(path: Array, sigma: float) -> Array:
-    """Smooth a path (N, D) along N; beyond its ends it is continued by point reflection."""
+    """Smooth a path (N, D) along N. Beyond its ends, it is continued by point reflection."""
     sigma = min(sigma, len(path))
     pad = min(len(path) - 1, int(np.ceil(3 * sigma)))
     if pad < 1:
@@ -169,7 +169,7 @@ def _draw_segment(image: Image, camera: Camera, ends: Array, color: Color, width
 
 
 class StickFigureArtist:
-    """Draws the joints of a motion and their links: left blue, right red."""
+    """Draws the joints of a motion and the links between them: left blue, right red."""
 
     def __init__(
         self,
@@ -222,7 +222,7 @@ class StickFigureArtist:
             motion: Motion as its file has it.
             size: Width and height of the images in pixels.
             viewpoint: Direction that the figure is drawn from.
-            up: Axis of the file that points up, such as ``-z``. Without it: y, as in most files, or z if the
+            up: Axis of the file that points up, such as ``-z``. If None, y as in most files, or z if the
                 figure is much larger along z.
 
         Raises:
@@ -324,7 +324,7 @@ class SkinnedArtist:
 
 
 def _heading(world: WorldMotion) -> float:
-    """Mean heading of a person, or the first one where there is no mean."""
+    """Mean heading of a person. If there is no mean, the first heading."""
     poses = world.sample(np.linspace(0.0, world.duration, 200))
     heading = mean_heading(world.match, poses)
     if heading is not None:
@@ -334,7 +334,8 @@ def _heading(world: WorldMotion) -> float:
 
 
 def _sides(names: Sequence[str], parents: Indices, roles: dict[int, str]) -> Indices:
-    """Side of each joint (J,): 1 left, -1 right, 0 neither. By role or name, or else by its parent."""
+    """Side of each joint (J,): 1 left, -1 right, 0 neither. It follows from role or name, or else from the
+    parent."""
     sides = np.zeros(len(names), np.intp)
     for joint, name in enumerate(names):
         word = roles.get(joint, name).lower()
@@ -348,7 +349,7 @@ def _sides(names: Sequence[str], parents: Indices, roles: dict[int, str]) -> Ind
 
 
 def strip(artists: Sequence[Artist], phases: int, title: str) -> Image:
-    """Draw frames of a motion side by side, with the first and the last, in a row per artist."""
+    """Draw frames of a motion side by side, including the first and the last. Each artist has a row."""
     figure = artists[0].figure
     last = round(figure.seconds / figure.frame_time)
     frames = np.unique(np.rint(np.linspace(0, last, min(phases, last + 1))).astype(int)).tolist()
@@ -397,7 +398,7 @@ def write_motion_image(
         artists: Artists with images that are put together. All draw the same motion.
         title: Title of a strip.
         phases: Frames of a strip.
-        rate: Frames per second of a video. Without it: the rate of the motion, up to 60.
+        rate: Frames per second of a video. If None, the rate of the motion, at most 60.
         longest: Longest video in seconds.
         progress: Shows the progress while a video is drawn.
 
@@ -435,10 +436,8 @@ _REST_FOV = np.radians(24.0)
 
 
 class HumanArtist:
-    """Draws one human in its rest pose from any side, in images of ``size`` (width, height).
-
-    ``shaded``: light the human; otherwise its texture is shown as it is.
-    """
+    """Draws one human in its rest pose from any side, in images of ``size`` (width, height). ``shaded``:
+    whether the human is lit. If False, its texture is shown unchanged."""
 
     def __init__(self, human: Human, size: tuple[int, int] = (260, 300), shaded: bool = True) -> None:
         self._size = size
@@ -526,7 +525,7 @@ def human_sheet(human: Human) -> Image:
 
 
 def titled_rows(title: str, rows: Sequence[Image]) -> Image:
-    """Rows of images below each other under a title; short ones end in the colour of paper."""
+    """Rows of images below each other, under a title. Short rows are filled with the colour of paper."""
     width = max(each.shape[1] for each in rows)
     wide = [np.full((each.shape[0], width, 3), PAPER, np.uint8) for each in rows]
     for whole, each in zip(wide, rows, strict=True):

@@ -40,13 +40,13 @@ from humansim_ros.types import Array, Color, Image
 _AXES: tuple[Color, ...] = ((206, 52, 60), (46, 150, 70), (44, 96, 208))
 #: Side of a panel, margin for the numbers along its axes, and height of the heading above it; pixels.
 _SIDE, _MARGIN, _HEADING = 620, 44, 26
-#: Direction from which the cameras are shown in space.
+#: Direction that the cameras are seen from in the drawing in space.
 _AZIMUTH, _ELEVATION, _FOV = np.radians(-65.0), np.radians(28.0), np.radians(34.0)
 #: Length of a drawn view, as a fraction of the rig's extent, and its opacity.
 _REACH, _OPACITY = 0.16, 0.22
 #: Distance to the assumed target of cameras with optical axes that do not meet, metres.
 _AHEAD = 4.0
-#: Largest distance, metres; larger ones are a wrong unit.
+#: A larger distance than this, metres, means a wrong unit.
 _FARTHEST = 1e5
 #: Pixels per position of a coverage.
 _STEP = 2
@@ -72,7 +72,7 @@ def rig_image(cameras: Mapping[str, Camera], points: Array | None = None) -> Ima
 
 
 def camera_panel(camera: Camera) -> Image:
-    """Draw one camera from the side, (620, 620, 3). Raises CameraError as :func:`rig_image`."""
+    """Draw one camera from the side, (620, 620, 3). Raises CameraError in the cases of :func:`rig_image`."""
     image, _ = _from_side(_Rig.of({"camera": camera}), np.zeros((0, 3)))
     return image
 
@@ -83,13 +83,14 @@ def coverage_image(
     stature: float = 1.8,
     area: tuple[float, float, float, float] | None = None,
 ) -> Image:
-    """Draw the number of cameras that see the chest of a standing person, and all of the person.
+    """Draw the number of cameras that see the chest of a standing person, and the number that see all of the
+    person.
 
     Args:
         cameras: Cameras by name.
         chest: Height of the chest above the floor, metres.
         stature: Height of the person, metres.
-        area: x, y of two corners of the floor, metres in ``map``; the surroundings of the rig if absent.
+        area: x, y of two corners of the floor, metres in ``map``. If None, the surroundings of the rig.
 
     Raises:
         CameraError: There is no camera, one is farther away than 100 km, or the area is empty.
@@ -110,7 +111,8 @@ def coverage_image(
 
 @dataclass(frozen=True)
 class _Rig:
-    """Cameras, the borders of their views (B, 3) in ``map``, their colours, and the bounds of the drawing."""
+    """Cameras with the borders (B, 3) of their views in ``map``, their colours, and the bounds of the
+    drawing."""
 
     cameras: Mapping[str, Camera]
     borders: list[Array]
@@ -175,7 +177,7 @@ def _draw_cameras_above(image: Image, plan: Plan, rig: _Rig, colors: Sequence[Co
 
 
 def _draw_names(image: Image, names: Sequence[str], pixels: Array, depth: Array) -> None:
-    """Draw names above pixels (N, 2) at depths (N,); a name that overlaps a nearer one is left out."""
+    """Draw names above pixels (N, 2) at depths (N,). A name that overlaps a nearer name is left out."""
     drawn: list[Array] = []
     for number in np.argsort(depth):
         width, height = text_size(names[number], 0.4)
@@ -198,7 +200,7 @@ def _draw_map_axes(image: Image, plan: Plan, rig: _Rig) -> None:
 
 
 def _from_side(rig: _Rig, points: Array) -> tuple[Image, float]:
-    """Draw the cameras from the side; also returns the size of a square of the floor in metres."""
+    """Draw the cameras from the side. Returns also the size of a square of the floor in metres."""
     image = _panel()
     cell = round_cell(float((rig.high - rig.low)[:2].max()))
     start, stop = np.floor(rig.low[:2] / cell), np.ceil(rig.high[:2] / cell)
@@ -252,7 +254,7 @@ def _coverage_panel(rig: _Rig, plan: Plan, covered: Coverage) -> Image:
 
 
 def _focus(cameras: Sequence[Camera], centers: Array) -> Array:
-    """Point (3,) nearest to all optical axes where they meet, else a point in front of the cameras."""
+    """Point (3,) nearest to all optical axes, if they meet. If not, a point in front of the cameras."""
     point = common_point(cameras)
     extent = max(float(np.ptp(centers, axis=0).max()), 1.0)
     if point is not None and (np.abs(point - centers.mean(0)) < 3 * extent).all():

@@ -21,17 +21,17 @@ from humansim_ros.scene.camera import SceneCamera
 from humansim_ros.truth import JointView
 from humansim_ros.types import Image
 
-#: Longest side of a sheet in pixels; a larger one is scaled down.
+#: Longest side of a sheet in pixels. A larger sheet is scaled down.
 MAX_SIDE = 8192
 #: Least and greatest width that callers may ask for.
 WIDTHS = (160, MAX_SIDE)
-#: Cameras with fewer pixels than this are enlarged, for their joints to be seen.
+#: Cameras with fewer pixels than this are enlarged, so that their joints are visible.
 _SMALL = 320
 _BACKGROUND, _TITLE_COLOR = 28, (235, 235, 235)
 _GAP, _HEAD = 4, 36
 #: Pixels that are rendered for one pixel of the sheet, along each axis.
 _OVERSAMPLING = 2
-#: Channels that need no interpolation between pixels.
+#: Channels that may be interpolated between pixels.
 _SMOOTH = {"rgb", "alpha", "shadow"}
 _JOINT_CHANNELS = ("depth", "instance", "part")
 
@@ -71,16 +71,18 @@ def snapshot(
 ) -> Image:
     """Draw what all cameras of a scene see at one time, and the scene from above, as one sheet (H, W, 3).
 
-    Cameras are rendered one after the other, with at most twice the pixels of their tile along each axis:
+    Cameras are rendered one after the other, with at most twice the pixels of their tile along each axis. So
     time and memory do not grow with the size of their images.
 
     Args:
         scene: The scene.
-        seconds: Scene time of the picture; the nearest frame is drawn.
+        seconds: Scene time of the picture. The nearest frame is drawn.
         channels: Channels to draw, a row each (docs/ground_truth.md).
         width: Greatest width of the sheet in pixels, 160 to 8192. The height follows, up to 8192.
-        joints: Draw the joints over rgb: green discs are visible joints, orange circles hidden ones.
-        above: Draw the scene from above in the last tile: cameras, what they see, people and their paths.
+        joints: Whether joints are drawn over rgb. Green discs are visible joints, orange circles hidden
+            joints.
+        above: Whether the last tile shows the scene from above: cameras with their views, people and their
+            paths.
 
     Raises:
         HumansimError: A channel does not exist, or the time or the width is out of range.
@@ -117,14 +119,14 @@ def snapshot(
 
 
 def _middle(sizes: Sequence[tuple[int, int]]) -> tuple[int, int]:
-    """The size (width, height) of a camera with an aspect that is in the middle."""
+    """Size (width, height) of the camera with the median aspect ratio."""
     return sorted(sizes, key=lambda size: size[1] / size[0])[len(sizes) // 2]
 
 
 def _from_above(
     scene: Scene, cameras: Mapping[str, Camera], seconds: float, tile: tuple[int, int], rows: int
 ) -> list[Image]:
-    """Picture of the scene from above in a column of tiles, one below the other.
+    """Picture of the scene from above, as a column of tiles.
 
     Args:
         scene: The scene.
@@ -144,7 +146,8 @@ def _from_above(
 
 
 def _reduced(camera: SceneCamera, tile: tuple[int, int]) -> SceneCamera:
-    """A camera with twice the pixels of its tile along each axis; the camera itself if it has no more."""
+    """A camera with twice the pixels of its tile along each axis. If it has no more pixels, the camera
+    itself."""
     width, height = camera.camera.size
     scale = _OVERSAMPLING * min(tile[0] / width, tile[1] / height)
     if scale >= 1:
@@ -187,7 +190,7 @@ def _tiles(
 
 
 def _fitted(image: Image, size: tuple[int, int], smooth: bool) -> tuple[Image, float]:
-    """Scale an image into a size; also returns the scale."""
+    """Scale an image into a size. Returns also the scale."""
     scale = min(size[0] / image.shape[1], size[1] / image.shape[0])
     inner = tuple(max(1, round(scale * side)) for side in (image.shape[1], image.shape[0]))
     method = cv2.INTER_NEAREST if not smooth else cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
@@ -195,7 +198,7 @@ def _fitted(image: Image, size: tuple[int, int], smooth: bool) -> tuple[Image, f
 
 
 def _with_joints(tile: Image, actor: Actor, seen: JointView, scale: float) -> Image:
-    """Draw the joints of a human over an image that is scaled."""
+    """Draw the joints of a human over a scaled image."""
     skeleton = actor.human.skeleton
     radius = float(np.clip(min(tile.shape[:2]) / 120, 1, 4))
     pixels = scale * (seen.pixels + 0.5) - 0.5

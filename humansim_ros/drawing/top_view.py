@@ -32,15 +32,15 @@ if TYPE_CHECKING:
     from humansim_ros.scene.actor import Actor
 
 
-#: Height at which places count as seen: the chest of an adult, metres.
+#: Places are tested at this height, metres: the chest of an adult.
 CHEST = 1.2
-#: Seconds of a person's path that are drawn, and between its points.
+#: Length of a person's path that is drawn, and time between its points, seconds.
 PATH_SECONDS, _PATH_STEP = 10.0, 0.1
-#: A longer step is a jump of a motion that starts again, metres.
+#: A step longer than this, metres, is a jump: the motion starts again.
 _JUMP = 0.6
 #: Height of the legend below the plan and margin for the numbers along its axes, pixels.
 _LEGEND, _MARGIN = 26, 34
-#: Least side of the drawing in pixels; a smaller tile shows it reduced.
+#: Least side of the drawing in pixels. For a smaller tile it is scaled down.
 _LEAST = 320
 #: Most positions of the coverage along one axis.
 _POSITIONS = 240
@@ -86,7 +86,7 @@ def top_view(
 
 
 def _path(actor: Actor, seconds: float) -> Array:
-    """Hips (N, 2) of a person in the seconds from a scene time on; the first is where they are."""
+    """Hips (N, 2) of a person in the seconds after a scene time. The first point is the present place."""
     times = seconds + np.arange(0.0, PATH_SECONDS, _PATH_STEP)
     return actor.joint_paths(times)[:, 0, :2]
 
@@ -108,12 +108,13 @@ def _bounds(scene: Scene, cameras: Mapping[str, Camera], paths: Mapping[str, Arr
 def _draw_coverage(
     image: Image, plan: Plan, scene: Scene, cameras: Mapping[str, Camera]
 ) -> tuple[list[tuple[int, int]], list[Color]]:
-    """Color the floor by the number of cameras that see it; returns the steps of the legend, and colours."""
+    """Colour the floor by the number of cameras that see it. Returns the steps of the legend, and their
+    colours."""
     step = max(2, -(-max(plan.size) // _POSITIONS))
     x, y = plan.positions(step)
     counts = Coverage.of(cameras, x, y, CHEST).counts
     levels, colors, of_count = coverage_colors(max(1, len(cameras)))
-    # paler than the legend of a coverage image, for people and paths to stand out
+    # paler than the legend of a coverage image, so that people and paths stand out
     pale = np.rint(0.55 * of_count + 0.45 * 255).astype(np.uint8)
     shown = pale[counts]
     if scene.environment.room is not None:
@@ -183,7 +184,7 @@ def _draw_people(image: Image, plan: Plan, scene: Scene, paths: Mapping[str, Arr
 
 
 def _facing(actor: Actor, seconds: float) -> Array:
-    """Direction (2,) in which the hips of a person face, seen from above; zero if they face up or down."""
+    """Direction (2,) that the hips of a person face, seen from above. Zero if they face up or down."""
     hips = actor.motion.match.roles["Hips"]
     rotation = quaternion_to_matrix(actor.joint_poses(seconds).rotations[0, hips])
     heading = rotation[:2, 0]
@@ -192,7 +193,7 @@ def _facing(actor: Actor, seconds: float) -> Array:
 
 
 def _draw_legend(image: Image, levels: list[tuple[int, int]], colors: list[Color]) -> None:
-    """Draw the colours of the numbers of cameras, as many as there is room for."""
+    """Draw the colours with their numbers of cameras, as many as fit."""
     x = 10
     for text in ("cameras that see 1.2 m above the floor", "cameras at 1.2 m", ""):
         if x + text_size(text, 0.38)[0] + 36 * len(levels) < image.shape[1]:
@@ -313,7 +314,7 @@ def draw_view(image: Image, center: Array, border: Array, color: Color) -> None:
 
 
 def draw_name(image: Image, text: str, center: Array, backward: Array, margin: int) -> None:
-    """Draw a camera's name behind it, or above it where there is no room.
+    """Draw a camera's name behind the camera. If there is no room, above it.
 
     Args:
         image: Image that is drawn on.
@@ -349,8 +350,8 @@ def draw_label(
         position: x, y of its lower edge in pixels.
         scale: Size of the font, as in :func:`~humansim_ros.drawing.canvas.draw_text`.
         color: Colour of the text.
-        anchor: The part of its lower edge that is at ``position``.
-        boxed: Draw it on a translucent box.
+        anchor: Which point of its lower edge is at ``position``.
+        boxed: Whether it is drawn on a translucent box.
     """
     width, _ = text_size(text, scale)
     x, y = position
@@ -381,7 +382,8 @@ def view_border(camera: Camera, reach: float) -> Array:
 
 
 def round_cell(extent: float) -> float:
-    """Size of a grid cell in metres, 1, 2 or 5 times a power of ten: 5 to 12 cells fit into the extent."""
+    """Size of a grid cell in metres: 1, 2 or 5 times a power of ten, so that 5 to 12 cells fit into the
+    extent."""
     power = 10.0 ** np.floor(np.log10(extent / 5))
     return float(power * max(step for step in (1, 2, 5) if step * power <= extent / 5 * (1 + 1e-9)))
 
@@ -392,7 +394,8 @@ def coverage_colors(most: int) -> tuple[list[tuple[int, int]], list[Color], NDAr
     ``most``: the greatest number, at least 1.
 
     Returns:
-        Least and greatest number of each step of the legend; its colour; colour of each number (most + 1, 3).
+        Least and greatest number of each step of the legend, the colour of each step, and the colour of each
+        number (most + 1, 3).
     """
     step = -(-most // _LEVELS)
     levels = [(0, 0), *((least, min(least + step - 1, most)) for least in range(1, most + 1, step))]

@@ -32,7 +32,7 @@ _SHEET_WIDTH = 480
 
 
 def color_depth(depth: NDArray[np.float32]) -> Image:
-    """Color a depth image (H, W) in metres: near is red, far is blue, pixels without depth are black."""
+    """Colour a depth image (H, W) in metres. Near is red, far is blue. Pixels without depth are black."""
     finite = np.isfinite(depth)
     if not finite.any():
         return np.zeros((*depth.shape, 3), np.uint8)
@@ -43,7 +43,7 @@ def color_depth(depth: NDArray[np.float32]) -> Image:
 
 
 def color_labels(labels: NDArray[np.integer]) -> Image:
-    """Color a label image (H, W): a colour per label, repeated after 255 labels; 0 is black."""
+    """Colour a label image (H, W). Colours repeat after 255 labels. The label 0 is black."""
     palette = hsv_colors(distinct_hues(256), 190, np.where(np.arange(256) % 2, 255, 200))
     palette[0] = 0
     labels = labels.astype(np.intp)
@@ -75,13 +75,13 @@ def color_channel(name: str, values: Any) -> Image:
 
 
 def channel_picture(view: View, channel: str, encoding: str) -> Image:
-    """Image (H, W, 3) of a channel of a view, for people; ``encoding``: of its colours."""
+    """Image (H, W, 3) of a channel of a view, for people. ``encoding``: encoding of its colours."""
     values = getattr(view, channel)
     return color_image(values, encoding) if channel == "rgb" else color_channel(channel, values)
 
 
 def _color_masks(masks: Mapping[int, NDArray[Any]]) -> Image:
-    """Color coverage images (bool, or 0 to 255) by label; the strongest at each pixel."""
+    """Colour coverage images (bool, or 0 to 255) by label. The strongest coverage at each pixel counts."""
     colors = color_labels(np.array([list(masks)], np.intp))[0].astype(float)
     shape = next(iter(masks.values()), np.zeros((1, 1))).shape
     out = np.zeros((*shape, 3))
@@ -142,11 +142,11 @@ def draw_joints(
     parents: Sequence[str | None],
     radius: float = 3,
 ) -> Image:
-    """Draw joints over a copy of an image: filled discs where visible, circles where hidden.
+    """Draw joints over a copy of an image. Visible joints are filled discs, hidden joints circles.
 
     Args:
         image: Image (H, W, 3).
-        pixels: Pixels of the joints, (J, 2); NaN for a joint without one.
+        pixels: Pixels of the joints, (J, 2). NaN for a joint without a pixel.
         visible: State, (J,): visible, hidden or outside (:mod:`humansim_ros.truth.camera_truth`).
         names: Names of the joints, (J,). The prefix ``l_`` or ``r_`` chooses the colour of the line.
         parents: Name of each joint's parent, (J,), to which a line is drawn; None for no line.
@@ -178,7 +178,8 @@ def joint_colors(names: Sequence[str]) -> tuple[list[Color], Color, Color]:
 
 
 def contact_sheet(rows: Sequence[Sequence[Image]], titles: Sequence[str], labels: Sequence[str]) -> Image:
-    """Arrange images (H, W, 3) in a grid; ``titles`` of the columns, ``labels`` of the rows."""
+    """Arrange images (H, W, 3) in a grid. ``titles`` are those of the columns, ``labels`` those of the
+    rows."""
     lines = [_join_columns([_resized(image, _SHEET_WIDTH) for image in row]) for row in rows]
     for line, label in zip(lines, labels, strict=True):
         position = (12, line.shape[0] - 14)

@@ -1,7 +1,7 @@
-"""Upright boxes of people in all cameras together, as track 1 of the AI City Challenge has them [Tang 2025].
+"""Upright boxes of people over all cameras, in the format of track 1 of the AI City Challenge [Tang 2025].
 
 The layout is that of ``MTMC_Tracking_2025``; ``ground_truth.txt`` has the lines of a result file. Their
-pixels count from the corner of the image, and so do the matrices of the cameras here.
+pixels are measured from the corner of the image, like the matrices of the cameras here.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ COLUMNS = (
 TRUTH_FILE = "ground_truth.txt"
 #: Parts of a 3D box in a line.
 _NUMBERS = ("location", "bounding box scale", "bounding box rotation")
-#: Number of the scene in an export, which has one.
+#: Number of the scene in an export. An export has one scene.
 _SCENE = 0
 
 
@@ -49,7 +49,7 @@ class AiCityWriter(FormatWriter):
     ``settings``: settings of the export.
 
     Raises:
-        ExportError: A camera moves, and the files hold one pose of each.
+        ExportError: A camera moves, but the files hold only one pose of each camera.
     """
 
     def __init__(self, settings: ExportSettings) -> None:

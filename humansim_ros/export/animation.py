@@ -1,4 +1,5 @@
-"""A scene over time, as programs for animation and simulation need it: skin, skeleton, and all poses."""
+"""A scene over time, in a form that programs for animation and simulation need: skin, skeleton, and all
+poses."""
 
 from __future__ import annotations
 
@@ -31,9 +32,9 @@ from humansim_ros.scene.camera import CameraPose
 from humansim_ros.scene.scene import Scene
 from humansim_ros.types import Array
 
-#: Sizes that differ by less are the same up to rounding.
+#: Sizes that differ by less than this are equal up to rounding.
 SAME_SIZE = 1e-6
-#: About x, xyzw.
+#: Half a turn about x, xyzw.
 _HALF_TURN = np.array([1.0, 0.0, 0.0, 0.0])
 #: Beginning of the names of surfaces.
 _SURFACE = "surface_"
@@ -55,12 +56,13 @@ class AnimatedHuman:
 
     @property
     def grows(self) -> bool:
-        """Whether keyframes change its size."""
+        """Whether keyframes change the size of the person."""
         return bool(np.ptp(self.sizes) > SAME_SIZE)
 
     @property
     def rest(self) -> tuple[Array, Array]:
-        """Vertices (V, 3) and bones (B, 4, 4) at rest in the axes of ``map``, of the first size."""
+        """Vertices (V, 3) and bones (B, 4, 4) in the rest pose, in the axes of ``map``, with the first
+        size."""
         size, bones = float(self.sizes[0]), np.array(self.human.skeleton.rest)
         bones[:, :3] = WORLD_FROM_BODY @ bones[:, :3]
         bones[:, :3, 3] *= size
@@ -88,12 +90,13 @@ class PoseTrack:
 
     @property
     def grows(self) -> bool:
-        """Whether its size changes."""
+        """Whether the size of the thing changes."""
         return bool(np.ptp(self.sizes, axis=0).max() > SAME_SIZE)
 
     @property
     def backward(self) -> PoseTrack:
-        """Poses of a camera that looks along -z with y up, for a track of optical frames: z ahead, y down."""
+        """Convert poses of optical frames (z ahead, y down) to those of a camera that looks along -z with y
+        up."""
         return replace(self, rotations=multiply_quaternions(self.rotations, _HALF_TURN))
 
 
@@ -127,7 +130,8 @@ class AnimationWriter(FormatWriter):
 
     @property
     def surfaces(self) -> dict[str, Mesh]:
-        """Meshes of the room and of mesh files in ``map`` by a name, which begins as no other one does."""
+        """Meshes of the room and of mesh files in ``map``, by a name. The names begin as no other names
+        do."""
         meshes = enumerate(self.simulated.static_parts[0])
         return {f"{_SURFACE}{number:03d}": mesh for number, mesh in meshes}
 
@@ -146,7 +150,7 @@ class AnimationWriter(FormatWriter):
         return {"people": people, "objects": objects, "cameras": cameras}
 
     def animated(self, records: Iterable[tuple[int, Record]]) -> AnimatedScene:
-        """The scene in all frames."""
+        """The scene in all frames. ``records``: results of :meth:`frame`."""
         tracks = _tracks(records)
         people = {}
         for name, (heads, rotations, sizes) in tracks.get("people", {}).items():
@@ -189,7 +193,7 @@ def _track(positions: Array, rotations: Array, sizes: Array) -> PoseTrack:
 
 
 def without_sign_changes(quaternions: Array) -> Array:
-    """The same rotations (F, ..., 4) over time, each with the sign nearest to the frame before."""
+    """The same rotations (F, ..., 4) over time. Each has the sign that is nearest to the previous frame."""
     flips = np.sum(quaternions[1:] * quaternions[:-1], axis=-1, keepdims=True) < 0
     out = np.array(quaternions)
     out[1:] *= np.where(np.cumsum(flips, axis=0) % 2 == 1, -1.0, 1.0)
@@ -224,7 +228,8 @@ BONES_OF_SET = 4
 
 
 def influences(human: Human) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-    """Bones (V, N) and weights (V, N), the largest weights first; unused ones are zero. N is 4, 8 …"""
+    """Bones (V, N) and weights (V, N), the largest weights first. Unused ones are zero. N is a multiple of
+    4."""
     weights = human.weights.tocsr()
     counts = np.diff(weights.indptr)
     rows = np.repeat(np.arange(len(counts)), counts)
@@ -238,13 +243,13 @@ def influences(human: Human) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
 
 
 def rest_normals(mesh: Mesh) -> Array:
-    """Normals (V, 3) at rest, of unit length also at vertices without triangles."""
+    """Normals (V, 3) in the rest pose. They have unit length also at vertices without triangles."""
     normals = SurfaceNormals(mesh.triangles, len(mesh.vertices))(mesh.vertices)
     return np.asarray(np.where(normals.any(axis=-1, keepdims=True), normals, (0.0, 1.0, 0.0)), dtype=float)
 
 
 def texture_of(human: Human) -> bytes | None:
-    """Texture of a human as a PNG or JPEG file; None without."""
+    """Texture of a human as a PNG or JPEG file; None for no texture."""
     if human.mesh.texture is None:
         return None
     look = human.looks.get(human.outfit)
@@ -261,7 +266,8 @@ def warn_of_curved_skinning(people: Mapping[str, AnimatedHuman], program: str) -
 
 
 def identifiers(names: Iterable[str], longest: int = 64) -> dict[str, str]:
-    """Names that every program takes: ASCII letters, digits and underscores, first a letter, no two equal.
+    """Names that every program accepts: ASCII letters, digits and underscores, beginning with a letter, all
+    different.
 
     ``longest``: most letters of a name.
 
@@ -284,12 +290,12 @@ def identifiers(names: Iterable[str], longest: int = 64) -> dict[str, str]:
     return found
 
 
-#: Most colours of a texture of vertex colours, and the side of the square of each in pixels.
+#: Most colours in a texture of vertex colours, and side of the square of each colour in pixels.
 _PALETTE, _SQUARE = 256, 4
 
 
 class TextureFiles:
-    """Writes images to a folder of an export, equal ones once. ``folder``: the folder."""
+    """Writes images to a folder of an export. Equal images are written once. ``folder``: the folder."""
 
     def __init__(self, folder: ExportFolder) -> None:
         self._folder = folder
@@ -298,7 +304,7 @@ class TextureFiles:
         self._seen: dict[int, tuple[NDArray[np.uint8], str]] = {}
 
     def of(self, mesh: Mesh) -> str | None:
-        """Name of the file of a mesh's texture, as PNG; None without."""
+        """Name of the file of a mesh's texture, as PNG; None for no texture."""
         if mesh.texture is None:
             return None
         if id(mesh.texture) not in self._seen:
@@ -316,11 +322,9 @@ class TextureFiles:
 
 
 def painted(mesh: Mesh) -> Mesh:
-    """The mesh with a texture of its vertex colours, for programs that draw none; itself with a texture.
-
-    Each colour is a square of the texture. Where the corners of a triangle differ, colours between them are
-    wrong; a mesh of more than 256 colours has their mean.
-    """
+    """The mesh, with a texture of its vertex colours for programs that do not draw them. A mesh with a
+    texture is unchanged. Each colour is a square of the texture. Where the corners of a triangle differ,
+    colours between them are wrong; a mesh of more than 256 colours has their mean."""
     if mesh.colors is None or mesh.texture is not None:
         return mesh
     colors, number = np.unique(mesh.colors, axis=0, return_inverse=True)
@@ -334,7 +338,7 @@ def painted(mesh: Mesh) -> Mesh:
 
 
 def obj_text(mesh: Mesh) -> str:
-    """A mesh as an OBJ file, with texture coordinates but without material; in its own axes."""
+    """A mesh as an OBJ file in its own axes, with texture coordinates but without material."""
     lines = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in mesh.vertices.tolist()]
     corners = (mesh.triangles + 1).tolist()
     if mesh.uv is None or mesh.uv_triangles is None:
@@ -349,10 +353,8 @@ def obj_text(mesh: Mesh) -> str:
 def add_tag(
     parent: ElementTree.Element, path: str, text: str | None = None, **attributes: str
 ) -> ElementTree.Element:
-    """Add elements of XML to another one, each in the one before; return the last, with text and attributes.
-
-    ``path``: their tags, such as ``link/sensor``.
-    """
+    """Add XML elements, each inside the previous one. Returns the last one, which gets text and attributes.
+    ``path``: their tags, such as ``link/sensor``."""
     *above, last = path.split("/")
     for tag in above:
         parent = ElementTree.SubElement(parent, tag)
@@ -362,13 +364,13 @@ def add_tag(
 
 
 def add_texts(parent: ElementTree.Element, path: str, **texts: str) -> None:
-    """Add elements as :func:`add_tag` does; in the last, one with a text for each tag."""
+    """Add elements like :func:`add_tag`. In the last one, add an element for each text."""
     element = add_tag(parent, path)
     for tag, text in texts.items():
         add_tag(element, tag, text)
 
 
 def joined(values: NDArray[Any]) -> str:
-    """Whole numbers as they are, others with nine digits, between spaces."""
+    """Numbers with spaces between. Whole numbers are unchanged, other numbers have nine digits."""
     form = "d" if np.issubdtype(values.dtype, np.integer) else ".9g"
     return " ".join(f"{value:{form}}" for value in np.ravel(values).tolist())

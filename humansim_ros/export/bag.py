@@ -1,6 +1,6 @@
-"""A bag as source of an export: the frames are read from its topics; nothing is rendered or computed anew.
+"""A bag as source of an export. The frames are read from its topics. Nothing is rendered or computed again.
 
-A frame is a stamp at which each topic that the formats need has a message. Frames are numbered from 0 in the
+Each stamp with a message on all topics that the formats need is a frame. Frames are numbered from 0 in the
 order of their stamps.
 """
 
@@ -51,11 +51,11 @@ from humansim_ros.types import Array
 
 #: Largest message that is read, bytes.
 _MAX_MESSAGE = 1 << 31
-#: What is about labelled bodies: needs their names.
+#: Channels about parts of bodies. They need the names of the parts.
 _PARTS = {"part", "body_part"}
 _LABELLED = {"instance", *_PARTS, BOXES, KEYPOINTS}
 _SCENE_TIME = "/scene_time"
-#: Topics with which every format can be understood.
+#: Topics that are needed to understand every format.
 _ALWAYS = ("/scene_time", "*/camera_info", "*/extrinsics", "*/joints/legend", "*/part/legend")
 _KINDS = {number: kind for kind, number in messages.BODY_KINDS.items()}
 #: Most topics that a message lists.
@@ -72,7 +72,7 @@ class _Place(NamedTuple):
 
 @dataclass(frozen=True)
 class _Needed:
-    """Topics that have a message for each whole frame, by what they hold.
+    """Topics that have a message for each complete frame, by what they contain.
 
     Attributes:
         channels: Topic by camera and channel.
@@ -104,13 +104,13 @@ class _Needed:
 
 @dataclass(frozen=True)
 class BagSource:
-    """A bag that is read, for some formats.
+    """A bag that is read for some formats.
 
     Attributes:
         path: The bag.
         formats: Rows of the formats.
         keypoints: Name of the keypoint set.
-        scene: What the writers of formats know.
+        scene: What the writers of formats know about the scene.
         hash: Hash of topics, sizes, and times of the bag.
         custom: Texts that the writer of the bag has left.
         needed: Topics that are read.
@@ -129,7 +129,7 @@ class BagSource:
 
     @classmethod
     def read(cls, path: Path, formats: Sequence[ExportFormat], keypoints: str = "coco17") -> BagSource:
-        """Find out what a bag holds. Messages are read once, to find the frames.
+        """Find out what a bag contains. Its messages are read once, to find the frames.
 
         Args:
             path: The bag.
@@ -137,7 +137,7 @@ class BagSource:
             keypoints: Name of the keypoint set.
 
         Raises:
-            ExportError: The bag lacks a topic that a format needs, or no frame is whole.
+            ExportError: The bag lacks a topic that a format needs, or no frame is complete.
             BagError: The bag cannot be read.
         """
         with BagReader(path) as reader:
@@ -149,7 +149,7 @@ class BagSource:
         return len(self.frames)
 
     def device(self) -> str:
-        """Nothing is rendered."""
+        """Empty, since nothing is rendered."""
         return ""
 
     def open(self) -> BagFrames:
@@ -157,7 +157,7 @@ class BagSource:
         return BagFrames(self)
 
     def provenance(self, frames: range) -> dict[str, Any]:
-        """The bag, what its writer has left about its scene, and the stamps of the frames."""
+        """The bag, what its writer has stored about its scene, and the stamps of the frames."""
         return {
             "bag": self.path.name,
             "bag_hash": self.hash,
@@ -181,7 +181,7 @@ def _parsed(text: str) -> Any:
 
 
 class _Survey:
-    """What a bag holds for some formats. Arguments as in :meth:`BagSource.read`."""
+    """Finds out what a bag contains for some formats. The arguments are those of :meth:`BagSource.read`."""
 
     def __init__(self, reader: BagReader, formats: tuple[ExportFormat, ...], keypoints: str) -> None:
         self._reader, self._formats, self._keypoints = reader, formats, keypoints
@@ -223,7 +223,7 @@ class _Survey:
         raise ExportError(f"the format {row.name} {text}", path=self._reader.path, key="--format")
 
     def _camera_names(self) -> list[str]:
-        """Cameras: names in front of the topics that only cameras have; scanners have extrinsics, too."""
+        """Cameras: names in front of topics that only cameras have, since scanners have extrinsics, too."""
         ends = ("camera_info", "image_raw", "joints/legend", "boxes")
         split = (topic.removeprefix("/").partition("/") for topic in self._topics)
         names = dict.fromkeys(name for name, _, rest in split if rest.startswith(ends))
@@ -237,7 +237,7 @@ class _Survey:
         return cameras
 
     def _people(self) -> list[str]:
-        """People who have topics."""
+        """People that have topics."""
         parts = (topic.split("/") for topic in self._topics)
         return list(dict.fromkeys(each[2] for each in parts if each[1] == "humans" and len(each) > 3))
 
@@ -283,7 +283,7 @@ class _Survey:
         return _Needed(channels, boxes, keypoints, positions, extrinsics)
 
     def _require(self, row: ExportFormat, topic: str) -> str:
-        """The topic, if the bag has it; else ExportError with the command that records all topics."""
+        """The topic, if the bag has it. Otherwise ExportError names the command that records all topics."""
         if topic not in self._topics:
             self._refuse(
                 row,
@@ -302,9 +302,8 @@ class _Survey:
         return next(self._messages(topic, kind))
 
     def _labels(self, cameras: Sequence[str]) -> tuple[dict[str, int], dict[str, str], dict[str, str], str]:
-        """Instance labels by name, kinds of objects, licences of people, and the licence of data sets, by the
-        legend of a camera; else people by topics.
-        """
+        """Instance labels by name, kinds of objects, licences of people, and licence of data sets, from the
+        legend of a camera. If there is no legend, people from topics."""
         for camera in cameras:
             topic = f"/{camera}/joints/legend"
             if topic in self._topics:
@@ -353,9 +352,8 @@ class _Survey:
         )
 
     def _frames(self, needed: _Needed, cameras: Sequence[str]) -> tuple[list[_Place], dict[str, list[int]]]:
-        """Stamps at which all topics have a message, of cameras with a rate of their own when it is due; and
-        the frames of each camera. Warns of stamps that lack a message.
-        """
+        """Stamps with a message on all topics that are due at them; and the frames of each camera. Cameras
+        may have their own rates. Warns of stamps that lack a message."""
         topics = needed.topics or [f"/{cameras[0]}/camera_info"]
         names = [topic.name for topic in self._reader.topics]
         found: Frames[int] = Frames(topics)
@@ -409,7 +407,7 @@ def recorded_patterns(formats: Iterable[ExportFormat], keypoints: str) -> list[s
 
 
 class BagFrames:
-    """Frames of a bag in any order. ``source``: the bag. It is opened."""
+    """Frames of a bag, in any order. ``source``: the bag. It is opened."""
 
     def __init__(self, source: BagSource) -> None:
         self._source = source
@@ -492,7 +490,8 @@ class BagFrames:
         )
 
     def _data(self, place: _Place, index: int) -> dict[str, bytes]:
-        """Messages of a frame by topic; of several with its stamp the first. ``index``: its number."""
+        """Messages of a frame by topic. If several have its stamp, the first one. ``index``: number of the
+        frame."""
         needed, known = self._source.needed, self._source.scene.cameras
         owners = needed.cameras
         due = [each for each in needed.topics if each not in owners or index in known[owners[each]].frames]
@@ -580,7 +579,7 @@ class BagCameraTruth(CameraTruth):
 
 
 def _no_joints(name: str) -> Array:
-    """Joints of a person, which no format reads from here."""
+    """Joints of a person. No format reads them from here."""
     raise ExportError(f"the joints of {name} are not read")
 
 
@@ -604,7 +603,7 @@ def _read_points(message: PointCloud2) -> NDArray[Any]:
 
 
 def _reader_of(channel: str) -> Callable[[Any], NDArray[Any]]:
-    """Reader of the images of a channel, which raises ExportError for labels that are not exact."""
+    """Function that reads the images of a channel. It raises ExportError for labels that are not exact."""
     row = CHANNEL_TABLE[channel]
 
     def pixels(message: Any) -> NDArray[Any]:
@@ -623,7 +622,7 @@ def _image_type(topic: str) -> type[Any]:
 
 
 def _simple(camera: Camera) -> Camera:
-    """The camera without a rectification if it is the one that follows from the rest."""
+    """The camera without its rectification, if this follows from the other values."""
     simple = replace(camera, rectification=None, rectified=None)
     same = np.allclose(simple.rectification_matrix, camera.rectification_matrix, atol=1e-12)
     same &= np.allclose(simple.rectified_projection, camera.rectified_projection, atol=1e-9)

@@ -1,10 +1,10 @@
 """COCO: people with keypoints, boxes and masks, and objects as categories [Lin 2014].
 
 ``person_keypoints.json`` has the people, ``instances.json`` people and objects. Names of images start from
-the folder ``images`` of the export. Boxes and areas come from the visible pixels; a body without any has
-no annotation. Boxes are measured from the corner of the image, keypoints from the centre of its first pixel,
-as detectors expect them from COCO. Keypoints of ``wholebody133`` have the fields of COCO-WholeBody
-[Jin 2020]: ``keypoints`` are the body, and feet, face and hands have fields of their own.
+the folder ``images`` of the export. Boxes and areas come from the visible pixels. A body without visible
+pixels has no annotation. Boxes are measured from the corner of the image, keypoints from the centre of its
+first pixel, as detectors expect them from COCO. Keypoints of ``wholebody133`` have the fields of
+COCO-WholeBody [Jin 2020]: ``keypoints`` are the body, and feet, face and hands have fields of their own.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class CocoWriter(FormatWriter):
     """Annotations of COCO."""
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
-        """Images and annotations of a frame; numbers are given at the end."""
+        """Images and annotations of a frame. Their numbers are set at the end."""
         scene = self.settings.scene
         images = []
         for camera, truth in frame.frame.truth.items():
@@ -110,7 +110,7 @@ def coco_document(
         records: Results of :meth:`CocoWriter.frame` with the numbers of the frames.
         category_of: Number of the category by body. Others are left out.
         categories: Categories of COCO.
-        first: Number of the first image; annotations are numbered from 1.
+        first: Number of the first image. Annotations are numbered from 1.
         licenses: Licences of the data set and of its people, with the addresses of their texts.
     """
     images: list[dict[str, Any]] = []
@@ -139,7 +139,7 @@ def _images(records: Iterable[tuple[int, Record]]) -> Iterator[dict[str, Any]]:
 
 
 def person_category(keypoints: KeypointSet) -> dict[str, Any]:
-    """The category of people; lines between keypoints count from 1."""
+    """The category of people. Lines between keypoints count from 1."""
     count = len(_WHOLE_BODY["body"][1]) if keypoints.name == _WHOLE_BODY_SET else len(keypoints)
     return {
         "id": 1,
@@ -158,8 +158,7 @@ def person_keypoints(view: KeypointView) -> dict[str, Any]:
 
 
 def divided_keypoints(record: Record, set_name: str) -> Record:
-    """Keypoints of a set in the fields of COCO-WholeBody, if it is that set. A part is valid if one of its
-    points is in the image. Its box (left, top, width, height) spans these points, and is 0 without any."""
+    """Keypoints of a set, divided into the fields of COCO-WholeBody if the set is ``wholebody133``."""
     if set_name != _WHOLE_BODY_SET:
         return record
     points = np.reshape(record["keypoints"], (-1, 3))
@@ -179,10 +178,8 @@ def divided_keypoints(record: Record, set_name: str) -> Record:
 
 
 def joined_keypoints(record: Record, set_name: str) -> Record:
-    """Annotation or detection with the keypoints of all fields of COCO-WholeBody in ``keypoints``.
-
-    The reverse of :func:`divided_keypoints`. A record without these fields is returned as it is.
-    """
+    """Annotation or detection with the keypoints of all fields of COCO-WholeBody in ``keypoints``. This is
+    the inverse of :func:`divided_keypoints`. A record without these fields is returned as it is."""
     keys = [key for key, *_ in _WHOLE_BODY.values()]
     if set_name != _WHOLE_BODY_SET or not all(isinstance(record.get(key), list) for key in keys):
         return record

@@ -23,11 +23,9 @@ class CroissantWriter(FormatWriter):
     """A card that describes the other formats of the export."""
 
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
-        """Write the card into the root of the export: paths in a card start from its folder.
-
-        It has the files of the whole export with their hashes, and the images by camera. The writers of the
-        other formats have finished.
-        """
+        """Write the card into the root of the export, since paths in a card start from its folder. It lists
+        the files of the whole export with their hashes, and the images by camera. The writers of the other
+        formats must have finished."""
         files = [
             {
                 "@type": "cr:FileObject",
@@ -90,10 +88,10 @@ def card_header(about: AboutConfig, name: str, made: str, licenses: Mapping[str,
     """Properties of a data set that its card begins with.
 
     Args:
-        about: What its author says of it.
-        name: Its name.
-        made: What it has, and how it was made: a sentence or more.
-        licenses: Licences by name, with the addresses of their texts; empty: not known.
+        about: What the author of the data set says about it.
+        name: Name of the data set.
+        made: What it contains, and how it was made: a sentence or more.
+        licenses: Licences by name, with the addresses of their texts. An empty address is unknown.
     """
     authors = ", ".join(about.creators) or "humansim_ros"
     stated = {
@@ -174,7 +172,7 @@ def data_set_card(
 def _field(
     identifier: str, kind: str, file_set: str, extract: Mapping[str, str], regex: str = ""
 ) -> dict[str, Any]:
-    """A field of records that come from the files of a set."""
+    """A field of records. Its values come from the files of a set."""
     source = {"fileSet": {"@id": file_set}, "extract": dict(extract)}
     return {
         "@type": "cr:Field",

@@ -1,7 +1,7 @@
 """Export of the scenes of a recipe as one data set, with any number of processes or on a cluster.
 
-Each scene is an export of its own in a folder of its split. When all are written, the files of the whole
-follow: index, hashes, data card, datasheet and the page of Hugging Face.
+Each scene is a separate export in a folder of its split. When all scenes are written, the files of the whole
+data set follow: index, hashes, data card, datasheet and the page of Hugging Face.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ from humansim_ros.scene.source import found_name
 _LAYOUT = 1
 #: Files of the whole data set: hashes for ``sha256sum -c``, page of Hugging Face, datasheet.
 HASHES, README, DATASHEET = "SHA256SUMS", "README.md", "datasheet.html"
-#: The scene in its folder.
+#: Name of the scene file in the folder of a scene.
 SCENE_FILE = "scene.yaml"
-#: Keys of a recipe for the options of an export of one scene.
+#: Keys of a recipe, by option of an export of one scene.
 _RECIPE_KEYS = {
     "--format": "formats",
     "--frames": "frames",
@@ -51,7 +51,7 @@ _RECIPE_KEYS = {
     "--images": "images",
     "--license": "about.license",
 }
-#: Options that are not given have these values, or are empty.
+#: Values of options that are not given. Other options are then empty.
 _NOT_GIVEN = {
     "--keypoints": "coco17",
     "--images": "png",
@@ -60,18 +60,19 @@ _NOT_GIVEN = {
 }
 #: Scenes of a task of a cluster.
 _PART_SCENES = 10
-#: Scenes that fail before a data set is given up: if all so far do, and if more than half of them do.
+#: A data set is given up if all of the first scenes fail (first number), or if more than half of so many
+#: scenes fail (second number).
 _ALL_FAIL, _MOST_FAIL = 4, 10
 
 
 @dataclass(frozen=True)
 class SceneResult:
-    """A scene that is written, or cannot be.
+    """A scene that has been written, or could not be.
 
     Attributes:
         number: Its number.
         size: Bytes of its files.
-        failure: Why it cannot be drawn or written; empty if it is written.
+        failure: Why the scene could not be drawn or written. Empty if it was written.
     """
 
     number: int
@@ -98,7 +99,7 @@ class DataSet:
     Attributes:
         recipe: What is drawn.
         root: Its folder; absolute on a cluster.
-        device: Device that renders: others round differently.
+        device: Device that renders. Other devices round differently.
     """
 
     recipe: Recipe
@@ -107,7 +108,7 @@ class DataSet:
 
     @classmethod
     def of(cls, recipe: Recipe, root: Path) -> DataSet:
-        """A data set that is rendered on this machine. Raises RenderError without OpenGL."""
+        """A data set that is rendered on this machine. Raises RenderError if OpenGL is missing."""
         context = OpenGLContext()
         context.close()
         return cls(recipe, root, context.device)
@@ -127,7 +128,7 @@ class DataSet:
 
     @property
     def key(self) -> str:
-        """Equal for data sets with the same scenes in the same folder."""
+        """Key that is equal for data sets with the same scenes in the same folder."""
         return f"{self.root} {self.plan}"
 
     def start(self) -> SceneWorker:
@@ -183,10 +184,8 @@ class SceneWorker:
 
 
 def check_options(options: Mapping[str, Any]) -> None:
-    """Raise ExportError if an option of an export of one scene is given: a recipe has keys in its place.
-
-    ``options``: values by name, such as ``--format``.
-    """
+    """Raise ExportError if an option for one scene is given, since a recipe has keys in place of options.
+    ``options``: values by name, such as ``--format``."""
     for name, value in options.items():
         if not value or value == _NOT_GIVEN.get(name):
             continue
@@ -201,7 +200,7 @@ def check_options(options: Mapping[str, Any]) -> None:
 
 
 def _export_scene(data_set: DataSet, drawn: DrawnScene) -> int:
-    """Write a scene, or what is missing of it; returns the bytes of its files."""
+    """Write a scene, or what is missing of it. Returns the number of bytes of its files."""
     recipe, config = data_set.recipe, data_set.recipe.config
     name = recipe.name(drawn.number)
     folder = data_set.root / name
@@ -239,7 +238,7 @@ def _scene_text(data_set: DataSet, drawn: DrawnScene, folder: Path) -> str:
         found = found_name(recipe.path.parent, name)
         return os.path.relpath(found, place) if found != name else str(name)
 
-    # the configuration without the people of variety and crowd, who follow from their seeds
+    # the configuration without the people of variety and crowd, since they follow from the seeds
     config = recipe.scene(drawn.number, drawn.attempt)
     content = map_files(config.model_dump(exclude_unset=True), renamed)
     text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, allow_unicode=True)
@@ -254,14 +253,14 @@ def write_data_set(
     on_progress: Callable[[FrameProgress], None] = lambda _: None,
     ray: str | None = None,
 ) -> FrameProgress:
-    """Write a data set. Its files do not depend on ``jobs``, the cluster, nor on interruptions.
+    """Write a data set. Its files do not depend on ``jobs``, on the cluster, or on interruptions.
 
     A scene that cannot be drawn does not stop the others, and is left out.
 
     Args:
         data_set: What is written. Its folder must not exist unless ``resume``.
-        jobs: Number of processes that render; with 1, this process does.
-        resume: Continue a data set that has begun; more scenes of the same recipe are added.
+        jobs: Number of processes that render. If 1, this process renders.
+        resume: Whether a data set that has begun is continued. More scenes of the same recipe may be added.
         on_progress: Called with the number of scenes after some scenes.
         ray: Address of a Ray cluster. If None, this machine writes.
 
@@ -311,7 +310,7 @@ def _write_on_cluster(
     progress: FrameProgress,
     on_progress: Callable[[FrameProgress], None],
 ) -> dict[int, str]:
-    """Write scenes on a Ray cluster; returns the reasons of those that failed."""
+    """Write scenes on a Ray cluster. Returns the reasons of failures, by scene."""
     parts = []
     for start in range(0, len(numbers), _PART_SCENES):
         some = tuple(numbers[start : start + _PART_SCENES])
@@ -332,7 +331,7 @@ def _write_on_cluster(
 
 
 def _unwritten(data_set: DataSet, resume: bool) -> Sequence[int]:
-    """Numbers of the scenes that are not written. Raises ExportError if the folder is not to be used."""
+    """Numbers of the scenes that are not written yet. Raises ExportError if the folder must not be used."""
     root, numbers = data_set.root, range(data_set.recipe.config.scenes)
     if not (root.exists() or root.is_symlink()):
         return numbers
@@ -375,7 +374,7 @@ def _write_index(data_set: DataSet, folder: ExportFolder, **more: Any) -> None:
 
 
 def _finish(data_set: DataSet, failures: Mapping[int, str]) -> None:
-    """Write the files of the whole data set, the index and the hashes at last."""
+    """Write the files of the whole data set. The index and the hashes come last."""
     recipe, root = data_set.recipe, data_set.root
     for number in failures:  # images of a part of a scene would be read with the others
         _remove(root / recipe.name(number))
@@ -455,5 +454,5 @@ def _counts(parts: Mapping[str, Totals]) -> dict[str, dict[str, int]]:
 
 
 def _named(failures: Mapping[int, str], folder: Path) -> dict[str, str]:
-    """Reasons by scene, without the folder of the recipe."""
+    """Reasons by scene. The folder of the recipe is removed from their texts."""
     return {f"scene_{number:06d}": failures[number].replace(f"{folder}/", "") for number in sorted(failures)}

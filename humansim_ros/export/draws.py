@@ -1,4 +1,4 @@
-"""Distributions that stand in place of values in a recipe."""
+"""Distributions that can replace values in a recipe."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def _rising(values: tuple[float, ...]) -> None:
 
 
 class UniformDraw(Section):
-    """A number between two numbers, each as likely."""
+    """A number between two numbers. All numbers are equally likely."""
 
     uniform: tuple[float, float]
 
@@ -65,7 +65,7 @@ class IntegerDraw(Section):
 
 
 class NormalDraw(Section):
-    """A number of a normal distribution: mean, standard deviation, and the least and greatest value."""
+    """A number from a normal distribution: mean, standard deviation, and smallest and largest value."""
 
     normal: Annotated[
         tuple[float, Annotated[float, Field(gt=0)], float, float],
@@ -96,7 +96,7 @@ class NormalDraw(Section):
 
 
 class ChoiceDraw(Section):
-    """One of some values, which may be distributions. ``weights``: how likely each of them is."""
+    """One of several values, which may be distributions themselves. ``weights``: how likely each value is."""
 
     choice: tuple[Any, ...] = Field(max_length=MAX_OPTIONS)
     weights: tuple[Annotated[float, Field(ge=0, le=1e9)], ...] | None = None
@@ -113,12 +113,12 @@ class ChoiceDraw(Section):
 
     @property
     def likely(self) -> Sequence[tuple[int, Any]]:
-        """Numbers and values of those that can be drawn, or of some of many."""
+        """Numbers and values of the options that can be drawn. If there are many options, only some."""
         pairs = enumerate(self._weighted())
         return [(number, value) for number, (value, weight) in pairs if weight > 0][:_TRIED]
 
     def among(self, is_allowed: Callable[[Any], bool]) -> ChoiceDraw | None:
-        """The same choice among some of the values; None if nothing is left."""
+        """The same choice, reduced to some of the values; None if no value is left."""
         kept = [(value, weight) for value, weight in self._weighted() if is_allowed(value)]
         if not sum(weight for _, weight in kept) > 0:
             return None
@@ -142,7 +142,7 @@ class ChoiceDraw(Section):
 #: Path of a key in a file.
 Keys: TypeAlias = tuple[str | int, ...]
 Draw: TypeAlias = UniformDraw | IntegerDraw | NormalDraw | ChoiceDraw
-#: Distributions by the key that stands in place of a value.
+#: Distributions, by the key that replaces a value.
 DRAWS: dict[str, type[Draw]] = {
     "uniform": UniformDraw,
     "integer": IntegerDraw,
@@ -152,11 +152,11 @@ DRAWS: dict[str, type[Draw]] = {
 
 
 def values_at_ends(value: Any, keys: Keys = ()) -> Iterator[tuple[Keys, Any, Any]]:
-    """A value with each of its distributions at each of its ends; other distributions of it stay.
+    """A value with each of its distributions set to each of its ends in turn. Its other distributions stay.
 
     Args:
         value: A value, or a distribution in its place.
-        keys: Its key.
+        keys: Key of the value.
 
     Yields:
         Key of the distribution, its value at the end, and the whole value with it.
@@ -184,7 +184,7 @@ def values_at_ends(value: Any, keys: Keys = ()) -> Iterator[tuple[Keys, Any, Any
 
 
 def draw_at(value: Any) -> Draw | None:
-    """The distribution in place of a value; None if it is a value.
+    """The distribution that replaces a value; None for a plain value.
 
     Raises:
         ExportError: The distribution is wrong.

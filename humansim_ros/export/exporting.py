@@ -43,7 +43,7 @@ from humansim_ros.jobs.ray_cluster import (
 )
 from humansim_ros.jobs.workers import run_frames
 
-#: Largest file that a frame leaves for the files of the whole export, bytes.
+#: Largest record of a frame, bytes. A record is what a frame leaves for the files of the whole export.
 _MAX_RECORD = 1 << 30
 #: Names of files while :func:`~humansim_ros.io.files.atomic_path` writes them.
 _TEMPORARY_NAME = re.compile(r"\..+\.[a-z0-9_]{8}(\.[^.]*)?")
@@ -85,7 +85,7 @@ class Export:
 
     @cached_property
     def settings(self) -> ExportSettings:
-        """What writers get."""
+        """Settings that writers get."""
         plan = self.plan
         return ExportSettings(
             self.source.scene, plan.frames, plan.keypoints, plan.image_suffix, plan.shard_size, plan.license
@@ -102,11 +102,11 @@ class Export:
 
     @property
     def key(self) -> str:
-        """Equal for exports with the same files in the same folder."""
+        """Key that is equal for exports with the same files in the same folder."""
         return f"{self.root} {self.plan.index()}"
 
     def write_part(self, worker: FrameWorker, part: ClusterPart) -> PartResult:
-        """Write the frames of a part that are not finished; this runs in a task of a cluster.
+        """Write the unfinished frames of a part. This runs in a task of a cluster.
 
         Raises:
             HumansimError: The host does not share the folder, a file cannot be written, or a frame cannot be
@@ -122,10 +122,10 @@ class Export:
         return WrittenFiles(files)
 
     def files_of(self, index: int) -> Mapping[str, FileEntry] | None:
-        """Files of a frame; None unless all have been written.
+        """Files of a frame; None unless all of them have been written.
 
         Raises:
-            ExportError: Something else is in place of its record, such as a named pipe.
+            ExportError: The record is no regular file, but for example a named pipe.
         """
         path = self.root / self.record_path(index)
         if not path.exists():
@@ -140,7 +140,7 @@ class Export:
             return None  # empty or cut after a power cut
 
     def record_path(self, index: int) -> str:
-        """File that says that a frame is finished, relative to the root."""
+        """File that marks a frame as finished, relative to the root."""
         return f"{TEMPORARY}/{frame_name(index)}.json"
 
     def _read(self, index: int) -> dict[str, Any]:
@@ -151,7 +151,8 @@ class Export:
 
 @dataclass(frozen=True)
 class FrameRecords:
-    """Number of each frame, with what it leaves for the files of a format; read from disk each time."""
+    """Numbers of the frames, each with its record for the files of a format. They are read from disk each
+    time."""
 
     export: Export
     name: str
@@ -179,7 +180,7 @@ class ExportWorker:
         self._frames.close()
 
     def work(self, index: int) -> FrameResult:
-        """Write the files of a frame, at last the one that says that it is finished; return the files.
+        """Write the files of a frame, and finally the file that marks it as finished. Returns the files.
 
         Raises:
             HumansimError: The frame cannot be rendered or read, or a file cannot be written.
@@ -198,7 +199,7 @@ class ExportWorker:
 
 
 def _plain(value: Any) -> Any:
-    """NumPy arrays and numbers for JSON."""
+    """Convert NumPy arrays and numbers to values for JSON."""
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     raise TypeError(f"a record holds no {type(value).__name__}")
@@ -212,18 +213,19 @@ def export(
 ) -> FrameProgress:
     """Export a scene or bag. The files do not depend on ``jobs``, nor on interruptions.
 
-    However the export ends, its files are whole, and finished frames are not written again.
+    If the export is interrupted, its files are complete, and finished frames are not written again.
 
     Args:
         job: Source, plan and folder. The folder must not exist unless ``resume``.
-        jobs: Number of processes that render; with 1, this process does.
+        jobs: Number of processes that render. If 1, this process renders.
         resume: Continue the export if it has begun; nothing happens if it is complete.
         on_progress: Called after each frame. Its argument is also the result.
 
     Raises:
         ExportError: The folder exists, or has another export.
         WorkerDiedError: A worker process has died.
-        HumansimError: A frame cannot be rendered or read, or a file cannot be written: a full disk.
+        HumansimError: A frame cannot be rendered or read, or a file cannot be written, for example on a full
+            disk.
     """
     frames, files = _unwritten(job, resume)
     progress = FrameProgress.of(len(job.plan.frames), len(frames))
@@ -251,11 +253,11 @@ def export_on_cluster(
     """Export a scene or bag on a Ray cluster. The files do not depend on the number of workers.
 
     Args:
-        job: Source, plan and folder, which has an absolute path that all hosts share.
+        job: Source, plan and folder. The folder has an absolute path that all hosts share.
         address: ``local`` starts Ray on this machine; ``auto``, ``host:port`` and ``ray://host:port`` name a
             cluster.
         workers: Number of workers of ``local``; one for each core if None.
-        shard_frames: Frames of a task.
+        shard_frames: Number of frames of a task.
         resume: Continue the export if it has begun.
         on_progress: Called after each task. Its argument is also the result.
 
@@ -286,7 +288,7 @@ def _part(frames: Sequence[int]) -> ClusterPart:
 
 
 def _unwritten(job: Export, resume: bool) -> tuple[Sequence[int], dict[str, FileEntry]]:
-    """Numbers of the frames that are not written, and the files of the others.
+    """Numbers of the frames that are not written yet, and the files of the other frames.
 
     ``resume``: continue the export if it has begun.
 
@@ -317,7 +319,7 @@ def _begin(job: Export) -> None:
 
 
 def _remove_temporary_files(root: Path, files: Collection[str]) -> None:
-    """Remove files that processes were writing when they were killed. ``files``: files of the export."""
+    """Remove files that were incomplete when processes were killed. ``files``: files of the export."""
     for folder, _, names in os.walk(root):
         for name in names:
             path = Path(folder) / name

@@ -24,7 +24,7 @@ IMAGES = "images"
 #: ``map``, bodies with vertices and bones, sweeps of laser scanners, and sweeps if the scene has scanners.
 BOXES, KEYPOINTS, POSITIONS, BODIES, SWEEPS = "boxes", "keypoints", "positions", "bodies", "sweeps"
 ANY_SWEEPS = "any sweeps"
-#: Channels that a renderer needs for them.
+#: Channels that a renderer needs for each of these.
 _CHANNELS_OF = {BOXES: REQUIRED_CHANNELS["boxes"], KEYPOINTS: REQUIRED_CHANNELS["joints"]}
 
 
@@ -36,10 +36,10 @@ class ExportFormat:
         name: Name on the command line, and of the folder of its files.
         title: One line for people.
         writer_name: Module and class of its writer.
-        content: What it needs of a frame: channels of all cameras, and of :data:`BOXES`, :data:`KEYPOINTS`,
-            :data:`POSITIONS`, :data:`BODIES`, :data:`SWEEPS` and :data:`ANY_SWEEPS`.
-        keypoints: Keypoint set that it always has; empty if there is a choice.
-        images: Its files name colour images: the tree of images is written, too.
+        content: What it needs of a frame: channels of all cameras, and some of :data:`BOXES`,
+            :data:`KEYPOINTS`, :data:`POSITIONS`, :data:`BODIES`, :data:`SWEEPS` and :data:`ANY_SWEEPS`.
+        keypoints: Keypoint set that the format always has. Empty if there is a choice.
+        images: Whether its files name colour images, so that the tree of images is written, too.
         needs: Python modules that it needs beyond the dependencies of the package.
         extra: Extra of the package that brings them.
     """
@@ -55,14 +55,14 @@ class ExportFormat:
 
     @property
     def writer(self) -> type[FormatWriter]:
-        """Class of its writer, with a module that is imported only now."""
+        """Class of its writer. The module of the class is imported only now."""
         module, _, name = self.writer_name.partition(".")
         kind: type[FormatWriter] = getattr(import_module(f"humansim_ros.export.{module}"), name)
         return kind
 
     @property
     def channels(self) -> frozenset[str]:
-        """Channels that all cameras of a scene render for it; nothing is rendered without any."""
+        """Channels that all cameras of a scene render for the format. If it has none, nothing is rendered."""
         derived = (channel for name in self.content for channel in _CHANNELS_OF.get(name, ()))
         return frozenset(derived) | (self.content & CHANNEL_TABLE.keys())
 
@@ -79,7 +79,7 @@ EXPORT_FORMATS: dict[str, ExportFormat] = {
 
 
 def chosen_formats(names: Sequence[str]) -> list[ExportFormat]:
-    """Rows of the table for names of formats, each once, with the images that they need, in its order.
+    """Rows of the table for names of formats, each once, in the order of the table. Needed images are added.
 
     Raises:
         ExportError: A name is unknown, there is none, or a format needs a library that is not installed.

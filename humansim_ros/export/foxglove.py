@@ -48,7 +48,7 @@ class FoxgloveWriter(FormatWriter):
     """``foxglove.mcap``, with the messages of all frames in their order."""
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
-        """Write the messages of a frame, until they are put into the file; return stamp and topics."""
+        """Write the messages of a frame to a temporary file. Returns stamp and topics."""
         lines, topics = [], {}
         for topic, schema, message in self._messages(frame):
             topics[topic] = f"foxglove.{schema}"
@@ -57,7 +57,7 @@ class FoxgloveWriter(FormatWriter):
         return {"stamp": frame.frame.stamp, "topics": topics}
 
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
-        """Join the messages to a file."""
+        """Join the messages of all frames to one file."""
         from humansim_ros.bags.chunks import BagMessage, encode_chunk
         from humansim_ros.bags.mcap_file import McapFile
 

@@ -80,7 +80,7 @@ class GazeboWriter(AnimationWriter):
 
 @dataclass(frozen=True)
 class Puppet:
-    """A skin on a tree of joints that move.
+    """A skin on a tree of joints. The joints move.
 
     Attributes:
         mesh: The skin at rest, in ``map``.
@@ -100,7 +100,7 @@ class Puppet:
 
     @classmethod
     def of_human(cls, person: AnimatedHuman) -> Puppet:
-        """A person of its first size: an actor's bones have no scale between frames."""
+        """A person with its first size, since an actor's bones have no scale between frames."""
         human, (vertices, rest) = person.human, person.rest
         mesh = replace(human.mesh, vertices=vertices)
         shifts, turns, _ = local_transforms(replace(person, sizes=np.ones(len(person.sizes))), np.eye(3))
@@ -180,7 +180,7 @@ class GazeboWorld:
             add_texts(material, "pbr/metal", albedo_map=f"{_MESHES}/{texture}", metalness="0", roughness="1")
 
     def add_actor(self, name: str, puppet: Puppet) -> None:
-        """Add an actor: at time k / rate it is as in frame k."""
+        """Add an actor. At the time k / rate, it is posed as in frame k."""
         mesh = painted(puppet.mesh)
         text = collada_text(replace(puppet, mesh=mesh), self._textures.of(mesh), self._times)
         self._meshes.write(f"{name}.dae", text)

@@ -53,7 +53,7 @@ class BvhWriter(AnimationWriter):
                 write_bvh(path, motion)
 
 
-#: Translations and sizes that vary less than this are constant, metres.
+#: Translations and sizes that vary by less than this, metres, are constant.
 _CONSTANT = 1e-9
 _VERTICES, _TRIANGLES = 34962, 34963
 
@@ -125,7 +125,7 @@ class GlbDocument(GlbBuilder):
         uv: Array | None = None,
         texture: bytes | None = None,
     ) -> None:
-        """Add a mesh that stands still, without normals: programs draw its triangles flat.
+        """Add a static mesh without normals, so that programs draw its triangles flat.
 
         Args:
             vertices: (V, 3), written as they are.

@@ -27,15 +27,13 @@ _KITTI_SCALE, _KITTI_ZERO = 64.0, 1 << 15
 _FLO_TAG, _FLO_UNKNOWN = np.float32(202021.25), 1e10
 _LARGEST_16 = (1 << 16) - 1
 _JPEG_QUALITY = 95
-#: More makes files a few per cent smaller in several times the time.
+#: Compression of PNG. Higher levels make files a few per cent smaller, but take several times as long.
 _PNG_COMPRESSION = 3
 
 
 class ImageWriter(FormatWriter):
-    """Colour images in the tree that all formats share: ``images/<camera>/<frame>.png``.
-
-    They are as the cameras deliver them: of mono8 grey, of bayer_rggb8 the mosaic.
-    """
+    """Colour images in the tree that all formats share: ``images/<camera>/<frame>.png``. They are the images
+    that the cameras deliver: grey for mono8, the mosaic for bayer_rggb8."""
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
         """Write an image for each camera. ``folder``: the folder ``images``."""
@@ -116,7 +114,7 @@ class _OneLabelWriter(FormatWriter):
 
 
 class BodyPartWriter(_OneLabelWriter):
-    """Body parts below skirts, hats, bags and long hair; a legend for each human."""
+    """Body parts without skirts, hats, bags and long hair; and a legend for each human."""
 
     channel = "body_part"
 
@@ -142,9 +140,8 @@ class FloWriter(FormatWriter):
 
 
 class KittiFlowWriter(FormatWriter):
-    """Optical flow to the next frame as 16 bit PNG of KITTI; only pixels that stay visible are valid in
-    ``noc``, all that show something in ``occ``.
-    """
+    """Optical flow to the next frame as 16 bit PNG of KITTI. Valid in ``noc`` are only pixels that stay
+    visible; in ``occ`` all pixels that show something."""
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
         for camera, view in frame.frame.views.items():
@@ -207,7 +204,7 @@ def _encoded(suffix: str, image: NDArray[Any], options: list[int]) -> bytes:
 
 
 class VideoWriter(FormatWriter):
-    """A video for each camera, H.264, at the rate of the camera; odd sides lose their last pixel."""
+    """A video for each camera: H.264, at the rate of the camera. If a side is odd, its last pixel is lost."""
 
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
         for camera in self.settings.cameras:
@@ -223,5 +220,5 @@ class VideoWriter(FormatWriter):
             image = cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED) if encoded.size else None
             if image is None:
                 raise ExportError("this image of the export cannot be read", path=path)
-            # images in colour are in the order of OpenCV, whatever the camera delivers
+            # images in colour have the channel order of OpenCV, whatever the camera delivers
             yield color_image(np.asarray(image, np.uint8), "bgr8" if image.ndim == 3 else encoding)

@@ -18,27 +18,28 @@ from humansim_ros.scene.features.scanners.sweeps import Sweep
 from humansim_ros.truth import BodyBox, UprightBox
 from humansim_ros.types import Array
 
-#: Least visible share of people that are fully visible, and partly occluded; the others are largely occluded.
+#: People with at least this visible share are fully visible, or partly occluded. The others are largely
+#: occluded.
 _VISIBLE, _PARTLY = 0.9, 0.5
 _UP = np.array([0.0, 0.0, 1.0])
 #: Classes of points of SemanticKITTI: a person who moves or stands, and another labelled object.
 _MOVING_PERSON, _PERSON, _OBJECT = 254, 30, 99
-#: Speed of the hips from which a person moves, m/s.
+#: A person moves if the speed of the hips is above this, m/s.
 MOVING_SPEED = 0.1
 
 
 class KittiWriter(FormatWriter):
     """``<scanner>/velodyne`` and ``labels``, and by camera ``image_2``, ``calib`` and ``label_2``.
 
-    A file is of the frame with which a sweep ends, or of the first frame after it. Labels are those of this
-    frame. The list of frames has those with images of all cameras, which may have rates of their own.
-    KITTI's boxes are upright in the frame of the rectified camera. Here it has the centre of the
-    camera, z horizontal and y down, so that boxes are exact for cameras that look down, too: ``R0_rect``
-    turns the camera into it, and ``P2`` turns it back.
+    Each file belongs to the frame at which a sweep ends, or to the first frame after it. Labels are those of
+    this frame. The list of frames has those with images of all cameras, which may have rates of their own.
+    KITTI's boxes are upright in the frame of the rectified camera. Here it has the centre of the camera, z
+    horizontal and y down, so that boxes are exact for cameras that look down, too: ``R0_rect`` turns the
+    camera into it, and ``P2`` turns it back.
     """
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
-        """Write the files of the sweeps that end with a frame; return the names of their scanners."""
+        """Write the files of the sweeps that end with a frame. Returns the names of their scanners."""
         name, ended = frame.name, {key: sweeps[-1] for key, sweeps in frame.frame.sweeps.items() if sweeps}
         for scanner, sweep in ended.items():
             cloud = np.column_stack([sweep.points, np.minimum(sweep.returns.intensities, 1.0)])

@@ -36,15 +36,15 @@ from humansim_ros.render.lighting import Lighting
 from humansim_ros.types import Array
 
 _ASSETS = "assets"
-#: Letters of a name of a bone in a skin file, less one.
+#: Most letters of the name of a bone in a skin file, minus one.
 _LONGEST = 39
 #: Groups of geoms: 2 is drawn by default, 3 is not.
 _DRAWN, _TOUCHED = "2", "3"
-#: Half the thickness of a flat surface that robots touch, metres. It lies behind the surface.
+#: Half the thickness of a flat surface for contacts, metres. It lies behind the surface.
 _HALF_THICKNESS = 0.01
-#: Surfaces that are thinner are flat, metres.
+#: Surfaces thinner than this, metres, are flat.
 _FLAT = 1e-4
-#: Most parts of a mesh that robots touch, the largest ones: a scan may have thousands of fragments.
+#: Most parts of a mesh for contacts: the largest ones, since a scan may have thousands of fragments.
 _MOST_PARTS = 500
 #: Most corners of the hull of the skin of a bone.
 _CORNERS = "48"
@@ -203,7 +203,7 @@ class MujocoModel:
         )
 
     def _body(self, name: str, track: PoseTrack, always: bool = False) -> _Element:
-        """Add a body at the first pose of a track; a mocap body if it moves. ``always``: even if not."""
+        """Add a body at the first pose of a track. If it moves, or if ``always``, it is a mocap body."""
         if always or track.moves:
             self._tracks[name] = track
             return add_tag(self.world, "body", name=name, mocap="true", **_pose(track))
@@ -250,7 +250,7 @@ def skin_bytes(mesh: Mesh, person: AnimatedHuman, bodies: list[str]) -> bytes:
 
 
 def _parts(mesh: Mesh) -> list[Array]:
-    """Points (P, 3) of each part of a mesh that hangs together; edges may have double vertices."""
+    """Points (P, 3) of each connected part of a mesh. Vertices at the same place count as one."""
     points, number = np.unique(np.round(mesh.vertices, 6), axis=0, return_inverse=True)
     triangles = number.ravel()[mesh.triangles]
     rows, columns = triangles[:, [0, 1]].ravel(), triangles[:, [1, 2]].ravel()
@@ -260,7 +260,8 @@ def _parts(mesh: Mesh) -> list[Array]:
 
 
 def _fitted_box(points: Array) -> tuple[Array, Array, Array]:
-    """Centre (3,), axes (3, 3) in columns and half lengths (3,) of a box around points, thinnest last."""
+    """Centre (3,), axes (3, 3) as columns and half lengths (3,) of a box around points. The thinnest side is
+    last."""
     _, _, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=True)
     if np.ptp(points, axis=0).min() <= _FLAT:  # a wall or floor: its sides are along the axes of its frame
         axes = np.eye(3)[np.argsort(-np.ptp(points, axis=0), kind="stable")]
@@ -279,7 +280,7 @@ def _facing(mesh: Mesh, points: Array, direction: Array) -> float:
 
 
 def _hull(points: Array) -> Array | None:
-    """Corners of the convex hull of points (P, 3); None if they enclose nothing."""
+    """Corners of the convex hull of points (P, 3); None if the hull has no volume."""
     if len(points) < 4:
         return None
     try:

@@ -1,6 +1,6 @@
 """Frames, sensors, poses and 3D boxes of people in the tables of nuScenes [Caesar 2020].
 
-A sample is a frame in which all cameras take a picture and a sweep of each scanner ends. Data of other frames
+A sample is a frame that all cameras capture, and at which a sweep of each scanner ends. Data of other frames
 are sweeps between samples. The pose of the vehicle (``ego_pose``) is that of the robot, or ``map``. Points of
 samples have the labels of nuScenes-lidarseg [Fong 2022].
 """
@@ -51,7 +51,7 @@ _CATEGORIES = (
     *(f"flat.{name}" for name in ("driveable_surface", "other", "sidewalk", "terrain")),
     *("static.manmade", "static.other", "static.vegetation", "vehicle.ego"),
 )
-#: Category of labelled objects. Points of the others are noise, which has the number 0.
+#: Category of labelled objects. Points of other things are noise, which has the number 0.
 _OBJECT = _CATEGORIES.index("static.other")
 _MOVING, _STANDING = "pedestrian.moving", "pedestrian.standing"
 _MAP = "maps/blank.png"
@@ -64,7 +64,7 @@ class NuScenesWriter(FormatWriter):
     ``settings``: settings of the export.
 
     Raises:
-        ExportError: The names of two cameras differ in case only: channels are upper case.
+        ExportError: The names of two cameras differ only in case, but channels are upper case.
     """
 
     def __init__(self, settings: ExportSettings) -> None:
@@ -74,7 +74,7 @@ class NuScenesWriter(FormatWriter):
             raise ExportError(text, key="--format")
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
-        """Write the sweeps that end with a frame, and link its images; return rows of the tables."""
+        """Write the sweeps that end with a frame, and link its images. Returns rows of the tables."""
         now = frame.frame
         sweeps = {name: listed[-1] for name, listed in now.sweeps.items() if listed}
         key = sweeps.keys() == now.sweeps.keys() and now.cameras.keys() == self.settings.scene.cameras.keys()
@@ -114,7 +114,7 @@ class NuScenesWriter(FormatWriter):
                 folder.write(f"{VERSION}/{table}.json", json.dumps(rows, indent=0) + "\n")
 
     def _token(self, *words: object) -> str:
-        """Token of a row: the same for the same export."""
+        """Token of a row. It is the same in equal exports."""
         return hashlib.md5(
             repr((self.settings.scene.title, *words)).encode(), usedforsecurity=False
         ).hexdigest()
@@ -132,9 +132,8 @@ class NuScenesWriter(FormatWriter):
         pose: Array,
         camera: Camera | None = None,
     ) -> list[_Row]:
-        """Rows of ``sample_data``, ``ego_pose`` and ``calibrated_sensor`` for a file. Its sample is missing.
-        ``key``: it is of a sample. ``pose``: (4, 4) of the sensor in ``map``. ``camera``: None for a
-        scanner."""
+        """Rows of ``sample_data``, ``ego_pose`` and ``calibrated_sensor`` for a file. The token of its sample
+        is missing."""
         robot = frame.frame.robot
         ego = np.eye(4) if robot is None else _pose(robot.rotation, robot.position)
         suffix = ".pcd.bin" if camera is None else self.settings.image_suffix
@@ -298,6 +297,6 @@ def _placed(pose: Array) -> _Row:
 
 
 def _chained(rows: list[_Row]) -> list[_Row]:
-    """The rows with ``prev`` and ``next``."""
+    """The rows, with their ``prev`` and ``next`` set."""
     tokens = ["", *(row["token"] for row in rows), ""]
     return [{**row, "prev": tokens[number], "next": tokens[number + 2]} for number, row in enumerate(rows)]

@@ -55,14 +55,15 @@ class AniposeWriter(FormatWriter):
         folder.write("calibration.toml", self._calibration)
 
 
-#: Confidence of a keypoint that the camera sees, and of one that is occluded. Readers take 0 for "not found".
+#: Confidence of a keypoint that the camera sees, and of one that is occluded, since readers take 0 for "not
+#: found".
 VISIBLE_CONFIDENCE, OCCLUDED_CONFIDENCE = 1.0, 0.5
 #: Keypoint sets that Pose2Sim knows, and its names of them.
 POSE2SIM_MODELS = {"body25": "BODY_25", "openpose137": "BODY_25", "coco17": "COCO_17", "halpe26": "HALPE_26"}
 
 
 def openpose_keypoints(pixels: Array, visible: NDArray[np.uint8]) -> Array:
-    """Rows x, y, confidence (K, 3) from pixels (K, 2) and visibility (K,); zeros outside the image."""
+    """Rows x, y, confidence (K, 3) from pixels (K, 2) and visibility (K,). Zeros outside the image."""
     confidence = np.where(visible == VISIBLE, VISIBLE_CONFIDENCE, 0.0)
     confidence[visible == OCCLUDED] = OCCLUDED_CONFIDENCE
     found = confidence > 0
@@ -99,7 +100,8 @@ def openpose_file(camera: str, frame: int) -> str:
 
 
 def pose2sim_order(cameras: Iterable[str]) -> list[str]:
-    """Order in which Pose2Sim takes folders of keypoints: by the last number in the name, then those without.
+    """Order of Pose2Sim for folders of keypoints: by the last number in the name. Names without number come
+    last.
 
     It takes cameras from ``Calib.toml`` in the order of the file, and compares no names.
 
@@ -116,9 +118,8 @@ def pose2sim_order(cameras: Iterable[str]) -> list[str]:
 
 
 class OpenPoseWriter(FormatWriter):
-    """A project of Pose2Sim: keypoints of all cameras as OpenPose writes them, ``calibration/Calib.toml``,
-    and a ``Config.toml`` with which ``Pose2Sim.triangulation()`` runs.
-    """
+    """A project of Pose2Sim: keypoints of all cameras in OpenPose's format, ``calibration/Calib.toml``,
+    ``Config.toml``. With this configuration, ``Pose2Sim.triangulation()`` runs."""
 
     def __init__(self, settings: ExportSettings) -> None:
         super().__init__(settings)

@@ -12,18 +12,18 @@ from humansim_ros.export.writer import ExportFolder, ExportFrame, FormatWriter, 
 from humansim_ros.keypoints.sets import keypoint_set
 from humansim_ros.truth import OUTSIDE, BodyBox, KeypointView
 
-#: Pedestrian, the only class that is evaluated.
+#: Class of pedestrians, the only class that is evaluated.
 _PEDESTRIAN = 1
-#: From pixels whose first has its centre at 0 to pixels whose first begins at 1.
+#: Offset from pixels with the centre of the first one at 0 to pixels with the border of the first one at 1.
 _FROM_CORNER = 1.5
 
 
 class MotWriter(FormatWriter):
     """Tracks of people: for each camera ``gt/gt.txt``, ``seqinfo.ini`` and the calibration.
 
-    Numbers of images, identities and pixels count from 1. A box shows the whole person, also where the person
-    is hidden or outside of the image; the last column is the visible share. A person has the same identity in
-    all cameras. The format has no keypoints.
+    Numbers of images, identities and pixels count from 1. A box encloses the whole person, including what is
+    hidden or outside the image. The last column is the visible share. A person has the same identity in all
+    cameras. The format has no keypoints.
     """
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
@@ -88,7 +88,7 @@ class YoloWriter(FormatWriter):
     of ``images/…`` in ``labels/…`` next to it: therefore ``images`` is a link."""
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
-        """Write a file for each camera. It is empty where nobody is seen."""
+        """Write a file for each camera. It is empty if nobody is visible."""
         for camera, truth in frame.frame.truth.items():
             keypoints = frame.frame.keypoints[self.settings.keypoints][camera]
             size = frame.frame.cameras[camera].size

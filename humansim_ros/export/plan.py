@@ -1,4 +1,4 @@
-"""Plan of an export: everything that determines its files, by which a continued export recognises itself."""
+"""Plan of an export: everything that determines its files. With it, a continued export recognises itself."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from humansim_ros.export.writer import SHARD_SIZE
 from humansim_ros.io.files import ANY_SIZE, read_json
 from humansim_ros.scene.config import checked_license
 
-#: File of an export with its plan; when the export is complete, also with all files and their hashes.
+#: File of an export with its plan. When the export is complete, it also lists all files with their hashes.
 INDEX = "index.json"
 _KEY = "humansim_export"
 #: Key in the index of a data set of many scenes (``data_set.py``).
@@ -35,9 +35,9 @@ class ExportPlan:
         image_suffix: Suffix of colour images, ``.png`` or ``.jpg``.
         keypoints: Name of the keypoint set.
         shard_size: Size of shards of samples, bytes.
-        device: Device that renders: others round differently. Empty if nothing is rendered.
+        device: Device that renders. Other devices round differently. Empty if nothing is rendered.
         version: Version of this package.
-        license: Licence of the data set; empty if it is not known.
+        license: Licence of the data set. Empty if unknown.
     """
 
     scene: str
@@ -65,11 +65,11 @@ class ExportPlan:
 
         Args:
             source: The scene or bag, with the formats.
-            frames: Numbers of the frames, without steps; all of a bag if None.
+            frames: Numbers of the frames, without steps. If None, all frames of a bag.
             image_suffix: Suffix of colour images, ``.png`` or ``.jpg``.
             shard_size: Size of shards of samples, bytes.
-            license: Licence of the data set, such as ``CC-BY-4.0``, or the address of its text; the one that
-                the scene states if empty.
+            license: Licence of the data set, such as ``CC-BY-4.0``, or the address of its text. If empty,
+                that of the scene.
             device: Device that renders here, if it is known.
 
         Raises:
@@ -107,7 +107,7 @@ class ExportPlan:
         """Check that a folder has this export, and return whether it is complete.
 
         Raises:
-            ExportError: The folder has none, or another one.
+            ExportError: The folder has no export, or another one.
         """
         index = read_index(folder)
         try:
@@ -133,7 +133,7 @@ class ExportPlan:
 
 
 def read_index(folder: Path) -> dict[str, Any]:
-    """Content of the index of an export. Raises ExportError without a folder, or without an index in it."""
+    """Content of the index of an export. Raises ExportError if the folder or its index is missing."""
     path = folder / INDEX
     if not path.exists():
         raise ExportError("there is no export here", path=path)
@@ -147,7 +147,7 @@ def read_index(folder: Path) -> dict[str, Any]:
 
 
 def _checked_frames(frames: range | None, count: int | None) -> range:
-    """Numbers of frames, all if None. ``count``: number of those that there are; None without an end."""
+    """Numbers of frames. If None, all. ``count``: number of existing frames; None if there is no end."""
     if frames is None:
         if count is None:
             raise ExportError("a scene has no end: give a number of frames, such as 300", key="--frames")

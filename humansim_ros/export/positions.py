@@ -22,9 +22,9 @@ from humansim_ros.keypoints.sets import keypoint_set
 from humansim_ros.types import Array
 
 _MILLIMETRES = 1000.0
-#: Most names in one parameter of a C3D file, with dimensions that are bytes.
+#: Most names in one parameter of a C3D file, since its dimensions are bytes.
 _C3D_LABELS = 255
-#: Most bytes of names and descriptions: all parameters have 255 blocks of 512 bytes, and the package c3d
+#: Most bytes of names and descriptions. All parameters have 255 blocks of 512 bytes, and the package c3d
 #: counts each parameter twice.
 _C3D_NAME_BYTES = 60_000
 

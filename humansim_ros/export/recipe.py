@@ -1,7 +1,7 @@
-"""Recipes of data sets: a scene with values that are distributions, from which many scenes are drawn.
+"""Recipes of data sets: a scene with distributions in place of values. Many scenes are drawn from it.
 
-Scene i of a recipe depends on the seed and on i only, and each value has random numbers of its own: another
-number of scenes, or another distribution of one value, leaves the others as they are.
+Scene i of a recipe depends only on the seed and on i, and each value has its own random numbers. So another
+number of scenes, or another distribution of one value, does not change the others.
 """
 
 from __future__ import annotations
@@ -65,17 +65,17 @@ if TYPE_CHECKING:
 
 #: Most scenes of a data set, and frames of a scene.
 MAX_SCENES, MAX_SCENE_FRAMES = 1_000_000, 100_000
-#: Seeds are below: they are whole numbers in JSON, and two scenes hardly ever have the same.
+#: Seeds are below this number. They are whole numbers in JSON, and two scenes hardly ever have the same seed.
 _SEEDS = 2**53
-#: Frames of a scene in which ``require`` is checked.
+#: Number of frames of a scene that ``require`` is checked in.
 _CHECKED_FRAMES = 10
-#: People of the pool of whom a scene draws.
+#: Number of people in the pool that a scene draws from.
 _MAX_BODIES = 200
-#: Metres of cameras of a ring from walls and ceiling.
+#: Distance of the cameras of a ring from walls and ceiling, metres.
 _FROM_WALLS = 0.3
 #: Formats that each scene of a data set has.
 ALWAYS = ("images", "statistics", "huggingface")
-#: Errors of a draw, after which there is another draw.
+#: Errors of a draw. After such an error, the scene is drawn again.
 _DRAW_ERRORS = (SceneError, MotionError, MeshError, CameraError)
 
 _Name = Annotated[
@@ -91,7 +91,7 @@ _Split = Annotated[
 
 
 class DataSetAbout(AboutConfig):
-    """What a data card says of a data set of many scenes."""
+    """What a data card says about a data set of many scenes."""
 
     license: str | None = Field(default=None, description="licence, such as CC-BY-4.0, or its address")
 
@@ -99,7 +99,7 @@ class DataSetAbout(AboutConfig):
 
 
 class RingConfig(Section):
-    """Cameras around the people; all values may be distributions. ``camera_1`` and so on are their names."""
+    """Cameras around the people. All values may be distributions. The names are ``camera_1`` and so on."""
 
     count: Any = Field(default=4, description="number of cameras")
     radius: Any = Field(description="metres from the point that they look at; drawn for each camera")
@@ -126,7 +126,7 @@ class _Place(Section):
 
 
 class RequireConfig(Section):
-    """What each scene must fulfil. Others are drawn anew."""
+    """Conditions that each scene must fulfil. A scene that does not is drawn again."""
 
     cameras: int = Field(default=0, ge=0, le=100, description="cameras that see each person in each frame")
     visible: Share = Field(default=0.1, description="visible share of a person from which a camera sees it")
@@ -188,7 +188,7 @@ class DrawnScene:
 
 
 class _Unmet(Exception):
-    """A draw that does not fulfil the recipe. ``key``: key of the recipe that is to blame."""
+    """Raised for a draw that does not fulfil the recipe. ``key``: key of the condition in the recipe."""
 
     def __init__(self, key: str, text: str) -> None:
         super().__init__(text)
@@ -221,7 +221,7 @@ class Recipe:
         ``scenes``: number of scenes in place of the number in the file.
 
         Raises:
-            ExportError: With file, line and key.
+            ExportError: The recipe is not valid. The error names file, line and key.
         """
         content, tree = read_yaml(path, ExportError, "recipe")
         config = validated(RecipeConfig, content, ExportError, path, tree)
@@ -256,7 +256,7 @@ class Recipe:
 
     @cached_property
     def hash(self) -> str:
-        """Equal for recipes with scenes that are equal as far as both have them."""
+        """Hash that is equal for recipes with the same scenes, as far as both have them."""
         content = self.config.model_dump(mode="json", exclude={"about", "scenes"})
         text = json.dumps([content, self.config.about.license], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
@@ -269,7 +269,7 @@ class Recipe:
         """Draw a scene that fulfils the recipe.
 
         Raises:
-            ExportError: No draw does; with the line of the key that most draws failed at.
+            ExportError: No draw fulfils it. The error names the line of the key that most draws failed at.
             RenderError: This machine cannot render.
         """
         failed: Counter[str] = Counter()
@@ -300,7 +300,7 @@ class Recipe:
 
     @property
     def source(self) -> SceneSource:
-        """Finds the files that the recipe names."""
+        """Source that finds the files named by the recipe."""
         return SceneSource(folder=self.path.parent)
 
     def scene(self, number: int, attempt: int, given: Mapping[Keys, Any] | None = None) -> SceneConfig:
@@ -312,7 +312,7 @@ class Recipe:
             given: Values in place of drawn ones, by key.
 
         Raises:
-            HumansimError: A drawn value is wrong; SceneError has the key in the scene.
+            HumansimError: A drawn value is wrong. A SceneError names the key in the scene.
         """
         draws = _Draws(self, number, attempt, given or {})
         scene = _mapping(draws.value(self.config.scene, ("scene",)), "")
@@ -331,7 +331,7 @@ class Recipe:
     # -- people in one split only
 
     def _split_bodies(self) -> dict[str, str]:
-        """Split of each body that the recipe names. Raises ExportError if a split would have none."""
+        """Split of each body that the recipe names. Raises ExportError if a split would have no body."""
         shares = {name: share for name, share in self.config.splits.items() if share > 0}
         if len(shares) == 1:
             return {}
@@ -351,7 +351,7 @@ class Recipe:
         return of
 
     def _named_bodies(self) -> Iterator[tuple[Keys, list[str]]]:
-        """Bodies to choose from, by key. Those of drawn people are not named."""
+        """Bodies to choose from, by key. Those of drawn people have no names."""
         for section in ("variety", "crowd"):
             content = self.config.scene.get(section)
             if isinstance(content, dict) and content.get("people") is None:
@@ -367,7 +367,7 @@ class Recipe:
         return self.split_of_body.get(body, self.splits[number]) == self.splits[number]
 
     def _check_pool(self) -> None:
-        """Check that each split has somebody of the pool. Raises ExportError."""
+        """Check that the pool has people for each split. Raises ExportError."""
         if self.config.pool is None:
             return
         variety = self.config.scene.get("variety")
@@ -378,7 +378,7 @@ class Recipe:
             raise self.error_at("pool", f"nobody is left for the split {missing[0]}: give a larger pool")
 
     def _share_pool(self, variety: Any, number: int) -> None:
-        """Give a scene the people of the pool that are of its split, in place of new ones."""
+        """Give a scene those people of the pool that belong to its split, in place of new people."""
         if (
             self.config.pool is None
             or not isinstance(variety, dict)
@@ -399,7 +399,7 @@ class Recipe:
         variety["bodies"] = [person_name(self.config.seed, each, limits) for each in chosen]
 
     def _share_bodies(self, section: Any, name: str, number: int) -> None:
-        """Leave the bodies of a section that are of the split of a scene."""
+        """Keep only those bodies of a section that belong to the split of a scene."""
         if self.split_of_body and isinstance(section, dict) and section.get("people") is None:
             bodies = section.get("bodies") or built_in_names("humans")
             kept = [body for body in bodies if self.is_of_split(body, number)]
@@ -425,7 +425,8 @@ class Recipe:
                 self._try({keys: value}, place, end)
 
     def _draws(self) -> Iterator[tuple[Keys, Any]]:
-        """Distributions by key. Those in choices are parts of them. Raises ExportError if one is wrong."""
+        """Distributions by key. A distribution in a choice is part of the choice. Raises ExportError if one
+        is wrong."""
         pending: list[tuple[Keys, Any, bool]] = [(("scene",), self.config.scene, False)]
         if self.config.ring is not None:
             pending.append((("ring",), dict(self.config.ring), False))
@@ -538,7 +539,7 @@ class Recipe:
         )
 
     def _key_of(self, key: str | None) -> str:
-        """Key of the recipe for a key of a drawn scene."""
+        """Key of the recipe that corresponds to a key of a drawn scene."""
         words = (key or "").split(".")
         given = self.config.scene.get("cameras")
         named = given if isinstance(given, dict) else {}
@@ -557,7 +558,7 @@ class Recipe:
         return ExportError(message, path=self.path, line=line, key=self._known(key) or None)
 
     def _known(self, key: str) -> str:
-        """The deepest key that the file has: this one, or one above it."""
+        """The deepest key that the file contains: this key, or one above it."""
         content: Any = self.config.model_dump()
         known: list[str] = []
         for word in key.split("."):
@@ -593,7 +594,7 @@ class _Draws:
         return int(_SEEDS * self._random(keys)())
 
     def value(self, value: Any, keys: Keys, purpose: Keys | None = None) -> Any:
-        """A value with its distributions drawn.
+        """Draw the distributions in a value.
 
         Args:
             value: The value, or the distribution in its place.
@@ -615,7 +616,7 @@ class _Draws:
         return value
 
     def ring(self, ring: RingConfig, scene: Mapping[str, Any]) -> dict[str, Any]:
-        """Cameras of a ring by name. Raises SceneError, which names the key."""
+        """Cameras of a ring, by name. Raises SceneError, which names the key."""
         whole = {key: self.value(getattr(ring, key), ("ring", key)) for key in _Ring.model_fields}
         checked = _of_ring(_Ring, whole)
         shared = self.value(ring.camera, ("ring", "camera"))
@@ -657,7 +658,7 @@ def _of_ring(model: type[Any], values: Mapping[str, Any]) -> Any:
 
 
 def _inside_room(point: Sequence[float], scene: Mapping[str, Any]) -> list[float]:
-    """A point that is moved away from walls and ceiling, if the scene has a room; millimetres."""
+    """A point, moved away from walls and ceiling if the scene has a room. It is rounded to millimetres."""
     room = scene.get("room", {})
     if isinstance(room, dict):
         size = room.get("size", RoomConfig.model_fields["size"].default)
@@ -670,7 +671,7 @@ def _inside_room(point: Sequence[float], scene: Mapping[str, Any]) -> list[float
 
 
 def _shared(shares: Mapping[str, float], count: int) -> Iterator[str]:
-    """Names in proportion to their shares: each next one is the one that is most behind."""
+    """Names in proportion to their shares. The next name is always the one that is most behind."""
     whole = sum(shares.values())
     given = dict.fromkeys(shares, 0)
     for number in range(1, count + 1):

@@ -1,4 +1,4 @@
-"""Sources of exports: what gives the frames. A scene is simulated; a bag is read (``export/bag.py``)."""
+"""Sources of exports, which provide the frames. A scene is simulated; a bag is read (``export/bag.py``)."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from humansim_ros.scene.scene import scene_hash
 
 
 class FrameReader(Protocol):
-    """Gives frames in any order, in one process."""
+    """Provides frames in any order, in one process."""
 
     def frame(self, index: int) -> Frame:
         """A frame with what the formats need. Raises HumansimError if it cannot be rendered or read."""
@@ -48,18 +48,18 @@ class ExportSource(Protocol):
 
     @property
     def hash(self) -> str:
-        """Equal for sources that give the same files."""
+        """Hash that is equal for sources that give the same files."""
 
     @property
     def step(self) -> str:
-        """How it makes frames, for the summary of costs."""
+        """Name of the step that makes frames, for the summary of costs."""
 
     @property
     def count(self) -> int | None:
         """Number of frames; None if there is no end."""
 
     def device(self) -> str:
-        """Device that renders; empty if nothing is rendered. Raises RenderError without OpenGL."""
+        """Device that renders. Empty if nothing is rendered. Raises RenderError if OpenGL is missing."""
 
     def open(self) -> FrameReader:
         """Start to give frames. Raises HumansimError if this machine cannot."""
@@ -76,7 +76,7 @@ class SimulatedSource:
         simulated: The scene.
         formats: Rows of the formats.
         keypoints: Name of the keypoint set.
-        title: Name in the files; the name of the scene file if empty.
+        title: Name in the files. If empty, the name of the scene file.
     """
 
     simulated: Scene
@@ -101,7 +101,7 @@ class SimulatedSource:
         return scene_hash(self.simulated)
 
     def device(self) -> str:
-        """Device that renders; empty if nothing is rendered. Raises RenderError without OpenGL."""
+        """Device that renders. Empty if nothing is rendered. Raises RenderError if OpenGL is missing."""
         if not needed_channels(self.formats):
             return ""
         context = OpenGLContext()
@@ -109,7 +109,7 @@ class SimulatedSource:
         return context.device
 
     def open(self) -> FrameReader:
-        """Load the renderer. Raises ExportError if a format needs a laser scanner and there is none."""
+        """Load the renderer. Raises ExportError if a format needs a laser scanner and the scene has none."""
         sweeping = [row.name for row in self.formats if SWEEPS in row.content]
         if sweeping and not self.simulated.scanners:
             raise ExportError(f"{sweeping[0]} needs a laser scanner, and the scene has none", key="--format")
@@ -144,7 +144,8 @@ def _faults(camera: SceneCamera, frames: range) -> dict[str, Any]:
 
 
 class _SimulatedFrames:
-    """Frames of a scene; nothing is rendered without channels. ``scanners``: see :meth:`Simulation.frame`."""
+    """Frames of a scene. If there are no channels, nothing is rendered. ``scanners``: see
+    :meth:`Simulation.frame`."""
 
     def __init__(
         self, scene: Scene, channels: Collection[str], scanners: Collection[str] | None = ()

@@ -47,11 +47,11 @@ class Histogram:
 
     Attributes:
         title: What is counted, for people.
-        unit: Its unit; empty for a share or a number.
-        of: What has it, for people.
-        low: Start of the first bin; smaller values are in it.
+        unit: Unit of the quantity. Empty for a share or a number.
+        of: What has this quantity, in words.
+        low: Start of the first bin. This bin also counts smaller values.
         width: Width of a bin.
-        bins: Number of bins; larger values are in the last.
+        bins: Number of bins. The last bin also counts larger values.
     """
 
     title: str
@@ -64,7 +64,7 @@ class Histogram:
     def count(self, values: Iterable[float]) -> dict[int, int]:
         """Number of finite values by bin, without empty bins."""
         known = np.array([value for value in values if np.isfinite(value)])
-        # a value at an edge belongs to the bin above it, also where the division rounds down
+        # a value at an edge belongs to the bin above it, even if the division rounds down
         bins = np.clip(np.floor((known - self.low) / self.width + 1e-9), 0, self.bins - 1).astype(int)
         numbers = Counter(bins.tolist())
         return {number: numbers[number] for number in sorted(numbers)}
@@ -97,7 +97,7 @@ class StatisticsWriter(FormatWriter):
 
     @cached_property
     def _limits(self) -> dict[str, JointLimits]:
-        """What measures the poses of each person."""
+        """By person: the joint limits that measure its poses."""
         return {
             name: load_limits(skeleton=human.skeleton) for name, human in self.settings.scene.humans.items()
         }
@@ -160,7 +160,8 @@ def _lens(camera: Camera) -> str:
 
 
 def traits(config: HumanConfig, human: Human | None) -> dict[str, Any]:
-    """What is known of a person: body, motion and outfit, and of drawn people age, sex, skin and clothes."""
+    """What is known about a person: body, motion and outfit; for drawn people also age, sex, skin and
+    clothes."""
     body = str(config.body)
     known: dict[str, Any] = {"body": body, "motion": str(config.motion.file).split("#")[0]}
     if is_person(body):
@@ -212,7 +213,7 @@ class Totals:
     """Sums of the statistics of many scenes.
 
     Attributes:
-        scenes: Number of scenes; ``frames`` and ``images`` are theirs.
+        scenes: Number of scenes. ``frames`` and ``images`` are the numbers in these scenes.
         people: Traits of each different person by body and outfit.
         motions: Number of people of the scenes by motion.
         sizes: Number of cameras by image size.
@@ -243,7 +244,7 @@ class Totals:
             self.histograms[name].update({int(number): count for number, count in counts.items()})
 
     def quantile(self, name: str, share: float) -> float:
-        """Value below which a share of a quantity is, linear within a bin; NaN without values."""
+        """Value below which a share of a quantity lies, linear within a bin. NaN if there are no values."""
         row, counts = HISTOGRAMS[name], self.histograms[name]
         left = share * sum(counts.values())
         for number in sorted(counts):

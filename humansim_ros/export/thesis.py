@@ -35,7 +35,7 @@ class ThesisWriter(FormatWriter):
     """Vertices, bones, cameras and images."""
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
-        """Write vertices and bones of each person, and what depends on the frame of each camera."""
+        """Write vertices and bones of each person, and the data of each camera that depend on the frame."""
         for name, state in frame.frame.humans.items():
             skeleton = self.settings.scene.humans[name].skeleton
             folder.write(f"{name}/{frame.name}.verts", verts_text(state.vertices))
@@ -117,7 +117,7 @@ def read_bones(path: str | os.PathLike[str]) -> dict[str, Array]:
     """Head and tail (2, 3) of the bones of a ``.bones`` file by name.
 
     Raises:
-        ExportError: A line is wrong, or a bone lacks its head or tail. It has the path, and the line.
+        ExportError: A line is wrong, or a bone lacks its head or tail. The error names the path and the line.
     """
     ends: dict[str, dict[str, Array]] = {}
     for number, line in enumerate(_lines(path), 1):

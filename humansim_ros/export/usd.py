@@ -34,9 +34,9 @@ from humansim_ros.types import Array
 
 #: Name of the file, and of the folder of its textures.
 _FILE, _TEXTURES = "scene.usdc", "textures"
-#: Width of the film of all cameras: 36 mm in tenths of a metre, the unit of UsdGeomCamera.
+#: Width of the film of all cameras: 36 mm, in the unit of UsdGeomCamera (tenths of a metre).
 _FILM = 0.36
-#: Distances from cameras between which programs draw, metres.
+#: Nearest and farthest distance from a camera that programs draw, metres.
 _CLIPPING = (0.01, 1000.0)
 
 
@@ -92,11 +92,11 @@ class UsdStage:
                 add(f"{group}/{path}", things[name])
 
     def write(self, path: str) -> None:
-        """Write the stage as a binary file; equal scenes give equal bytes."""
+        """Write the stage as a binary file. Equal scenes give equal bytes."""
         self._stage.GetRootLayer().Export(path, args={"format": "usdc"})
 
     def add_surfaces(self, meshes: Mapping[str, Mesh]) -> None:
-        """Add meshes in ``map`` that stand still, by name."""
+        """Add static meshes in ``map``, by name."""
         from pxr import UsdGeom
 
         if meshes:
@@ -111,7 +111,7 @@ class UsdStage:
         factor = lighting.strength * 2.0**lighting.exposure
         UsdGeom.Scope.Define(self._stage, "/World/Lights")
         sun = UsdLux.DistantLight.Define(self._stage, "/World/Lights/Sun")
-        # with `normalize`, the intensity is the irradiance, of which a white matt surface reflects 1 / pi
+        # with `normalize`, the intensity is the irradiance; a white matt surface reflects 1 / pi of it
         sun.CreateNormalizeAttr(True)
         sun.CreateIntensityAttr(math.pi * factor)
         sun.CreateColorAttr(Gf.Vec3f(*lighting.sun_color))
@@ -174,7 +174,7 @@ class UsdStage:
         self._add_mesh(f"{path}/Surface", mesh)
 
     def _add_camera(self, path: str, item: tuple[Camera, PoseTrack]) -> None:
-        """Add a camera: a film of 36 mm with the principal point next to its middle."""
+        """Add a camera: a film of 36 mm. The principal point need not be in its middle."""
         from pxr import Gf, UsdGeom
 
         calibrated, track = item
@@ -242,7 +242,8 @@ class UsdStage:
         return out.GetPrim()
 
     def _material(self, mesh: Mesh, image: str | None, color: tuple[float, ...] | None) -> Any:
-        """A UsdPreviewSurface; equal ones are one. ``image``: texture. ``color``: linear, of all vertices."""
+        """A UsdPreviewSurface. Equal ones are made once. ``image``: texture. ``color``: linear, for all
+        vertices."""
         from pxr import Gf, Sdf, UsdGeom, UsdShade
 
         look = mesh.material
@@ -302,7 +303,7 @@ def _joint_paths(skeleton: Skeleton) -> list[str]:
 
 
 def _matrices(transforms: Array) -> Any:
-    """Transforms (N, 4, 4) as USD has them: for row vectors."""
+    """Transforms (N, 4, 4) in the form of USD: for row vectors."""
     from pxr import Vt
 
     return Vt.Matrix4dArray.FromNumpy(np.ascontiguousarray(np.swapaxes(transforms, -1, -2)))

@@ -2,13 +2,11 @@
 
 A sample is one image of one camera, with files ``<camera>/<frame>.<kind>``:
 
-============================  ====================================================================
-``.png``, ``.jpg``            colour image
-``.camera.json``              number and stamp of the frame, camera, its size and calibration
-``.people.json``              name, instance label, boxes and keypoints of each person
-``.objects.json``             the same of labelled objects, without keypoints
-``.labels.npz``               ``instance`` (H, W) uint16 and ``part`` (H, W) uint8
-============================  ====================================================================
+============================ ==================================================================== ``.png``,
+``.jpg`` colour image ``.camera.json`` number and stamp of the frame, camera, its size and calibration
+``.people.json`` name, instance label, boxes and keypoints of each person ``.objects.json`` the same of
+labelled objects, without keypoints ``.labels.npz`` ``instance`` (H, W) uint16 and ``part`` (H, W) uint8
+============================ ====================================================================
 """
 
 from __future__ import annotations
@@ -40,7 +38,7 @@ class WebDatasetWriter(FormatWriter):
     """
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
-        """Write the samples of a frame, until they are put into a shard; return their size in bytes."""
+        """Write the samples of a frame to a temporary file. Returns their size in bytes."""
         content = b"".join(
             tar_entry(f"{camera}/{frame.name}{suffix}", data)
             for camera in frame.frame.views
@@ -81,10 +79,8 @@ class WebDatasetWriter(FormatWriter):
 
 
 def shards(records: Iterable[tuple[int, Record]], size: int) -> Iterator[list[str]]:
-    """Files with the samples of each shard. A frame that would make a shard larger begins a new one.
-
-    ``records``: number of each frame, and bytes of its samples. ``size``: of a shard, bytes.
-    """
+    """Divide files with samples into shards. A frame that would make a shard too large begins a new one.
+    ``records``: number of each frame, and bytes of its samples. ``size``: of a shard, bytes."""
     shard: list[str] = []
     used = 0
     for index, more in records:
@@ -115,7 +111,7 @@ def tar_entry(name: str, data: bytes) -> bytes:
 
 
 def box_entry(box: BodyBox) -> dict[str, Any]:
-    """Boxes of a body: left, top, width and height from the corner of the image; None without one."""
+    """Boxes of a body: left, top, width and height from the corner of the image; None for no box."""
 
     def place(edges: Any) -> list[float] | None:
         left, top, right, bottom = (edges + 0.5).tolist()

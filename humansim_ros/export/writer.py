@@ -1,8 +1,8 @@
 """What the writer of an export format gets: the scene, the folder, settings, and one frame after the other.
 
 A writer works in two steps, so that frames can be written by several processes and an interrupted export can
-go on: :meth:`FormatWriter.frame` writes the files of one frame, and returns what the files of the whole
-export need of it. :meth:`FormatWriter.finish` gets this from all frames, in order, and writes those files.
+go on: :meth:`FormatWriter.frame` writes the files of one frame, and returns a record for the files of the
+whole export. :meth:`FormatWriter.finish` gets the records of all frames, in order, and writes these files.
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ from humansim_ros.scene.config import HumanConfig
 from humansim_ros.scene.timing import CameraTiming
 from humansim_ros.types import Array
 
-#: Folder of an export with what finished frames leave for the files of the whole export; removed at its end.
+#: Folder of an export with the records of finished frames for the files of the whole export. It is removed at
+#: the end.
 TEMPORARY = ".frames"
 #: Addresses of the texts of licences by their SPDX identifier.
 LICENSES = {
@@ -44,7 +45,7 @@ _ADDRESS = re.compile("https?://")
 
 
 class FileEntry(TypedDict):
-    """A file of an export as its index lists it: hash, and size in bytes."""
+    """A file of an export, as listed in the index: hash, and size in bytes."""
 
     sha256: str
     bytes: int
@@ -53,11 +54,11 @@ class FileEntry(TypedDict):
 class ExportFolder:
     """A folder of an export. All methods raise HumansimError with the path if a file cannot be written.
 
-    Names are relative to the folder, with ``/``; missing folders are made.
+    Names are relative to the folder, with ``/``. Missing folders are created.
 
     Args:
         root: Folder of the whole export.
-        prefix: Path of this folder in it; "" is the root itself.
+        prefix: Path of this folder in the root. "" is the root itself.
 
     Attributes:
         written: Files that were written here and in :meth:`subfolder`, by path relative to the root.
@@ -82,7 +83,7 @@ class ExportFolder:
         return folder
 
     def write(self, name: str, content: bytes | str) -> None:
-        """Write a file at once; text as UTF-8."""
+        """Write a file atomically. Text is UTF-8."""
         with self.path(name) as path:
             path.write_bytes(content.encode() if isinstance(content, str) else content)
 
@@ -96,7 +97,7 @@ class ExportFolder:
 
     @contextmanager
     def path(self, name: str) -> Iterator[Path]:
-        """Temporary path to write a file to, which gets its name after the block."""
+        """Temporary path to write a file to. The file gets its name after the block."""
         relative = self._prefix + name
         target = self.root / relative
         self._make_folder(target.parent)
@@ -145,11 +146,11 @@ class ExportCamera:
     """A camera of an export.
 
     Attributes:
-        camera: Calibration of its images and pose; the pose of the first frame if it moves.
-        moves: It has another pose in each frame.
+        camera: Calibration of its images, and pose. If the camera moves, the pose of the first frame.
+        moves: Whether its pose changes from frame to frame.
         encoding: ROS encoding of its images, such as ``rgb8``.
-        rate: Images per second; the rate of the scene if None.
-        frames: Numbers of the frames that have an image of it.
+        rate: Images per second. If None, the rate of the scene.
+        frames: Numbers of the frames with an image of this camera.
     """
 
     camera: Camera
@@ -161,7 +162,7 @@ class ExportCamera:
 
 @dataclass(frozen=True)
 class ExportScene:
-    """A scene as the writers of formats know it.
+    """A scene, as far as the writers of formats know it.
 
     Attributes:
         title: Name of the scene or bag.
@@ -170,10 +171,10 @@ class ExportScene:
         labels: Instance labels of people, then of labelled objects, by name.
         objects: Kind of each labelled object by name, such as ``box``.
         parts: Names of the values of body parts, from 1, by person.
-        humans: Bodies without pose by name; a bag has none.
+        humans: Bodies without pose, by name. A bag has none.
         licenses: Licence of the body of each person with a licence that is known, by name.
-        license: Licence of data sets of the scene; empty if the scene states none.
-        simulated: The scene itself; None for a bag.
+        license: Licence of data sets of the scene. Empty if the scene states none.
+        simulated: The scene itself. None for a bag.
     """
 
     title: str
@@ -189,7 +190,7 @@ class ExportScene:
 
     @classmethod
     def of(cls, scene: Scene) -> ExportScene:
-        """What is known of a scene."""
+        """Describe a scene."""
         return cls(
             title=scene.path.stem if scene.path else "scene",
             rate=scene.config.rate,
@@ -210,12 +211,12 @@ class ExportScene:
 
     @property
     def configs(self) -> Mapping[str, HumanConfig]:
-        """Body, motion and outfit of each person as the scene names them; a bag has none."""
+        """Body, motion and outfit of each person, from the scene file. Empty for a bag."""
         return {} if self.simulated is None else self.simulated.config.humans
 
     @property
     def about(self) -> AboutConfig:
-        """What the scene says of its data sets; a bag says nothing."""
+        """What the scene file says about its data sets. Empty for a bag."""
         return AboutConfig() if self.simulated is None else self.simulated.config.about
 
     @property
@@ -224,22 +225,22 @@ class ExportScene:
         return [name for name in self.labels if name not in self.objects]
 
 
-#: From pixels whose first has its centre at 0 to pixels whose first begins at 0.
+#: Offset from pixels with the centre of the first one at 0 to pixels with the border of the first one at 0.
 FROM_CORNER = 0.5
 
 
 def corner_matrix(camera: Camera) -> Array:
-    """Camera matrix (3, 3) for pixels that count from the corner of the image."""
+    """Camera matrix (3, 3) for pixels that are measured from the corner of the image."""
     return np.array([[1, 0, FROM_CORNER], [0, 1, FROM_CORNER], [0, 0, 1]]) @ camera.K
 
 
 def warn_of_lenses(program: str, cameras: Mapping[str, Camera], has_skew: bool = False) -> None:
-    """Warn (HumansimWarning) of lens distortion, which a program does not have.
+    """Warn (HumansimWarning) of lens distortion, since a program does not support it.
 
     Args:
-        program: Its name.
+        program: Name of the program.
         cameras: Cameras by name.
-        has_skew: Whether it has skew; else this is a warning, too.
+        has_skew: Whether the program supports skew. If not, skew causes a warning, too.
     """
     for name, camera in cameras.items():
         lost = {"lens distortion": camera.distorted, "skew": not has_skew and camera.K[0, 1] != 0}
@@ -247,7 +248,7 @@ def warn_of_lenses(program: str, cameras: Mapping[str, Camera], has_skew: bool =
             warn_about(f"{program} camera {name}", f"{what} has no place there; calibration.yaml has it")
 
 
-#: What a frame leaves for the files of the whole export: values of JSON and NumPy arrays. Arrays come back as
+#: Record of a frame for the files of the whole export: values of JSON and NumPy arrays. Arrays come back as
 #: lists.
 Record = Any
 #: Size of shards of samples, bytes.
@@ -259,11 +260,11 @@ class ExportSettings:
     """Settings of an export.
 
     Attributes:
-        scene: What is known of the scene.
+        scene: What is known about the scene.
         frames: Numbers of the frames.
         keypoints: Name of the keypoint set (docs/keypoints.md).
         image_suffix: Suffix of colour images: ``.png`` or ``.jpg``.
-        shard_size: Largest size of a shard of samples, bytes; a frame more if one is larger.
+        shard_size: Largest size of a shard of samples, bytes. A single frame may be larger.
         license: Licence of the data set, such as ``CC-BY-4.0``, or the address of its text; empty: unknown.
     """
 
@@ -276,10 +277,8 @@ class ExportSettings:
 
     @property
     def license_links(self) -> dict[str, str]:
-        """Licence of the data set, then the others of its people, with the addresses of their texts.
-
-        The address is empty if it is not known.
-        """
+        """Licence of the data set, then the others of its people, with the addresses of their texts. An
+        unknown address is empty."""
         people = sorted(set(self.scene.licenses.values()))
         names = dict.fromkeys([self.license, *people] if self.license else people)
         return {name: LICENSES.get(name, name if _ADDRESS.match(name) else "") for name in names}
@@ -317,8 +316,8 @@ class ExportFrame:
     """One frame, for the writers of all formats.
 
     Attributes:
-        frame: Everything of the scene at its stamp. Views have the channels that the chosen formats need;
-            there are none if no format needs channels.
+        frame: The scene at its stamp. Views have the channels that the chosen formats need. If no format
+            needs channels, there are no views.
         settings: Settings of the export.
     """
 
@@ -341,16 +340,14 @@ class ExportFrame:
 
 
 class FormatWriter:
-    """Writes one format. There is one in each process, so it keeps nothing of a frame.
-
-    ``settings``: settings of the export.
-    """
+    """Writes one format. Each process has one writer, so it keeps nothing of a frame. ``settings``: settings
+    of the export."""
 
     def __init__(self, settings: ExportSettings) -> None:
         self.settings = settings
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
-        """Write the files of a frame; return what :meth:`finish` needs of it, or None.
+        """Write the files of a frame. Returns the record that :meth:`finish` needs, or None.
 
         ``folder``: folder of the format.
 

@@ -586,7 +586,7 @@ def test_processes_in_a_namespace(tmp_path: Path) -> None:
         assert "__ns:=/lab/left" in process.ros_arguments
         assert process.parameters.get("frame_prefix") == ("lab/" if process.executable == "camera" else None)
     for namespace in ("a b", "lab//x", "1", "é"):
-        with pytest.raises(RosError, match="names between / have letters"):
+        with pytest.raises(RosError, match="each name between slashes"):
             scene_processes(path, namespace=namespace)
 
 

@@ -88,7 +88,7 @@ def record_demo(scene_path: Path, output: Path, duration: float, video: str = "w
 
 
 def _record(nodes: Supervisor, recorder: _Recorder, duration: float, console: Console) -> float | None:
-    """Wait until every topic has sent a message, then record for ``duration`` and until a frame is complete.
+    """Wait until every topic has sent a message, then record for ``duration`` and until a frame is whole.
 
     Returns:
         Recorded seconds, or None if a node has ended or a topic sends nothing.

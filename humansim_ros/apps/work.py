@@ -37,7 +37,7 @@ def compare(truth: Path, estimate: Sequence[str], min_score: float | None, **opt
         _refuse({**options, "min-score": min_score}, "the path of a robot")
         return _navigation(truth, estimate, radius)
     if radius is not None:
-        text = f"is for paths of robots; {', '.join(estimate)} is not there, or is none"
+        text = f"needs the path of a robot; {', '.join(estimate)} does not exist or is not one"
         raise EvaluationError(text, key="--radius")
     in_images = any(map(is_of_images, estimate))
     if any(map(is_box_file, estimate)) and not in_images:

@@ -115,8 +115,8 @@ def motion_of_points(path: str | os.PathLike[str], found: MarkerFile, person: st
     if chosen.missing:
         unseen = np.array(found.labels)[~is_seen(found.points).any(axis=0)]
         raise MotionError(
-            f"the points are not a person's: found {some_of(chosen.labels, 8)}; as {chosen.kind}, "
-            f"{', '.join(chosen.missing)} are missing"
+            f"the points do not make up a person: {', '.join(chosen.missing)} are missing for a set of "
+            f"{chosen.kind}; found {some_of(chosen.labels, 8)}"
             + (f". No frame has {some_of(unseen)}" if 0 < len(unseen) < len(found.labels) else ""),
             path=path,
         )
@@ -407,7 +407,7 @@ _ALL_JOINTS = {name.replace("Left", side) for name in _TREE for side in SIDES}
 
 def _motion(path: Path, joints: dict[str, Array], pelvis: Array | None, frame_time: float) -> Motion:
     """Motion of joints (F, 3) with the rest pose of :data:`_TREE`. ``pelvis``: axes (F, 3, 3) of the pelvis
-    by its markers: left, up, forward; or None."""
+    by its markers: left, up, forward. None if there are none."""
     joints = {**joints, "Chest": (joints["Hips"] + joints["Neck"]) / 2}
     names, parents, offsets = [], [], []
     trunk = joints["Neck"] - joints["Hips"]

@@ -28,7 +28,7 @@ def detect_points(
     """Find the 2D points of all images with a command, and keep them in ``<name>_points`` next to the views.
 
     The command runs once for each image. ``{image}`` stands for the image, ``{points}`` for the JSON file
-    that it has to write: COCO, OpenPose or our own form. Views whose points the views file names keep them.
+    that it has to write: COCO, OpenPose or our own form. Views keep points that the views file names.
 
     Args:
         photos: Photographs.

@@ -43,7 +43,7 @@ from humansim_ros.types import Array
 
 #: Most frames that determine the proportions.
 SHAPE_FRAMES = 12
-#: Most frames whose silhouettes determine the girths.
+#: Most frames with silhouettes that determine the girths.
 SILHOUETTE_FRAMES = 4
 #: Weight of points that no other view confirms.
 _UNCONFIRMED = 0.3

@@ -201,7 +201,8 @@ def can_be_shaped(name: str) -> bool:
 
 
 def fit_shape(name: str, vertices: Array) -> tuple[float, ...]:
-    """Betas whose body at rest is most like another body of the model at rest, by least squares.
+    """Betas that make the body in the rest pose most similar to another body of the model at rest, by least
+    squares.
 
     Betas of people are about as large as 1; that is the prior.
 

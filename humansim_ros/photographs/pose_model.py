@@ -116,7 +116,7 @@ class PoseModel:
 
     @cached_property
     def limits(self) -> JointLimits | None:
-        """Joint limits of the skeleton; or None of the bones of the table."""
+        """Joint limits of the skeleton. None if the skeleton has no bone of the table."""
         try:
             return load_limits(None, self.skeleton)
         except MotionError:
@@ -133,7 +133,7 @@ class PoseModel:
         return found if found.sum() >= 3 else np.ones(len(found), bool)
 
     def shown(self, keypoints: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Bones (B,) whose rotation, and length groups (G,) whose length, some keypoints (K,) show."""
+        """Bones (B,) with a rotation, and length groups (G,) with a length, that keypoints (K,) show."""
         slopes = np.abs(self.derivatives(self.neutral())[1][keypoints]).max(axis=(0, 1), initial=0.0) > 1e-6
         turns = slopes[3 : self.pose_size].reshape(-1, 3).any(axis=1)
         return turns, slopes[self.pose_size + 1 :][: len(self.groups)]

@@ -290,7 +290,7 @@ class Candidates:
 def find_exchanged(
     lines: Sightlines, keypoints: KeypointSet, limits: Array, seed: int = 0
 ) -> NDArray[np.bool_]:
-    """Views (V,) whose left and right are exchanged.
+    """Views (V,) in which left and right are exchanged.
 
     Left and right of a view are exchanged where more points then agree with the other views. If
     that leaves open which views are right, or if all of them agree, the front of the body decides: the nose
@@ -432,7 +432,7 @@ def triangulate(
 def triangulate_photos(photos: PhotoSet) -> tuple[Triangulation, ...]:
     """Triangulate the keypoints of all frames.
 
-    A HumansimWarning names the views whose left and right are exchanged, and the keypoints that fewer than
+    A HumansimWarning names the views in which left and right are exchanged, and the keypoints that fewer than
     two views show in any frame.
 
     Raises:

@@ -106,7 +106,9 @@ class _PointsReader:
         name = content.get("keypoints", self._keypoints.name)
         if name != self._keypoints.name:
             raise self._error(
-                f"points of {str(name)[:40]!r}, but the views file says {self._keypoints.name}", "keypoints"
+                f"the points are of the keypoint set {str(name)[:40]!r}, but the views file says "
+                f"{self._keypoints.name}",
+                "keypoints",
             )
         frames = content["frames"]
         if not isinstance(frames, list) or not frames:

@@ -119,8 +119,8 @@ class SceneCamera:
         route: Trajectory that moves the camera, if any.
         mount: Pose of the optical frame in the robot's base_link, and the robot; None if it stands elsewhere.
         backdrop: Image behind everything; a plain colour if None.
-        faults: Its faults over time; or None.
-        depth_sensor: Depth sensor next to it; or None.
+        faults: Its faults over time, or None.
+        depth_sensor: Depth sensor of the camera, or None.
         left: Name of the left camera if it is the right one of a stereo pair; else empty.
         beside_left: Its position (3,) in the optical frame of that camera, metres.
         timing: Frames of the scene in which it takes a picture.

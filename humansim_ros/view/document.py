@@ -501,7 +501,7 @@ class SceneDocument(SceneFile):
             return SceneCamera.build(name, self.config("cameras", name), self.source).whole
 
     def track(self, kind: SectionName, name: str) -> KeyframeTrack | None:
-        """Keyframes of a person or an object; or None. Raises HumansimError if they are wrong."""
+        """Keyframes of a person or an object, or None. Raises HumansimError if they are wrong."""
         keyframes: KeyframesConfig | None = self.config(kind, name).keyframes
         if keyframes is None:
             return None

@@ -336,5 +336,5 @@ def test_people_and_bodies_of_a_bag_are_those_of_its_scene(tmp_path: Path) -> No
     assert without["radius"] == 0.3 and without["nearest"]["collisions"] is None
     with pytest.raises(EvaluationError, match="is for 3D poses; the estimate is the path of a robot"):
         evaluate(bag, robot, gate=1.0)
-    with pytest.raises(EvaluationError, match="--radius: is for paths of robots"):
+    with pytest.raises(EvaluationError, match="--radius: needs the path of a robot"):
         evaluate(bag, f"{bag}:/humans/*/joints", radius=1.0)

@@ -383,14 +383,14 @@ def test_a_short_name_of_the_acromion_needs_its_place(tmp_path: Path, place: str
     if fits:
         assert "LeftShoulder" in read_motion(path).joint_names
         return
-    with pytest.raises(MotionError, match="as markers, LeftAcromion, RightAcromion are missing"):
+    with pytest.raises(MotionError, match="LeftAcromion, RightAcromion are missing for a set of markers"):
         read_motion(path)
 
 
 def test_a_marker_that_no_frame_has_is_named(tmp_path: Path) -> None:
     points = POINTS.copy()
     points[:, LABELS.index("RKNE")] = np.nan
-    with pytest.raises(MotionError, match=r"RightKneeLateral are missing\. No frame has RKNE"):
+    with pytest.raises(MotionError, match=r"RightKneeLateral are missing for .*\. No frame has RKNE"):
         read_motion(PLAIN.write(tmp_path / "walk.c3d", LABELS, points))
 
 

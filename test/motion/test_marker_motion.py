@@ -344,17 +344,17 @@ BAD: dict[str, tuple[Callable[[Path], Path], str]] = {
     "no frames": (edited(r"(?s)(X1.*?\n).*", r"\1\n\n"), "no frames"),
     "a word": (edited(r"(\n2\t0.020000\t)\S+", r"\1word"), "'word' is not a number"),
     "too many numbers": (edited(r"(\n3\t.*)", r"\1\t1\t2\t3"), "numbers, but"),
-    "a marker is missing": (without("LKnee"), "as joints, LeftKnee are missing"),
-    "one arm is missing": (without("RElbow"), "as joints, RightElbow are missing"),
+    "a marker is missing": (without("LKnee"), "a person: LeftKnee are missing for a set of joints"),
+    "one arm is missing": (without("RElbow"), "a person: RightElbow are missing for a set of joints"),
     "no arms and no ankles": (without("LElbow", "RElbow", "LAnkle"), "LeftElbow, RightElbow are missing"),
     "thigh and shin markers alone": (
         lambda path: write_trc(path, *table({n: TRUTH[j] for n, j in SEGMENTS.items()})),
-        "as joints, LeftShoulder",
+        "a person: LeftShoulder",
     ),
     "no labels": (edited(r"Frame#\tTime.*", "Frame#\tTime"), "no marker names"),
     "other labels": (
         lambda path: write_trc(path, ["a", "b"], np.zeros((3, 2, 3))),
-        "the points are not a person's: found a, b; as joints, LeftHip",
+        "the points do not make up a person: LeftHip",
     ),
 }
 
@@ -395,5 +395,7 @@ def test_a_cut_c3d_file_is_refused_or_ends_early(tmp_path: Path, kept: int) -> N
 
 @pytest.mark.parametrize("name", ["pyomeca.c3d", "pyomeca_markers.trc"])
 def test_markers_of_one_arm_are_no_person(shared_data: Path, name: str) -> None:
-    with pytest.raises(MotionError, match=r"found ASIS.*as markers, LeftKneeLateral, .* are missing"):
+    with pytest.raises(
+        MotionError, match=r"LeftKneeLateral, .* are missing for a set of markers; found ASIS"
+    ):
         read_motion(shared_data / "other" / name)

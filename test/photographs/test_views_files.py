@@ -181,7 +181,10 @@ def test_own_points_are_written_and_read_back(tmp_path: Path) -> None:
         ({"frames": [{"nose": [1, float("nan")]}]}, "finite"),
         ({"frames": [{"nose": [1, 1e300]}]}, "finite"),
         ({"frames": [{"nose": [1, True]}]}, "finite"),
-        ({"keypoints": "body25", "frames": [{}]}, "points of 'body25', but the views file says coco17"),
+        (
+            {"keypoints": "body25", "frames": [{}]},
+            "the points are of the keypoint set 'body25', but the views file says coco17",
+        ),
         ({"people": [{"pose_keypoints_2d": [1, 2, 3]}]}, "3 numbers, but 51 for coco17"),
         ({"people": 3}, "a list of people"),
         ({"annotations": 3, "images": [{"id": 1}]}, "a list of annotations"),

@@ -186,7 +186,9 @@ class SkinnerNode(SceneNode):
             stamp = to_nanoseconds(message.header.stamp)
             state = self._live_retargeter.retarget(read_joints(message), stamp)
             if not within_bounds(state.vertices):
-                raise RosError("the body would not be finite, or be more than 1000 km away")
+                raise RosError(
+                    "the pose has numbers that are not finite, or puts the body more than 1000 km away"
+                )
         except HumansimError as error:
             self.report_skipped(str(error))
             return None

@@ -178,7 +178,8 @@ def relative_namespace(text: str) -> str:
     namespace = text.strip("/")
     if namespace and not re.fullmatch(r"[A-Za-z_]\w*(/[A-Za-z_]\w*)*", namespace, re.ASCII):
         raise RosError(
-            f"namespace {text!r}: the names between / have letters, digits and _, and begin with no digit"
+            f"namespace {text!r}: each name between slashes may have only letters, digits and _, and must "
+            "not begin with a digit"
         )
     return namespace
 

@@ -181,7 +181,8 @@ class _Starts:
     def _area(self, key: str, corners: Sequence[float]) -> Array:
         area = np.reshape(corners, (2, 2))
         if not len(self._floor.places(area)):
-            raise SceneError("nobody can stand there: no free floor of the crowd's area is in it", key=key)
+            text = "nobody can stand in this area: no free floor of the area of the crowd is within it"
+            raise SceneError(text, key=key)
         return area
 
     def queue(self, number: int, people: list[_Person]) -> _Queue:

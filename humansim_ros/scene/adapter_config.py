@@ -18,7 +18,7 @@ _Frame = Annotated[
 
 
 class FramedConfig(ShortSection):
-    """Section of a scene file: messages of people, with positions in a frame of tf."""
+    """Messages of people in a frame of tf."""
 
     short_key: ClassVar[str] = "frame"
 

@@ -30,7 +30,7 @@ class Noise(Section):
 
 
 class Vignetting(Section):
-    """Vignetting: loss of light towards the corners. Several factors are multiplied."""
+    """Loss of light towards the corners; several factors are multiplied."""
 
     cos4: bool = Field(default=False, description="natural falloff: cos^4 of the angle to the optical axis")
     corner: float = Field(

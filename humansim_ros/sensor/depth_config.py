@@ -28,7 +28,7 @@ PRESETS: dict[str, dict[str, Any]] = _TABLE["presets"]
 
 
 class DepthSensorConfig(ShortSection):
-    """Depth sensor of a camera. It has its own optics, next to the colour optics, and its own errors."""
+    """Depth sensor of a camera: optics of its own beside the colour optics, and its errors."""
 
     short_key: ClassVar[str] = "preset"
 

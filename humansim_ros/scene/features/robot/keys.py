@@ -54,7 +54,7 @@ class VibrationConfig(NumberSection):
 
 
 class RobotConfig(Section):
-    """A robot that carries cameras. It follows ``cmd_vel`` unless a path, trajectory or odometry moves it."""
+    """A robot that carries cameras; it follows ``cmd_vel`` unless a path, trajectory or odometry moves it."""
 
     mesh: FileName = Field(
         default="robot",

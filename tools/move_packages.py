@@ -695,6 +695,7 @@ def main() -> None:
             subprocess.run(["rm", "-r", str(folder)], check=True)
     ruff = [sys.executable, "-m", "ruff"]
     subprocess.run([*ruff, "check", "--quiet", "--fix", "--select", "I", str(ROOT)], check=False)
+    subprocess.run([*ruff, "format", "--quiet", str(ROOT)], check=True)
     for path in [*(ROOT / "tools").rglob("*.py"), *(ROOT / "benchmarks").rglob("*.py")]:
         text = path.read_text(encoding="utf-8")
         path.write_text(re.sub(r"import \(\n((?:    [^\n]*\n)+)\)", first_line_noqa, text), encoding="utf-8")

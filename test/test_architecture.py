@@ -42,6 +42,7 @@ def test_each_module_has_a_place_in_a_package() -> None:
     assert [name for name, new in places.items() if house_map.part_of(new) is None] == []
     twice = Counter(new for name, new in places.items() if not house_map.is_folder(name))
     assert [new for new, count in twice.items() if count > 1] == []
+    assert twice.keys() & {new for name, new in places.items() if house_map.is_folder(name)} == set()
     moves = house_map.moves().items()
     assert [
         old for old, new in moves if old not in names and not (PACKAGE / old).exists() and old != new

@@ -706,6 +706,7 @@ def main() -> None:
         cwd=ROOT,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
     )
+    subprocess.run([*ruff, "check", "--quiet", "--fix", str(ROOT)], check=False)
     subprocess.run([*git, "add", "-A"], check=True)
 
 

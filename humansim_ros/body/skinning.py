@@ -18,15 +18,14 @@ from humansim_ros.geometry import cross, matrix_to_quaternion
 from humansim_ros.mesh.mesh import normalise_weights
 from humansim_ros.types import Array, FloatArray
 
-#: Usual limit in game engines.
-MAX_BONES_PER_VERTEX = 4
+#: Most bones that move a vertex: the usual limit in game engines.
+_MOST_BONES = 4
 #: Number of rows of weights that are made dense at once.
 _ROWS = 16_384
 
 
-def limit_bones(weights: csr_matrix, most: int = MAX_BONES_PER_VERTEX) -> csr_matrix:
-    """Keep the ``most`` largest weights of each row of (V, B). They are scaled to the previous sum of the
-    row."""
+def limit_bones(weights: csr_matrix) -> csr_matrix:
+    """Keep the four largest weights of each row of (V, B). They are scaled to the previous sum of the row."""
     weights = csr_matrix(weights, copy=True)
     weights.sum_duplicates()
     counts = np.diff(weights.indptr)
@@ -34,7 +33,7 @@ def limit_bones(weights: csr_matrix, most: int = MAX_BONES_PER_VERTEX) -> csr_ma
     order = np.lexsort((weights.indices, -weights.data, rows))
     rank = np.arange(len(order)) - np.repeat(weights.indptr[:-1], counts)
     before = np.asarray(weights.sum(axis=1)).ravel()
-    weights.data[order[rank >= most]] = 0.0
+    weights.data[order[rank >= _MOST_BONES]] = 0.0
     weights.eliminate_zeros()
     after = np.asarray(weights.sum(axis=1)).ravel()
     weights.data *= np.repeat(before / np.where(after > 0, after, 1.0), np.diff(weights.indptr))

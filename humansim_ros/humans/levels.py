@@ -61,6 +61,13 @@ _FEWEST = 5000
 _POSES, _ANGLE = 3, 0.8
 #: Folder of the levels of the humans of the package.
 FOLDER = "assets/humans/levels"
+#: Arrays of a file of levels, each with its type in memory and its type in the file.
+_ARRAYS: dict[str, tuple[type, type]] = {
+    "parents": (np.intp, np.int32),
+    "coordinate_parents": (np.intp, np.int32),
+    "removed_at": (np.uint8, np.uint8),
+    "errors": (float, float),
+}
 
 
 def levels_of(human: Human) -> Simplification | None:
@@ -229,25 +236,11 @@ def read_levels(path: Path) -> Simplification:
     """Read levels. Raises MeshError for a file that has no levels."""
     arrays = read_npz(path, MeshError, "file of levels of detail")
     try:
-        return Simplification(
-            arrays["parents"].astype(np.intp),
-            arrays["coordinate_parents"].astype(np.intp),
-            arrays["removed_at"].astype(np.uint8),
-            arrays["errors"].astype(float),
-        )
+        return Simplification(**{name: arrays[name].astype(kind) for name, (kind, _) in _ARRAYS.items()})
     except KeyError as missing:
         raise MeshError("an array is missing", path=path, key=str(missing.args[0])) from None
 
 
 def write_levels(path: Path, levels: Simplification) -> None:
     """Write levels atomically."""
-    kind = np.int32
-    write_npz(
-        path,
-        {
-            "parents": levels.parents.astype(kind),
-            "coordinate_parents": levels.coordinate_parents.astype(kind),
-            "removed_at": levels.removed_at,
-            "errors": levels.errors,
-        },
-    )
+    write_npz(path, {name: getattr(levels, name).astype(kind) for name, (_, kind) in _ARRAYS.items()})

@@ -96,6 +96,8 @@ _MAX_SHIFT = 0.25
 #: Largest lowering of the body (metres), and the time over which it is smoothed (seconds).
 _MAX_DROP, _DROP_TIME = 0.15, 0.12
 _SIDES = (("Left", "l"), ("Right", "r"))
+#: Poses of the legs that are computed at once.
+_BATCH = 1000
 
 
 @dataclass(frozen=True)
@@ -336,15 +338,13 @@ def skin_on_floor(skeleton: Skeleton, vertices: Array, weights: csr_matrix) -> N
     return kept & ~(both & low)
 
 
-def _posed_legs(
-    motion: WorldMotion, retargeter: Retargeter, times: Array, batch: int = 1000
-) -> tuple[Array, Array, Array]:
+def _posed_legs(motion: WorldMotion, retargeter: Retargeter, times: Array) -> tuple[Array, Array, Array]:
     """Sole points (N, 2, 2, 3), hips and ankles (N, 2, 3) of the retargeted body."""
     skeleton = retargeter.skeleton
     joints = [[skeleton.bone(f"{side}_{part}") for _, side in _SIDES] for part in ("hip", "ankle")]
     points, hips, ankles = [], [], []
-    for first in range(0, len(times), batch):
-        posed = retargeter.pose(motion.sample(times[first : first + batch]))
+    for first in range(0, len(times), _BATCH):
+        posed = retargeter.pose(motion.sample(times[first : first + _BATCH]))
         points.append(sole_points(skeleton, posed))
         hips.append(posed[:, joints[0]][..., :3, 3])
         ankles.append(posed[:, joints[1]][..., :3, 3])

@@ -559,10 +559,8 @@ def _scarf(name: WornName, worn: Worn, wearer: Wearer) -> Iterator[WornPart]:
     yield WornPart(points, head * skull + (1 - head) * chest, name)
 
 
-def _around(
-    wearer: Wearer, heights: Array, ease: Array | float, neck: bool = False, columns: int = 48
-) -> Array:
-    """Rings (R, C, 3) around the trunk, or around neck and chin, at heights (R,)."""
+def _around(wearer: Wearer, heights: Array, ease: Array | float, neck: bool = False) -> Array:
+    """Rings (R, 48, 3) around the trunk, or around neck and chin, at heights (R,)."""
     own, points = wearer.own, wearer.points
     if neck:
         chosen = (wearer.mesh.part == 0) & (np.abs(points[:, 0]) < 0.085 * wearer.head_size)
@@ -573,7 +571,7 @@ def _around(
     axis = float(own.ear[2] - 0.01) if neck else float((near[:, 2].min() + near[:, 2].max()) / 2)
     faces = wearer.mesh.surface
     outline = Outline.of(points, faces[chosen[faces].all(axis=1)], axis)
-    turn = np.arange(columns) / columns * 2 * np.pi
+    turn = np.arange(48) / 48 * 2 * np.pi
     y, t = np.meshgrid(heights, turn, indexing="ij")
     ring = np.stack([np.sin(t), y, np.cos(t)], axis=2)
     ring[..., 2] += axis
@@ -907,8 +905,8 @@ def _pack(name: WornName, worn: Worn, wearer: Wearer) -> Iterator[WornPart]:
             )
 
 
-def _power(values: Array, exponent: float = 0.38) -> Array:
-    return np.sign(values) * np.abs(values) ** exponent
+def _power(values: Array) -> Array:
+    return np.sign(values) * np.abs(values) ** 0.38
 
 
 def _strap(

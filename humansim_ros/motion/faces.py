@@ -11,8 +11,9 @@ from __future__ import annotations
 import math
 import statistics
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import Protocol
 
 import numpy as np
 
@@ -30,12 +31,8 @@ FACE_JOINT = "face/"
 GAZE_JOINT = FACE_JOINT + "gaze"
 HEAD_JOINT = FACE_JOINT + "head"
 FACE_JOINTS = frozenset((*(FACE_JOINT + action for action in ACTIONS), GAZE_JOINT, HEAD_JOINT))
-#: Returns points (N, 3) in ``map`` at scene times (N,).
-PointAt = Callable[[Array], Array]
-#: Returns the middle of the eyes (N, 3) and the direction ahead (N, 3) at scene times (N,).
-RaysAt = Callable[[Array], tuple[Array, Array]]
-#: Returns seconds (N,) of the file of a motion that are played at scene times (N,).
-Clock = Callable[[Array], Array]
+#: What somebody looks at: a point in ``map``, or the name of a human or camera.
+Target = str | tuple[float, float, float]
 #: Returns the next random number, uniformly distributed from 0 to 1.
 Uniform = Callable[[], float]
 #: Seconds after which blinks and glances repeat.
@@ -202,20 +199,36 @@ def _mouth(mouths: Sequence[Mapping[str, float]], uniform: Uniform) -> Array:
     return face_weights(both_sides(chosen))
 
 
-@dataclass(frozen=True, eq=False)
+class Looker(Protocol):
+    """The human who has a face."""
+
+    def seen(self, target: Target, times: Array, turned: bool) -> Array:
+        """Points (N, 3) of a target at scene times (N,). ``turned``: of somebody with a turned head."""
+
+    def eye_rays(self, times: Array) -> tuple[Array, Array]:
+        """Middle of the own eyes (N, 3), and direction ahead (N, 3), before the head turns."""
+
+    def played(self, times: Array) -> Array:
+        """Seconds (N,) of the file of the motion that are played at scene times (N,)."""
+
+    def plays(self, path: str) -> bool:
+        """Whether the motion is of a file."""
+
+
+@dataclass(frozen=True)
 class Gaze:
-    """Eyes turn to a point at a time, and the head does.
+    """Eyes turn to a target at a time, and the head does.
+
+    The eyes of somebody look into the eyes of others. A head turns to where these eyes are before their head
+    turns, so that two heads can turn to each other.
 
     Attributes:
         time: Seconds of the scene.
-        point: Point that the eyes look at; None for ahead.
-        towards: Target of the head, if it differs: the other person's eyes before that person's head turns,
-            as if their head did not turn, so that two heads can turn to each other.
+        target: What the eyes look at; None for ahead.
     """
 
     time: float
-    point: PointAt | None
-    towards: PointAt | None = None
+    target: Target | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,27 +237,19 @@ class Face:
 
     Attributes:
         tracks: Weights of actions, which are added and limited to 1.
-        takes: Such weights over the time of a file that also moves the body, while ``clock`` is given.
+        takes: Such weights over the time of a file, while the file also moves the body.
         body_file: Path of that file.
-        clock: Time of that file.
         glances: Movements of the eyes while they look at nothing, if it has any.
         gazes: Changes of the gaze, in the order of time.
-        rays: Where the human's own eyes are, of which the length of saccades depends.
         head: Share by which the head turns with the gaze: 0 not at all, 1 as people turn it.
     """
 
     tracks: tuple[WeightTrack, ...] = ()
     takes: tuple[WeightTrack, ...] = ()
     body_file: str = ""
-    clock: Clock | None = field(default=None, repr=False)
     glances: WeightTrack | None = None
     gazes: tuple[Gaze, ...] = ()
-    rays: RaysAt | None = field(default=None, repr=False)
     head: float = 0.0
-
-    def looking(self, gazes: tuple[Gaze, ...], rays: RaysAt) -> Face:
-        """The same face with gazes at points."""
-        return replace(self, gazes=gazes, rays=rays)
 
     @cached_property
     def _actions(self) -> tuple[int, ...]:
@@ -267,15 +272,15 @@ class Face:
         """Whether the head ever turns with the gaze."""
         return bool(self.gazes) and self.head > 0
 
-    def add(self, poses: JointPoses, seconds: float) -> JointPoses:
-        """Poses (N = 1) of a motion at a scene time, with the joints that carry the face."""
+    def add(self, poses: JointPoses, seconds: float, human: Looker) -> JointPoses:
+        """Poses (N = 1) of the motion of a human at a scene time, with the joints that carry the face."""
         if not self.joints:
             return poses
         times = seconds + AROUND
-        attended = [self._gaze(times)]
-        weights = self._weights(times, attended[0][0])[:, list(self._actions)]
+        attended = [self._gaze(times, human)]
+        weights = self._weights(times, attended[0][0], human)[:, list(self._actions)]
         if self.turns_head:
-            attended.append(self._head(times))
+            attended.append(self._head(times, human))
         count, step = len(self.joints), 2 * VELOCITY_STEP
         angles = np.column_stack([weights, *(shares for shares, _ in attended)])[:, :count]
         rotations, angular = np.zeros((count, 4)), np.zeros((count, 3))
@@ -287,13 +292,13 @@ class Face:
                 positions[number], linear[number] = points[1], (points[2] - points[0]) / step
         return poses.with_joints(self.joints, rotations, angular, positions, linear)
 
-    def _weights(self, times: Array, shares: Array) -> Array:
+    def _weights(self, times: Array, shares: Array, human: Looker) -> Array:
         """Weights (N, 52) at times (N,) with shares (N,) of the gaze."""
         weights = np.zeros((len(times), len(ACTIONS)))
         for track in self.tracks:
             weights[:, track.actions] += track.at(times)
-        if self.clock is not None:
-            played = self.clock(times)
+        if self.takes and human.plays(self.body_file):
+            played = human.played(times)
             if (np.diff(played) < 0).any():  # a new cycle began
                 played[:] = played[len(played) // 2]
             for take in self.takes:
@@ -305,71 +310,76 @@ class Face:
             weights[:, self.glances.actions] += left[:, None] * self.glances.at(times)
         return np.clip(weights, 0.0, 1.0)
 
-    def head_at(self, times: Array) -> tuple[Array, Array]:
+    def head_at(self, times: Array, human: Looker) -> tuple[Array, Array]:
         """Shares (N,) of the turn of the head, and points (N, 3) that it turns to, at times (N,)."""
         shares, points = np.zeros(len(times)), np.zeros((len(times), 3))
         begun = np.searchsorted([gaze.time for gaze in self.gazes], times, side="right")
         for number in np.unique(begun):
             now = begun == number
-            shares[now], points[now] = self._head(times[now])
+            shares[now], points[now] = self._head(times[now], human)
         return shares, points
 
-    def _head(self, times: Array) -> tuple[Array, Array]:
+    def _head(self, times: Array, human: Looker) -> tuple[Array, Array]:
         """As :meth:`_gaze`, of the head."""
-        shares, points = self._attended(
-            [gaze.towards or gaze.point for gaze in self.gazes], turn_seconds, times
-        )
+        shares, points = self._attended(partial(human.seen, turned=False), turn_seconds, times, human)
         return self.head * shares, points
 
-    def _gaze(self, times: Array) -> tuple[Array, Array]:
+    def _gaze(self, times: Array, human: Looker) -> tuple[Array, Array]:
         """Shares (N,) of the gaze, and its points (N, 3), at times (N,) around a frame."""
-        return self._attended([gaze.point for gaze in self.gazes], saccade_seconds, times)
+        return self._attended(partial(human.seen, turned=True), saccade_seconds, times, human)
 
     def _attended(
-        self, gazed: Sequence[PointAt | None], seconds: Callable[[float], float], times: Array
+        self,
+        seen: Callable[[Target, Array], Array],
+        seconds: Callable[[float], float],
+        times: Array,
+        human: Looker,
     ) -> tuple[Array, Array]:
         """Shares (N,) and points (N, 3) of a gaze at times (N,) around a frame.
 
         Args:
-            gazed: Point of each gaze.
+            seen: Returns the points of a target.
             seconds: Duration of a change by degrees.
             times: Times, between the same two gazes.
+            human: Whose gaze it is.
         """
         number = sum(gaze.time <= times[len(times) // 2] for gaze in self.gazes) - 1
         shares, points = np.zeros(len(times)), np.zeros((len(times), 3))
         if number < 0:
             return shares, points
-        time, after = self.gazes[number].time, gazed[number]
-        before = gazed[number - 1] if number else None
+        time, after = self.gazes[number].time, self.gazes[number].target
+        before = self.gazes[number - 1].target if number else None
         done = np.ones(len(times))
         # a gaze from the start is there at once
         if time > 0 and times.min() < time + seconds(180):
-            lasts = seconds(self._change(time, before, after))
+            lasts = seconds(_change(np.array([time]), before, after, seen, human))
             done = smooth_step((times - time) / lasts)
         if after is None or before is None:
-            point = after or before
-            if point is not None:
-                shares, points = done if after is not None else 1 - done, point(times)
+            target = before if after is None else after
+            if target is not None:
+                shares, points = done if after is not None else 1 - done, seen(target, times)
             return shares, points
         if done.min() == 1:
-            return np.ones(len(times)), after(times)
-        eyes = self._rays(times)[0]
-        start, end = before(times) - eyes, after(times) - eyes
+            return np.ones(len(times)), seen(after, times)
+        eyes = human.eye_rays(times)[0]
+        start, end = seen(before, times) - eyes, seen(after, times) - eyes
         near, far = (np.linalg.norm(line, axis=-1) for line in (start, end))
         return np.ones(len(times)), eyes + (near + done * (far - near))[:, None] * _turned(start, end, done)
 
-    def _rays(self, times: Array) -> tuple[Array, Array]:
-        assert self.rays is not None
-        return self.rays(times)
 
-    def _change(self, time: float, before: PointAt | None, after: PointAt | None) -> float:
-        """Degrees by which a gaze changes at a time."""
-        times = np.array([time])
-        eyes, ahead = self._rays(times)
-        start, end = (
-            ahead if point is None else unit_vectors(point(times) - eyes) for point in (before, after)
-        )
-        return float(np.degrees(angle_between(start, end))[0])
+def _change(
+    times: Array,
+    before: Target | None,
+    after: Target | None,
+    seen: Callable[[Target, Array], Array],
+    human: Looker,
+) -> float:
+    """Degrees by which a gaze changes at a time (1,)."""
+    eyes, ahead = human.eye_rays(times)
+    start, end = (
+        ahead if target is None else unit_vectors(seen(target, times) - eyes) for target in (before, after)
+    )
+    return float(np.degrees(angle_between(start, end))[0])
 
 
 def _turned(start: Array, end: Array, share: Array) -> Array:

@@ -23,9 +23,11 @@ from humansim_ros.geometry import (
     unit_vectors,
 )
 from humansim_ros.motion.contacts import Leg, two_bone
+from humansim_ros.motion.hand_poses import ReachingHand
 from humansim_ros.motion.keyframes import KeyframeSpace
 from humansim_ros.motion.kinematics import JointPoses, Motion
 from humansim_ros.motion.retarget import Retargeter
+from humansim_ros.motion.scene_query import SceneQuery
 from humansim_ros.types import Array
 
 #: Place of the palm between wrist and finger tips, and height of its skin over the line between them, as
@@ -67,8 +69,8 @@ class HandGoal:
         return HandGoal(place, palm, fingers)
 
 
-#: Returns the goal of a hand at scene times (N,).
-GoalAt = Callable[[Array], HandGoal]
+#: Returns the goal of a hand at scene times (N,); it asks for others by name.
+GoalAt = Callable[[Array, SceneQuery], HandGoal]
 
 
 @dataclass(frozen=True)
@@ -220,11 +222,13 @@ class Reaches:
         reaches: The reaches. Those of one hand do not overlap.
         motion: Motion of a file.
         retargeter: Retargeting of the motion onto a skeleton.
+        poses: Poses of the hands meanwhile.
     """
 
     reaches: tuple[Reach, ...]
     motion: Motion
     retargeter: Retargeter
+    poses: tuple[ReachingHand, ...] = ()
 
     def __post_init__(self) -> None:
         assert self.arms  # an arm without wrist is an error now, not while the motion plays
@@ -238,12 +242,15 @@ class Reaches:
             for side in sorted({reach.side for reach in self.reaches})
         }
 
-    def apply(self, poses: JointPoses, times: Array, space: KeyframeSpace | None = None) -> JointPoses:
+    def apply(
+        self, poses: JointPoses, times: Array, others: SceneQuery, space: KeyframeSpace | None = None
+    ) -> JointPoses:
         """Corrected poses, without velocities; the same poses if nobody reaches at these times.
 
         Args:
             poses: Poses of the motion at N times.
             times: Scene times (N,), seconds.
+            others: Knows where humans and objects are.
             space: Space of the motion that keyframes move, if any.
         """
         active = [(reach, reach.shares(times)) for reach in self.reaches]
@@ -255,7 +262,7 @@ class Reaches:
         solved = []
         for reach, shares in active:
             rows = np.flatnonzero(shares)
-            arm, goal = self.arms[reach.side], reach.goal(times[rows])
+            arm, goal = self.arms[reach.side], reach.goal(times[rows], others)
             if space is not None:
                 part = KeyframeSpace(space.position[rows], space.rotation[rows], space.size[rows])
                 goal = goal.in_space(part)
@@ -276,11 +283,15 @@ class Reaches:
         return JointPoses(poses.names, positions, matrix_to_quaternion(rotations))
 
     def apply_at(
-        self, poses: JointPoses, seconds: float, space: Callable[[Array], KeyframeSpace] | None = None
+        self,
+        poses: JointPoses,
+        seconds: float,
+        others: SceneQuery,
+        space: Callable[[Array], KeyframeSpace] | None = None,
     ) -> JointPoses:
         """A corrected pose (N = 1) with velocities, at a scene time."""
         times = seconds + AROUND
         if not any(reach.shares(times).any() for reach in self.reaches):
             return poses
-        three = self.apply(poses.extrapolate(AROUND), times, space and space(times))
+        three = self.apply(poses.extrapolate(AROUND), times, others, space and space(times))
         return JointPoses.with_velocities(poses.names, three.positions[:, None], three.rotations[:, None])

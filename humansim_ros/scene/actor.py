@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence, Set
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -30,10 +30,10 @@ from humansim_ros.geometry import (
 from humansim_ros.humans.human import Human
 from humansim_ros.mesh.simplification import Simplification
 from humansim_ros.motion.contacts import ON_SKIN, FootContacts, SkinContact, skin_on_floor
-from humansim_ros.motion.faces import Face, PointAt, without_face
+from humansim_ros.motion.faces import Face, Target, without_face
 from humansim_ros.motion.file_frame import detect_file_frame
 from humansim_ros.motion.hand_keys import BUILT_IN_HANDS, HandKey
-from humansim_ros.motion.hand_poses import HandKeys, ReachingHand, without_hands
+from humansim_ros.motion.hand_poses import HandKeys, without_hands
 from humansim_ros.motion.joint_matching import match_motion
 from humansim_ros.motion.keyframes import KeyframeSpace, KeyframeTrack, undo_keyframes
 from humansim_ros.motion.kinematics import JointPoses, Motion
@@ -41,6 +41,7 @@ from humansim_ros.motion.loose_swing import LooseSwing, without_swing
 from humansim_ros.motion.path_motion import Gait, PathMotion, WalkPath, sample_together
 from humansim_ros.motion.reaches import Palm, Reaches
 from humansim_ros.motion.retarget import Retargeter
+from humansim_ros.motion.scene_query import BODY, WITHOUT_REACH, PoseStage, SceneQuery
 from humansim_ros.motion.world_motion import Placement, WorldMotion, playing_warnings
 from humansim_ros.render import Body
 from humansim_ros.scene.config import LIVE, HumanConfig, MotionConfig
@@ -69,6 +70,7 @@ class Actor:
         face: Its face over scene time; None for a stiff face.
         reaches: What its hands reach for over scene time; None for nothing.
         jaw: Its jaw, which moves with its face; None for one that does not.
+        others: Knows the others of its scene by name, for gazes and reaches.
     """
 
     name: str
@@ -84,6 +86,7 @@ class Actor:
     face: Face | None = None
     reaches: Reaches | None = None
     jaw: Jaw | None = None
+    others: SceneQuery | None = field(default=None, repr=False, compare=False)
 
     @classmethod
     def build(
@@ -191,7 +194,15 @@ class Actor:
     def with_motion(self, config: MotionConfig, source: SceneSource, motion: Motion | None = None) -> Actor:
         """The same human with another motion; parameters as in :meth:`build`."""
         changed = Actor.build(self.name, self.instance, self.human, config, source, motion)
-        return replace(changed, keyframes=self.keyframes, levels=self.levels, face=self.face, jaw=self.jaw)
+        changed = replace(
+            changed,
+            keyframes=self.keyframes,
+            levels=self.levels,
+            face=self.face,
+            jaw=self.jaw,
+            others=self.others,
+        )
+        return changed if self.reaches is None else changed.with_reaches(self.reaches)
 
     def with_hands(self, config: MotionConfig) -> Actor:
         """The same human, whose motion goes on, with the hands of a section ``motion``.
@@ -206,14 +217,17 @@ class Actor:
             hands = HandKeys.of(_hand_keys(config), self.human.skeleton, motion, self.retargeter.match)
             if config.hands and hands is None:
                 raise MotionError(_NO_HANDS_MOVE)
-        return replace(self, hands=hands)
+        changed = replace(self, hands=hands)
+        return changed if self.reaches is None else changed.with_reaches(self.reaches)
 
-    def with_reaches(self, reaches: Reaches, poses: Sequence[ReachingHand]) -> Actor:
-        """This human with hands that reach, and the poses that they have meanwhile.
+    def with_reaches(self, reaches: Reaches) -> Actor:
+        """This human with hands that reach, whatever its motion is.
 
         Raises:
-            MotionError: The poses move nothing.
+            MotionError: The motion has no arms, or the poses of the hands move nothing.
         """
+        reaches = replace(reaches, motion=self.motion.motion, retargeter=self.retargeter)
+        poses = reaches.poses
         if not poses:
             hands = self.hands and replace(self.hands, reaching=())
             return replace(self, reaches=reaches, hands=hands)
@@ -258,7 +272,8 @@ class Actor:
         """Joint poses of the motion at a scene time, as the motion player publishes them."""
         poses = self.motion.sample_with_velocities(seconds + self.offset, self.ahead)
         if self.reaches is not None:
-            poses = self.reaches.apply_at(poses, seconds, None if self.keyframes is None else self._space)
+            space = None if self.keyframes is None else self._space
+            poses = self.reaches.apply_at(poses, seconds, self._others, space)
         poses = poses if self.keyframes is None else self.keyframes.apply(poses, seconds)
         poses = (
             poses
@@ -269,7 +284,7 @@ class Actor:
 
     def with_face(self, poses: JointPoses, seconds: float) -> JointPoses:
         """Joint poses of the motion at a scene time, with the joints that carry the face and loose parts."""
-        poses = poses if self.face is None else self.face.add(poses, seconds)
+        poses = poses if self.face is None else self.face.add(poses, seconds, self)
         return poses if self._swing is None else self._swing.add(poses, seconds)
 
     @cached_property
@@ -280,7 +295,7 @@ class Actor:
 
     def _loose_ends(self, times: Array) -> tuple[Array, Array, Array]:
         """Ends of its loose parts at scene times; see :meth:`Human.loose_ends`."""
-        joints, sizes = self._sized_joints_at(times, reaching=False)
+        joints, sizes = self._sized_joints_at(times, WITHOUT_REACH)
         bones = joints[:, : len(self.human.skeleton)].copy()
         bones[..., :3, :3] *= sizes[:, None, None, None]
         return self.human.loose_ends(bones)
@@ -351,30 +366,34 @@ class Actor:
 
         Hand poses and eyes rest.
         """
-        return self._with_head(self.joints_at(times), times)[..., :3, 3]
+        return self.joints_at(times, BODY | {PoseStage.HEAD})[..., :3, 3]
 
-    def _with_head(self, joints: Array, times: Array) -> Array:
-        """The same frames (N, J, 4, 4) of the joints with the head turned to the gaze at times (N,)."""
-        if self.face is not None and self.face.turns_head and self._eyes is not None:
-            shares, points = self.face.head_at(times)
+    def joints_at(self, times: Array, stages: Set[PoseStage] = BODY) -> Array:
+        """Frames (N, J, 4, 4) of the joints at scene times (N,), made by some stages.
+
+        ``stages``: those of the motion and its space always count; of the others, ARMS and HEAD.
+        """
+        joints, _ = self._sized_joints_at(times, stages)
+        face = self.face
+        if PoseStage.HEAD in stages and face is not None and face.turns_head and self._eyes is not None:
+            shares, points = face.head_at(times, self)
             self._eyes.turn_head(joints, points, shares)
         return joints
 
-    def joints_at(self, times: Array, reaching: bool = True) -> Array:
-        """Frames (N, J, 4, 4) of the joints at scene times (N,), without hand poses and face.
-
-        ``reaching``: false for the arms as the motion has them.
-        """
-        return self._sized_joints_at(times, reaching)[0]
-
-    def _sized_joints_at(self, times: Array, reaching: bool) -> tuple[Array, Array]:
-        """:meth:`joints_at`, and the scale of the body (N,)."""
+    def _sized_joints_at(self, times: Array, stages: Set[PoseStage]) -> tuple[Array, Array]:
+        """Joints as :meth:`joints_at`, with the head as the motion has it, and the scale of the body (N,)."""
         poses = self.motion.sample(times + self.offset, self.ahead)
         space = None if self.keyframes is None else self._space(times)
-        if self.reaches is not None and reaching:
-            poses = self.reaches.apply(poses, times, space)
+        if self.reaches is not None and PoseStage.ARMS in stages:
+            poses = self.reaches.apply(poses, times, self._others, space)
         joints, sizes = self.joints_of(poses)
         return (joints, sizes) if space is None else (space.to_map(joints), space.size)
+
+    @property
+    def _others(self) -> SceneQuery:
+        if self.others is None:
+            raise MotionError(f"{self.name} is in no scene: nobody knows where the others are")
+        return self.others
 
     def hips_at(self, times: Array) -> tuple[Array, Array]:
         """Middle of the hips (N, 3), and the direction to their left (N, 3), at scene times (N,)."""
@@ -404,9 +423,10 @@ class Actor:
 
         Of a body without eyes, the middle of the head, and the direction of its top.
         """
-        return self._rays(self.joints_at(times, reaching=False))
+        return self.rays(self.joints_at(times, WITHOUT_REACH))
 
-    def _rays(self, joints: Array) -> tuple[Array, Array]:
+    def rays(self, joints: Array) -> tuple[Array, Array]:
+        """Middle of the eyes (N, 3) and direction ahead (N, 3) of frames (N, J, 4, 4) of the joints."""
         if self._eyes is not None:
             return self._eyes.rays(joints)
         head = joints[:, self.human.skeleton.bone("vt3")]
@@ -419,17 +439,25 @@ class Actor:
         """Seconds (N,) of the file of the motion that are played at scene times (N,)."""
         return self.motion.phases(times + self.offset, self.ahead)
 
-    def eyes_at(self, times: Array) -> Array:
-        """Point (N, 3) of the face that others look at, at scene times (N,)."""
-        return self._rays(self._with_head(self.joints_at(times, reaching=False), times))[0]
+    def plays(self, path: str) -> bool:
+        """Whether its motion is of a file."""
+        return self.motion.motion.path == path
 
-    def sees(self, point: PointAt, times: Array) -> NDArray[np.bool_]:
-        """Whether eyes and head can turn to a point at scene times (N,); always without eyes."""
+    def seen(self, target: Target, times: Array, turned: bool) -> Array:
+        """Points (N, 3) of what it looks at, at scene times (N,). ``turned``: see :class:`SceneQuery`."""
+        if not isinstance(target, str):
+            return np.broadcast_to(np.array(target), (len(times), 3))
+        others = self._others
+        if others.is_human(target):
+            return others.eyes(target, times, turned)
+        return others.camera_position(target, times)
+
+    def sees(self, target: Target, times: Array) -> NDArray[np.bool_]:
+        """Whether eyes and head can turn to a target at scene times (N,); always without eyes."""
         if self._eyes is None:
             return np.ones(len(times), dtype=bool)
-        angles = self._eyes.angles_to(
-            self._with_head(self.joints_at(times, reaching=False), times), point(times)
-        )
+        joints = self.joints_at(times, WITHOUT_REACH | {PoseStage.HEAD})
+        angles = self._eyes.angles_to(joints, self.seen(target, times, turned=True))
         return np.asarray((angles == within_limits(angles)).all(axis=(1, 2)))
 
     @cached_property

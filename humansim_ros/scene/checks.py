@@ -161,9 +161,9 @@ def _out_of_sight(samples: SceneSamples) -> Iterator[Finding]:
         ends = [*(time for time, *_ in keys), np.inf][1:]
         for gaze, (time, number, target), end in zip(actor.face.gazes, keys, ends, strict=True):
             times = samples.times[(samples.times >= time) & (samples.times < end)]
-            if gaze.point is None or not len(times):
+            if gaze.target is None or not len(times):
                 continue
-            share = float(actor.sees(gaze.point, times).mean())
+            share = float(actor.sees(gaze.target, times).mean())
             if share < _SEEN:
                 shown = target if isinstance(target, str) else numbers(target)
                 head = (
@@ -186,12 +186,14 @@ def _out_of_reach(samples: SceneSamples) -> Iterator[Finding]:
     """Findings about hands that do not come to what they reach for."""
     for name in samples.joints:
         actor, configs = samples.scene.actors[name], samples.scene.config.humans[name].reach
-        if actor.reaches is None:
+        if actor.reaches is None or actor.others is None:
             continue
         for number, (reach, config) in enumerate(zip(actor.reaches.reaches, configs, strict=True)):
             first = reach.start + reach.blend
             times = np.linspace(first, min(reach.end - reach.blend, first + _LONGEST), _MEASURED)
-            lacks = np.linalg.norm(actor.palms_at(reach.side, times) - reach.goal(times).place, axis=-1)
+            lacks = np.linalg.norm(
+                actor.palms_at(reach.side, times) - reach.goal(times, actor.others).place, axis=-1
+            )
             if lacks.max() < _TOUCHES:
                 continue
             worst, never = int(np.argmax(lacks)), bool(lacks.min() >= _TOUCHES)

@@ -20,6 +20,7 @@ from humansim_ros.scene.features.scanners.scanner import SceneScanner
 from humansim_ros.scene.names import human_names
 from humansim_ros.scene.objects import SceneObject, load_tracks
 from humansim_ros.scene.source import SceneSource
+from humansim_ros.scene.world import World
 
 #: Humans from which on those who are small in an image are drawn with fewer triangles.
 _MANY = 8
@@ -36,6 +37,7 @@ class Draft:
         tracks: Keyframes by section ("humans", "objects") and name.
         actors: Humans so far by name.
         objects: Objects so far by name.
+        world: Knows the humans so far, for those who depend on others.
         scanners: Laser scanners by name.
     """
 
@@ -45,6 +47,11 @@ class Draft:
     tracks: Mapping[tuple[str, str], KeyframeTrack]
     actors: dict[str, Actor] = field(default_factory=dict)
     objects: dict[str, SceneObject] = field(default_factory=dict)
+    world: World = field(default_factory=World)
+
+    def __post_init__(self) -> None:
+        self.world.people = self.actors
+
     scanners: dict[str, SceneScanner] = field(default_factory=dict)
 
     @classmethod

@@ -6,25 +6,22 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 
-import numpy as np
-
 from humansim_ros.body.eyes import EYE_BONES
 from humansim_ros.errors import SceneError, in_section, unknown
 from humansim_ros.humans.makehuman.mouth import has_mouth, jaw_of, with_mouth
 from humansim_ros.io.motion_formats import split_motion_name
 from humansim_ros.motion.face_files import read_face_file
 from humansim_ros.motion.face_keys import AHEAD
-from humansim_ros.motion.faces import Face, Gaze, PointAt, blinks, glances, key_tracks
+from humansim_ros.motion.faces import Face, Gaze, blinks, glances, key_tracks
 from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.camera import SceneCamera
 from humansim_ros.scene.config import LIVE, FaceConfig, HumanConfig
 from humansim_ros.scene.randomise import RandomNumbers, random_numbers
 from humansim_ros.scene.source import SceneSource
-from humansim_ros.types import Array
 
 
 def face_of(name: str, config: HumanConfig, source: SceneSource) -> Face:
-    """Face of a human without its gazes, and without the clock of its motion.
+    """Face of a human.
 
     Args:
         name: Name of the human: people with one seed differ.
@@ -40,7 +37,9 @@ def face_of(name: str, config: HumanConfig, source: SceneSource) -> Face:
         return random_numbers(settings.seed, f"face {name} {purpose}")
 
     tracks = key_tracks([key.key for key in settings.keys], numbers)
-    face = Face(tracks, head=settings.head)
+    gazes = sorted((key for key in settings.keys if key.gaze is not None), key=lambda key: key.time)
+    looks = tuple(Gaze(key.time, None if key.gaze == AHEAD else key.gaze) for key in gazes)
+    face = Face(tracks, gazes=looks, head=settings.head)
     if settings.file is not None:
         file, animation = split_motion_name(settings.file)
         with in_section("file"):
@@ -96,7 +95,7 @@ def with_faces(
             if human.shapes is None:
                 eyes = "only its eyes move" if EYE_BONES[0] in human.skeleton.names else "nothing moves"
                 source.warn(f"humans.{name}.face", f"the body has no actions of the face: {eyes}")
-    return with_gazes(out, faces, cameras)
+    return out
 
 
 def _with_mouth(actor: Actor, source: SceneSource) -> Actor:
@@ -128,65 +127,3 @@ def _check_gaze(
         raise SceneError(f"{unknown('human and no camera', gaze, known)}; {AHEAD} ends a gaze")
     if gaze in humans and humans[gaze].motion.file == LIVE:
         raise SceneError(f"another node moves {gaze}, so that its place is not known: give a point")
-
-
-def with_gazes(
-    actors: Mapping[str, Actor],
-    configs: Mapping[str, FaceConfig | None],
-    cameras: Mapping[str, SceneCamera],
-) -> dict[str, Actor]:
-    """Humans that look at others and at cameras where these are with their present motions.
-
-    Takes of faces get the clock of the present motion, if it is of their file.
-    """
-    still = {name: replace(actor, face=None) for name, actor in actors.items()}
-    looking = _looking(actors, configs, cameras, still, still)
-    if not any(actor.face is not None and actor.face.turns_head for actor in looking.values()):
-        return looking
-    # heads turn to where the eyes of others were without turns; eyes look where these are
-    return _looking(actors, configs, cameras, looking, still)
-
-
-def _looking(
-    actors: Mapping[str, Actor],
-    configs: Mapping[str, FaceConfig | None],
-    cameras: Mapping[str, SceneCamera],
-    seen: Mapping[str, Actor],
-    still: Mapping[str, Actor],
-) -> dict[str, Actor]:
-    """Humans with their gazes, at humans as they are ``seen``; heads turn to those who are ``still``."""
-
-    def point(gaze: str | tuple[float, float, float], others: Mapping[str, Actor]) -> PointAt | None:
-        if not isinstance(gaze, str):
-            return partial(_fixed, np.array(gaze))
-        if gaze == AHEAD:
-            return None
-        return others[gaze].eyes_at if gaze in others else partial(_camera_at, cameras[gaze])
-
-    out = dict(actors)
-    for name, config in configs.items():
-        face = actors[name].face
-        keys = [] if config is None else [key for key in config.keys if key.gaze is not None]
-        if face is not None and face.takes:
-            plays = still[name].motion.motion.path == face.body_file
-            face = replace(face, clock=still[name].played if plays else None)
-            out[name] = replace(actors[name], face=face)
-        if face is not None and keys:
-            keys.sort(key=lambda key: key.time)
-            gazes = tuple(
-                Gaze(key.time, point(key.gaze, seen), point(key.gaze, still))
-                for key in keys
-                if key.gaze is not None
-            )
-            out[name] = replace(actors[name], face=face.looking(gazes, still[name].eye_rays))
-    return out
-
-
-def _fixed(point: Array, times: Array) -> Array:
-    return np.broadcast_to(point, (len(times), 3))
-
-
-def _camera_at(camera: SceneCamera, times: Array) -> Array:
-    if not camera.moves:
-        return _fixed(camera.whole.center, times)
-    return np.stack([camera.pose(float(time)).position for time in times])

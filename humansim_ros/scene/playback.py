@@ -21,15 +21,14 @@ from humansim_ros.motion.world_motion import WorldMotion
 from humansim_ros.scene.actor import Actor, joint_poses_of
 from humansim_ros.scene.camera import CameraPose
 from humansim_ros.scene.config import MotionConfig
-from humansim_ros.scene.faces import with_gazes
 from humansim_ros.scene.features.held.feature import followed
 from humansim_ros.scene.features.robot.keys import ROBOT
 from humansim_ros.scene.features.robot.robot import CommandedDrive
-from humansim_ros.scene.reaching import with_reaches
 from humansim_ros.scene.scene import Scene
 from humansim_ros.scene.source import SceneSource
 from humansim_ros.scene.standing import standing_in
 from humansim_ros.scene.state import SceneState
+from humansim_ros.scene.world import World
 from humansim_ros.types import Array
 
 #: Keys that describe the motion file; another file starts with their defaults.
@@ -192,25 +191,31 @@ class Playback:
         scene: The scene.
         settings: Section ``motion`` of each human as it is now.
         actors: Humans as they are now, by name.
+        world: Humans, objects and cameras as they are now, by name.
         elapsed: Scene time that was shown last, nanoseconds. Changes apply from there.
-        version: Number of changes: poses that were computed before one are out of date.
         drive: Commands of the robot, if it takes any.
     """
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
-        self.actors: dict[str, Actor] = dict(scene.actors)
+        self.world = World()
+        self.actors = {name: replace(actor, others=self.world) for name, actor in scene.actors.items()}
+        self.world.fill(self.actors, scene.scene_cameras, self._placed)
         self.settings: dict[str, MotionConfig] = {
             name: scene.config.humans[name].motion for name in scene.actors
         }
-        self.elapsed = self.version = 0
+        self.elapsed = 0
         #: Rotation and translation of each object that was put somewhere else than its keyframes do.
         self._shifts: dict[str, tuple[scipy.spatial.transform.Rotation, Array]] = {}
         robot = scene.robot
         self.drive = CommandedDrive(robot) if robot is not None and robot.takes_commands else None
-        #: Moving objects by name. Those that a human takes along follow its present motion.
-        self._moving = dict(scene.moving_objects)
-        self.actors = self._reaching(self.actors)
+        #: Moving objects by name; those that a human takes along follow its present motion.
+        self._moving = {name: followed(item, self.world) for name, item in scene.moving_objects.items()}
+
+    @property
+    def version(self) -> int:
+        """Number of changes: poses that were computed before one are out of date."""
+        return self.world.version
 
     def show(self, elapsed: int, pace: float = 1.0) -> SceneState:
         """Poses at ``elapsed`` nanoseconds of the scene, with velocities per second of the wall clock.
@@ -280,7 +285,7 @@ class Playback:
         """
         if self.drive is None:
             raise SceneError("the scene has no robot that takes commands", key=ROBOT)
-        self.version += 1
+        self.world.version += 1
         self.drive.command(self.elapsed * 1e-9, speed, turn)
 
     def change(self, name: str, **settings: Any) -> None:
@@ -321,13 +326,12 @@ class Playback:
         else:
             read_again = different & {"file", "positions"}
             actor = before.with_motion(new, source, None if read_again else before.motion.motion)
-        self._reaching({**self.actors, name: actor})  # an arm that cannot reach is an error now
         actor.motion.sample(0.0)  # compute the shared values of all frames now
         return Change(name, new, actor, bool(different & _RESTART_KEYS), bool(different & _ROUND_KEYS))
 
     def apply(self, change: Change) -> None:
         """Start the motion of a prepared change."""
-        self.version += 1
+        self.world.version += 1
         old, actor = self.actors[change.name], change.actor
         seconds = self.elapsed * 1e-9
         at = 0.0
@@ -337,17 +341,6 @@ class Playback:
         ahead = at - actor.motion.speed * (seconds + actor.offset)
         self.actors[change.name] = replace(actor, ahead=ahead)
         self.settings[change.name] = change.settings
-        self._look()
-
-    def _look(self) -> None:
-        """Bind gazes, reaches and held objects to the present motions."""
-        self._moving = {name: followed(item, self.actors) for name, item in self.scene.moving_objects.items()}
-        self.actors = self._reaching(self.actors)
-        faces = {name: self.scene.config.humans[name].face for name in self.actors}
-        self.actors |= with_gazes(self.actors, faces, self.scene.scene_cameras)
-
-    def _reaching(self, actors: Mapping[str, Actor]) -> dict[str, Actor]:
-        return with_reaches(actors, self.scene.config.humans, self.scene.objects, self._placed)
 
     def _placed(self, name: str, seconds: float) -> ObjectPose:
         """Pose of an object, static or moving, at a scene time in seconds."""
@@ -381,20 +374,20 @@ class Playback:
         if name == ROBOT and self.drive is not None:
             yaw = scipy.spatial.transform.Rotation.from_quat(rotation).as_euler("xyz")[2]
             self.drive.place(self.elapsed * 1e-9, float(position[0]), float(position[1]), float(yaw))
-            self.version += 1
+            self.world.version += 1
             return
         pose = self._moving[name].at(self.elapsed * 1e-9)
         rotate = scipy.spatial.transform.Rotation.from_quat
         turn = rotate(rotation) * rotate(pose.rotation).inv()
         self._shifts[name] = turn, position - turn.apply(pose.position)
-        self.version += 1
+        self.world.version += 1
 
     def reset_objects(self) -> None:
         """Put all moving objects where their keyframes do, and the robot at its start."""
         self._shifts = {}
         if self.drive is not None:
             self.drive.reset()
-        self.version += 1
+        self.world.version += 1
 
     def object_pose(self, name: str) -> ObjectPose:
         """Pose of an object, static or moving, at the scene time that was shown last."""
@@ -423,12 +416,11 @@ class Playback:
         """Play all motions as if they had their present settings from the start of the scene; the robot
         forgets its commands.
         """
-        self.version += 1
+        self.world.version += 1
         if self.drive is not None:
             self.drive.reset()
         for name, actor in self.actors.items():
             self.actors[name] = replace(actor, ahead=0.0)
-        self._look()
 
 
 def _with(old: MotionConfig, changes: Mapping[str, Any], of_scene: MotionConfig) -> MotionConfig:

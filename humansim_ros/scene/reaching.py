@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Literal
 
 import numpy as np
 
 from humansim_ros.errors import SceneError, in_section, some_of, unknown
-from humansim_ros.geometry import ObjectPose, quaternion_to_matrix, rotate, unit_vectors
+from humansim_ros.geometry import quaternion_to_matrix, rotate, unit_vectors
 from humansim_ros.motion.hand_poses import ReachingHand
 from humansim_ros.motion.reaches import PALM, GoalAt, HandGoal, Reach, Reaches, in_round
+from humansim_ros.motion.scene_query import BODY, WITHOUT_REACH, SceneQuery
 from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.config import LIVE, HumanConfig, ReachConfig
 from humansim_ros.scene.objects import SceneObject
@@ -30,9 +30,6 @@ _STRETCHED = 0.93
 _SHAKES_PER_SECOND = 2.2
 _UP = np.array([0.0, 0.0, 1.0])
 
-#: Returns the pose of an object by its name at a scene time in seconds.
-ObjectAt = Callable[[str, float], ObjectPose]
-
 
 @dataclass(frozen=True)
 class PointGoal:
@@ -42,7 +39,7 @@ class PointGoal:
     palm: tuple[float, float, float] | None
     fingers: tuple[float, float, float] | None
 
-    def __call__(self, times: Array) -> HandGoal:
+    def __call__(self, times: Array, others: SceneQuery) -> HandGoal:
         """The goal at scene times (N,)."""
         place, palm, fingers = (
             None if each is None else np.broadcast_to(np.array(each, dtype=float), (len(times), 3))
@@ -58,20 +55,20 @@ class ObjectGoal:
 
     Attributes:
         own: Point and directions.
-        pose_at: Pose of the object at a scene time in seconds.
+        name: Name of the object.
         size: Size of the object without keyframes: what scales it moves the point.
     """
 
     own: PointGoal
-    pose_at: Callable[[float], ObjectPose]
+    name: str
     size: Array
 
-    def __call__(self, times: Array) -> HandGoal:
+    def __call__(self, times: Array, others: SceneQuery) -> HandGoal:
         """The goal at scene times (N,)."""
-        poses = [self.pose_at(time) for time in times.tolist()]
+        poses = [others.object_pose(self.name, time) for time in times.tolist()]
         turns = quaternion_to_matrix(np.array([pose.rotation for pose in poses]))
         scales = np.array([pose.size for pose in poses]) / self.size
-        own = self.own(times)
+        own = self.own(times, others)
         place = np.array([pose.position for pose in poses]) + rotate(turns, scales * own.place)
         palm, fingers = (None if each is None else rotate(turns, each) for each in (own.palm, own.fingers))
         return HandGoal(place, palm, fingers)
@@ -82,7 +79,6 @@ class JointGoal:
     """The skin at a joint of another human, on the side of the arm that reaches for it.
 
     Attributes:
-        people: Humans by name, with their reaches.
         name: Who reaches.
         side: The hand.
         other: The other human.
@@ -90,22 +86,20 @@ class JointGoal:
         own: Directions of the hand.
     """
 
-    people: Mapping[str, Actor]
     name: str
     side: str
     other: str
     joint: str
     own: PointGoal
 
-    def __call__(self, times: Array) -> HandGoal:
+    def __call__(self, times: Array, others: SceneQuery) -> HandGoal:
         """The goal at scene times (N,)."""
-        other = self.people[self.other]
-        index = other.human.skeleton.joint_names.index(self.joint)
-        middle = other.joints_at(times)[:, index, :3, 3]
-        own = self.own(times)
+        index = others.skeleton(self.other).joint_names.index(self.joint)
+        middle = others.joints(self.other, times, BODY)[:, index, :3, 3]
+        own = self.own(times, others)
         if own.palm is not None:
             return replace(own, place=middle - _FLESH * unit_vectors(own.palm))
-        towards = unit_vectors(middle - _ArmAt.of(self.people[self.name], self.side, times).shoulder)
+        towards = unit_vectors(middle - _ArmAt.of(others, self.name, self.side, times).shoulder)
         return replace(own, place=middle - _FLESH * towards)
 
 
@@ -118,13 +112,14 @@ class _ArmAt:
     length: float
 
     @classmethod
-    def of(cls, actor: Actor, side: str, times: Array) -> _ArmAt:
-        skeleton, joints = actor.human.skeleton, actor.joints_at(times, reaching=False)
+    def of(cls, others: SceneQuery, name: str, side: str, times: Array) -> _ArmAt:
+        skeleton, joints = others.skeleton(name), others.joints(name, times, WITHOUT_REACH)
         left, right = (joints[:, skeleton.bone(f"{each}_shoulder"), :3, 3] for each in "lr")
         upper, lower, hand = (skeleton.bone(f"{side[0]}_{part}") for part in ("shoulder", "elbow", "wrist"))
         lengths = skeleton.lengths
-        size = 1.0 if actor.keyframes is None else float(actor.keyframes.at(times[:1]).size[0, 0])
-        length = size * float(lengths[upper] + lengths[lower] + PALM * lengths[hand])
+        length = others.size(name, float(times[0])) * float(
+            lengths[upper] + lengths[lower] + PALM * lengths[hand]
+        )
         ahead = unit_vectors(np.cross(left - right, _UP))
         return cls(left if side == "left" else right, ahead, length)
 
@@ -138,24 +133,22 @@ class MeetingGoal:
     face one is on the other.
 
     Attributes:
-        people: Humans by name.
         hands: This human and its hand, then the other one and its hand.
         holds: Scene times from and to which the hands hold, seconds.
         repeat: Seconds after which they meet again; infinite for once.
         shake: Metres by which they go up and down; 0 for hands that hold still.
     """
 
-    people: Mapping[str, Actor]
     hands: tuple[tuple[str, str], tuple[str, str]]
     holds: tuple[float, float]
     repeat: float
     shake: float
 
-    def __call__(self, times: Array) -> HandGoal:
+    def __call__(self, times: Array, others: SceneQuery) -> HandGoal:
         """The goal at scene times (N,)."""
         (own_side, other_side) = (side for _, side in self.hands)
         # in the order of their names, so that both find the same bits
-        arms = {hand: _ArmAt.of(self.people[hand[0]], hand[1], times) for hand in sorted(self.hands)}
+        arms = {hand: _ArmAt.of(others, *hand, times) for hand in sorted(self.hands)}
         own, other = (arms[hand] for hand in self.hands)
         first, second = arms.values()
         line = second.shoulder - first.shoulder
@@ -204,7 +197,6 @@ def with_reaches(
     actors: Mapping[str, Actor],
     configs: Mapping[str, HumanConfig],
     objects: Mapping[str, SceneObject],
-    pose_at: ObjectAt | None = None,
 ) -> dict[str, Actor]:
     """Humans whose hands reach for what their sections ``reach`` say.
 
@@ -212,7 +204,6 @@ def with_reaches(
         actors: Humans by name.
         configs: Their sections.
         objects: Objects by name.
-        pose_at: Pose of an object; where its keyframes put it if None.
 
     Raises:
         HumansimError: With the key, as of an unknown object.
@@ -220,7 +211,7 @@ def with_reaches(
     out = dict(actors)
     if not any(config.reach for config in configs.values()):
         return out
-    makes = _Goals(out, configs, objects, pose_at)
+    makes = _Goals(out, configs, objects)
     for name, config in configs.items():
         if not config.reach:
             continue
@@ -243,8 +234,8 @@ def with_reaches(
                 for each, own in zip(reaches, config.reach, strict=True)
                 if own.pose is not None
             ]
-            all_reaches = Reaches(tuple(reaches), actor.motion.motion, actor.retargeter)
-            out[name] = actor.with_reaches(all_reaches, poses)
+            all_reaches = Reaches(tuple(reaches), actor.motion.motion, actor.retargeter, tuple(poses))
+            out[name] = actor.with_reaches(all_reaches)
     makes.refuse_circles()
     return out
 
@@ -275,13 +266,11 @@ def _refuse_overlaps(reaches: tuple[ReachConfig, ...]) -> None:
 
 @dataclass(frozen=True)
 class _Goals:
-    """Makes the goals of reaches; parameters the same as in :func:`with_reaches`, ``people`` with their
-    reaches."""
+    """Makes the goals of reaches; parameters as of :func:`with_reaches`."""
 
     people: Mapping[str, Actor]
     configs: Mapping[str, HumanConfig]
     objects: Mapping[str, SceneObject]
-    pose_at: ObjectAt | None
 
     def goal(self, name: str, config: ReachConfig) -> GoalAt:
         """Goal of a reach of a human."""
@@ -302,7 +291,7 @@ class _Goals:
         if config.at not in known:
             raise SceneError(unknown("joint", config.at, known, target), key="at")
         own = PointGoal((0.0, 0.0, 0.0), config.palm, config.fingers)
-        return JointGoal(self.people, name, config.hand, target, config.at, own)
+        return JointGoal(name, config.hand, target, config.at, own)
 
     def _kind(self, name: str, target: str) -> Literal["human", "object"]:
         if target == name:
@@ -323,8 +312,7 @@ class _Goals:
             raise SceneError(f"{target} is an object: give a point of it, such as [0, 0, 1]", key="at")
         item = self.objects[target]
         own = PointGoal(config.at or (0.0, 0.0, 0.0), config.palm, config.fingers)
-        pose_at = item.at if self.pose_at is None else partial(self.pose_at, target)
-        return ObjectGoal(own, pose_at, item.initial_pose.size)
+        return ObjectGoal(own, target, item.initial_pose.size)
 
     def _meeting(self, name: str, target: str, config: ReachConfig) -> MeetingGoal:
         partners = [
@@ -355,7 +343,7 @@ class _Goals:
             )
         shake = min(config.shake, other.shake) if config.hand == other.hand else 0.0
         hands = ((name, config.hand), (target, other.hand))
-        return MeetingGoal(self.people, hands, holds, config.repeat or math.inf, shake)
+        return MeetingGoal(hands, holds, config.repeat or math.inf, shake)
 
     def refuse_circles(self) -> None:
         """Raise SceneError for humans who reach for each other's joints all around."""

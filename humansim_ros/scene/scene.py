@@ -45,6 +45,7 @@ from humansim_ros.scene.randomise import random_looks
 from humansim_ros.scene.reaching import with_reaches
 from humansim_ros.scene.source import SceneSource, name_objects
 from humansim_ros.scene.timing import CameraTiming
+from humansim_ros.scene.world import World
 from humansim_ros.truth import joint_surfaces
 
 if TYPE_CHECKING:
@@ -194,10 +195,23 @@ class Scene(Pictured):
         humans = draft.config.humans
         actors = with_reaches(actors, humans, objects)
         actors = with_faces(actors, humans, cameras, source)
+        actors = {name: replace(actor, others=draft.world) for name, actor in actors.items()}
         random = frozenset(humans.keys() - config.humans.keys())
-        return cls(
+        scene = cls(
             source, draft.config, actors, cameras, objects, draft.environment, random, scanners, draft.robot
         )
+        scene._fill_world()
+        return scene
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._fill_world()
+
+    def _fill_world(self) -> None:
+        """Let the humans know the others."""
+        world = next((actor.others for actor in self.actors.values()), None)
+        if isinstance(world, World):
+            world.fill(self.actors, self.scene_cameras, lambda name, seconds: self.objects[name].at(seconds))
 
     def __repr__(self) -> str:
         parts: dict[str, Iterable[str]] = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -133,7 +134,7 @@ def test_eyes_look_at_points_people_and_cameras() -> None:
     playback = Playback(both)
     playback.elapsed = 0
     playback.change("ben", position=(1.5, -0.5))
-    eyes = playback.actors["ben"].eyes_at(np.array([1.8]))[0]
+    eyes = playback.world.eyes("ben", np.array([1.8]), turned=True)[0]
     assert off_target(playback.actors["anna"].at(1.8), eyes) < 1e-3
 
 
@@ -425,9 +426,20 @@ def test_two_heads_turn_to_each_other_and_eyes_meet() -> None:
     }
     assert off_target(states["anna"], middles["ben"]) < 1e-3
     alone = scene({}, ben={**ben, "face": {}}).actors
-    turned = np.linalg.norm(middles["ben"] - alone["ben"].eyes_at(np.array([0.4]))[0])
+    turned = np.linalg.norm(middles["ben"] - alone["ben"].eye_rays(np.array([0.4]))[0][0])
     assert turned > 0.02
     assert off_target(states["ben"], middles["anna"]) < 1e-3
+
+
+def test_a_human_is_pickled_without_those_that_it_looks_at() -> None:
+    ben = {"body": "child", "motion": {"file": "stand", "position": [0.6, 1.2]}}
+    both = scene({"head": 1, "keys": [{"gaze": "ben"}]}, ben=ben)
+    again = pickle.loads(pickle.dumps(both)).actors["anna"]
+    np.testing.assert_array_equal(again.at(0.4).vertices, both.actors["anna"].at(0.4).vertices)
+    alone = pickle.dumps(both.actors["anna"])
+    assert len(alone) < 1.1 * len(pickle.dumps(replace(both.actors["anna"], face=None)))
+    with pytest.raises(HumansimError, match="does not know where ben is"):
+        pickle.loads(alone).at(0.4)
 
 
 def test_the_neck_stays_within_its_limits_and_never_jumps() -> None:

@@ -12,6 +12,7 @@ import pytest
 from humansim_ros.errors import HumansimError, SceneError
 from humansim_ros.geometry import VELOCITY_STEP, quaternion_to_matrix
 from humansim_ros.motion.limits import load_limits
+from humansim_ros.motion.scene_query import WITHOUT_REACH
 from humansim_ros.motion.soles import sole_points
 from humansim_ros.scene import Scene, check_scene
 from humansim_ros.scene.actor import Actor
@@ -79,7 +80,7 @@ def test_two_people_shake_hands(one: str, other: str, apart: float) -> None:
     # both are back where their motions have them
     for actor in (anna, ben):
         for time in (0.5, 5.5):
-            plain = actor.joints_at(np.array([time]), reaching=False)
+            plain = actor.joints_at(np.array([time]), WITHOUT_REACH)
             np.testing.assert_array_equal(actor.joints_at(np.array([time])), plain)
 
 
@@ -144,7 +145,7 @@ def test_a_hand_touches_however_the_motion_is_retargeted(motion: str, keys: Any)
     assert np.linalg.norm(actor.palms_at("right", times) - reach["to"], axis=1).max() < CONTACT
     if "clamp" in keys:
         assert actor.reaches is not None
-        poses = actor.reaches.apply(actor.motion.sample(times), times)
+        poses = actor.reaches.apply(actor.motion.sample(times), times, actor.others)
         rotations, _ = actor.retargeter.apply(poses)
         assert not load_limits().for_skeleton(actor.human.skeleton).report(rotations)
 
@@ -180,7 +181,7 @@ def test_the_rest_of_the_body_stays_as_it_was(motion: Any, clamp: bool) -> None:
     motion = {**({"file": motion} if isinstance(motion, str) else motion), "clamp": clamp}
     made = scene([{"hand": "left", "to": [0.5, 0.3, 1.1], "blend": 0.4}], motion=motion)
     actor, times = made.actors["anna"], np.linspace(0, 3, 31)
-    moved, plain = actor.joints_at(times), actor.joints_at(times, reaching=False)
+    moved, plain = actor.joints_at(times), actor.joints_at(times, WITHOUT_REACH)
     names = actor.human.skeleton.joint_names
     arm = {"l_shoulder", "l_elbow", "l_wrist"}
     ends = {
@@ -258,7 +259,9 @@ def test_hands_of_the_example_hold_what_they_reach_for(example: Scene) -> None:
         assert actor.reaches is not None
         for reach in actor.reaches.reaches:
             times = reach.holds(np.linspace(0, 16, 161))
-            error = np.linalg.norm(actor.palms_at(reach.side, times) - reach.goal(times).place, axis=1)
+            error = np.linalg.norm(
+                actor.palms_at(reach.side, times) - reach.goal(times, actor.others).place, axis=1
+            )
             assert error.max() < CONTACT
             reached += len(times) > 20
     assert reached == 5
@@ -269,7 +272,7 @@ def test_joints_of_the_example_stay_within_their_limits(example: Scene) -> None:
     times = np.linspace(0, 8, 161)
     for actor in example.actors.values():
         assert actor.reaches is not None
-        poses = actor.reaches.apply(actor.motion.sample(times + actor.offset), times)
+        poses = actor.reaches.apply(actor.motion.sample(times + actor.offset), times, actor.others)
         rotations, _ = actor.retargeter.apply(poses)
         assert not load_limits().for_skeleton(actor.human.skeleton).report(rotations)
 
@@ -293,7 +296,7 @@ def test_feet_of_the_example_stand_as_their_motions_do(example: Scene) -> None:
     for actor in example.actors.values():
         assert actor.reaches is not None
         poses = actor.motion.sample(times + actor.offset)
-        moved = actor.reaches.apply(poses, times)
+        moved = actor.reaches.apply(poses, times, actor.others)
         skeleton, pose = actor.human.skeleton, actor.retargeter.pose
         np.testing.assert_allclose(
             sole_points(skeleton, pose(moved)), sole_points(skeleton, pose(poses)), atol=1e-9
@@ -436,10 +439,10 @@ def test_a_man_opens_a_door_wide_with_his_hand_on_the_handle(doorway: Scene) -> 
     times = reach.holds(np.linspace(0, 25.6, 513))
     turns = np.array([2 * np.degrees(np.arctan2(*door.at(time).rotation[2:])) for time in times])
     assert np.ptp(turns) > 80
-    error = np.linalg.norm(actor.palms_at(reach.side, times) - reach.goal(times).place, axis=1)
+    error = np.linalg.norm(actor.palms_at(reach.side, times) - reach.goal(times, actor.others).place, axis=1)
     assert error.max() < CONTACT
     assert check_scene(doorway) == []
-    poses = actor.reaches.apply(actor.motion.sample(times), times)
+    poses = actor.reaches.apply(actor.motion.sample(times), times, actor.others)
     rotations, _ = actor.retargeter.apply(poses)
     assert not load_limits().for_skeleton(actor.human.skeleton).report(rotations)
 

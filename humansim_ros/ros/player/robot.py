@@ -95,7 +95,7 @@ class RobotPort:
         except HumansimError as error:
             self._node.report_skipped(f"{self._robot.config.odometry}: {error}")
             return
-        self._playback.version += 1
+        self._playback.world.version += 1
         before, self._newest = self._newest, (stamp, pose)
         if before is not None and before[0] != stamp:  # else it was sent again
             self._before = before if before[0] < stamp else None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -19,11 +18,13 @@ from humansim_ros.geometry import (
     unit_vectors,
 )
 from humansim_ros.motion.reaches import PALM
+from humansim_ros.motion.scene_query import WITHOUT_REACH
 from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.draft import Draft
 from humansim_ros.scene.features import Feature
 from humansim_ros.scene.features.held.keys import HoldConfig
 from humansim_ros.scene.objects import SHAPES, SceneObject
+from humansim_ros.scene.world import World
 from humansim_ros.types import Array
 
 #: Half the thickness of a hand, metres.
@@ -47,27 +48,32 @@ class Hold:
     """A human that takes an object along, in the hands or on the path.
 
     Attributes:
-        actor: The human.
-        config: When, and by what.
+        world: Knows the human by name.
+        config: Which human, when, and by what.
         own: Pose of the object in the frame between the palms, or below the hips.
     """
 
-    actor: Actor
+    world: World
     config: HoldConfig
     own: ObjectPose
 
     def __call__(self, seconds: float) -> ObjectPose:
         """Pose and velocity at a scene time in seconds."""
-        if seconds not in self._known:
+        key = self.world.version, seconds
+        if key not in self._known:
             if len(self._known) >= _KNOWN:
                 self._known.clear()
-            self._known[seconds] = self._at(seconds)
-        return self._known[seconds]
+            self._known[key] = self._at(seconds)
+        return self._known[key]
 
     @cached_property
-    def _known(self) -> dict[float, ObjectPose]:
-        """Poses by scene time: humans that reach for the object, and checks, ask for them again."""
+    def _known(self) -> dict[tuple[int, float], ObjectPose]:
+        """Poses by version of the motions and scene time: humans that reach for the object ask again."""
         return {}
+
+    @property
+    def _human(self) -> Actor:
+        return self.world.human(self.config.human)
 
     def _at(self, seconds: float) -> ObjectPose:
         times = seconds + AROUND
@@ -96,14 +102,15 @@ class Hold:
         around = self._held(np.add.outer(times, _SMOOTHED).ravel())
         middle, left = (
             np.einsum("w,nwd->nd", weights, each.reshape(len(times), len(weights), 3)) * (1.0, 1.0, 0.0)
-            for each in self.actor.hips_at(around)
+            for each in self._human.hips_at(around)
         )
         y, z = unit_vectors(left), np.broadcast_to([0.0, 0.0, 1.0], left.shape)
         return middle, np.stack([np.cross(y, z), y, z], axis=-1)
 
     def palms(self, times: Array) -> tuple[Array, Array]:
         """Left and right palm (N, 3) at scene times (N,)."""
-        joints, names = self.actor.joint_paths(times), self.actor.human.skeleton.joint_names
+        joints = self._human.joints_at(times, WITHOUT_REACH)[..., :3, 3]
+        names = self._human.human.skeleton.joint_names
         wrists, tips = (
             joints[:, [names.index(f"{side}_{part}") for side in "lr"]] for part in ("wrist", "wrist_end")
         )
@@ -118,27 +125,27 @@ class Hold:
 
     def _held(self, times: Array) -> Array:
         """Clamp scene times (N,) to the part of the cycle in which the hands hold the object."""
-        motion = self.actor.motion
+        human, motion = self._human, self._human.motion
         end = motion.cycle_length if self.config.end is None else self.config.end
-        played = motion.file_times(times + self.actor.offset, self.actor.ahead)
+        played = motion.file_times(times + human.offset, human.ahead)
         length = motion.cycle_length
         phase = played % length if motion.loop != "none" and length > 0 else played
         return np.asarray(times + (np.clip(phase, self.config.start, end) - phase) / max(motion.speed, 1e-6))
 
 
-def held(item: SceneObject, config: HoldConfig, actors: Mapping[str, Actor]) -> SceneObject:
+def held(item: SceneObject, config: HoldConfig, world: World) -> SceneObject:
     """An object that a human takes along; a built-in shape in hands becomes as wide as these are apart.
 
     Raises:
         SceneError: There is no such human, or it has no hands.
     """
-    actor = actors.get(config.human)
-    if actor is None:
+    actors = world.people
+    if config.human not in actors:
         raise SceneError(unknown("human", config.human, actors))
-    hold = Hold(actor, config, item.initial_pose)
+    hold = Hold(world, config, item.initial_pose)
     if config.by == "path":
         return replace(item, pose_at=hold)
-    if not {"l_wrist_end", "r_wrist_end"} <= set(actor.human.skeleton.joint_names):
+    if not {"l_wrist_end", "r_wrist_end"} <= set(actors[config.human].human.skeleton.joint_names):
         raise SceneError(f"{config.human} has no hands")
     if item.shape in SHAPES:
         x, _, z = item.initial_pose.size.tolist()
@@ -146,18 +153,10 @@ def held(item: SceneObject, config: HoldConfig, actors: Mapping[str, Actor]) -> 
     return replace(item, initial_pose=hold.own, pose_at=hold, held_by=config.human)
 
 
-def followed(item: SceneObject, actors: Mapping[str, Actor]) -> SceneObject:
-    """An object that follows the human who takes it along as this human moves now.
-
-    It keeps its size, and its place between the palms or before the hips.
-    """
+def followed(item: SceneObject, world: World) -> SceneObject:
+    """An object that follows the human of another world who takes it along. It keeps its size and place."""
     hold = item.pose_at
-    if not isinstance(hold, Hold):
-        return item
-    now, then = actors[hold.config.human], hold.actor
-    if now.motion is then.motion and now.retargeter is then.retargeter and now.ahead == then.ahead:
-        return item
-    return replace(item, pose_at=replace(hold, actor=replace(now, reaches=None)))
+    return replace(item, pose_at=replace(hold, world=world)) if isinstance(hold, Hold) else item
 
 
 class Held(Feature):
@@ -168,7 +167,7 @@ class Held(Feature):
         for name, config in draft.config.objects.items():
             if config.held_by is not None:
                 with in_section(f"objects.{name}.held_by"):
-                    draft.objects[name] = held(draft.objects[name], config.held_by, draft.actors)
+                    draft.objects[name] = held(draft.objects[name], config.held_by, draft.world)
 
 
 FEATURE = Held()

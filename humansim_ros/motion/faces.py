@@ -32,7 +32,7 @@ GAZE_JOINT = FACE_JOINT + "gaze"
 HEAD_JOINT = FACE_JOINT + "head"
 FACE_JOINTS = frozenset((*(FACE_JOINT + action for action in ACTIONS), GAZE_JOINT, HEAD_JOINT))
 #: What somebody looks at: a point in ``map``, or the name of a human or camera.
-Target = str | tuple[float, float, float]
+GazeTarget = str | tuple[float, float, float]
 #: Returns the next random number, uniformly distributed from 0 to 1.
 Uniform = Callable[[], float]
 #: Seconds after which blinks and glances repeat.
@@ -202,7 +202,7 @@ def _mouth(mouths: Sequence[Mapping[str, float]], uniform: Uniform) -> Array:
 class Looker(Protocol):
     """The human who has a face."""
 
-    def seen(self, target: Target, times: Array, turned: bool) -> Array:
+    def seen(self, target: GazeTarget, times: Array, turned: bool) -> Array:
         """Points (N, 3) of a target at scene times (N,). ``turned``: of somebody with a turned head."""
 
     def eye_rays(self, times: Array) -> tuple[Array, Array]:
@@ -228,7 +228,7 @@ class Gaze:
     """
 
     time: float
-    target: Target | None
+    target: GazeTarget | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -330,7 +330,7 @@ class Face:
 
     def _attended(
         self,
-        seen: Callable[[Target, Array], Array],
+        seen: Callable[[GazeTarget, Array], Array],
         seconds: Callable[[float], float],
         times: Array,
         human: Looker,
@@ -369,9 +369,9 @@ class Face:
 
 def _change(
     times: Array,
-    before: Target | None,
-    after: Target | None,
-    seen: Callable[[Target, Array], Array],
+    before: GazeTarget | None,
+    after: GazeTarget | None,
+    seen: Callable[[GazeTarget, Array], Array],
     human: Looker,
 ) -> float:
     """Degrees by which a gaze changes at a time (1,)."""
@@ -420,11 +420,8 @@ class FacePoses:
     head_shares: Array
 
 
-def without_face(poses: JointPoses) -> tuple[JointPoses, FacePoses | None]:
-    """Joint poses without the joints that :meth:`Face.add` appends, and the face that they carry."""
-    own, carried = poses.split(lambda name: name.startswith(FACE_JOINT))
-    if not carried.names:
-        return poses, None
+def carried_face(carried: JointPoses) -> FacePoses:
+    """The face that joints carry which :meth:`Face.add` appends."""
     angles = 2 * np.arctan(carried.rotations[..., 0] / carried.rotations[..., 3])  # q and -q are one rotation
     weights = np.zeros((len(angles), len(ACTIONS)))
     nowhere = np.zeros((len(angles), 3)), np.zeros(len(angles))
@@ -434,7 +431,7 @@ def without_face(poses: JointPoses) -> tuple[JointPoses, FacePoses | None]:
             attended[name] = carried.positions[:, number], np.clip(angles[:, number], 0.0, 1.0)
         else:
             weights[:, ACTIONS.index(name.removeprefix(FACE_JOINT))] = angles[:, number]
-    return own, FacePoses(np.clip(weights, 0.0, 1.0), *attended[GAZE_JOINT], *attended[HEAD_JOINT])
+    return FacePoses(np.clip(weights, 0.0, 1.0), *attended[GAZE_JOINT], *attended[HEAD_JOINT])
 
 
 def check_face(poses: JointPoses) -> None:

@@ -193,13 +193,6 @@ class HandKeys:
         return poses.with_joints(names, turns[1], central_difference(turns, turns)[1])
 
 
-def without_hands(poses: JointPoses) -> tuple[JointPoses, dict[str, Array]]:
-    """Joint poses without the joints that :meth:`HandKeys.add` appends, and bone -> rotation (N, 4) xyzw."""
-    own, hands = poses.split(HAND_JOINTS.__contains__)
-    bones = (name.removeprefix(HAND_JOINT) for name in hands.names)
-    return own, dict(zip(bones, hands.rotations.swapaxes(0, 1), strict=True))
-
-
 @dataclass(frozen=True)
 class FreeFingers:
     """Moves the finger bones of a skeleton that no joint drives: by given rotations, else by the arm.

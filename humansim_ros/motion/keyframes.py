@@ -192,27 +192,28 @@ class KeyframeSpace:
         return moved
 
 
-def undo_keyframes(poses: JointPoses) -> tuple[JointPoses, KeyframeSpace | None]:
+def undo_keyframes(poses: JointPoses, space: JointPoses) -> tuple[JointPoses, KeyframeSpace]:
     """Invert :meth:`KeyframeTrack.apply` at N times.
 
+    Args:
+        poses: Joints in ``map``.
+        space: Poses of the two :data:`SPACE_JOINTS`.
+
     Returns:
-        Joint poses without keyframes and without velocities, and the space that the keyframes moved. Joints
-        without :data:`SPACE_JOINTS` are returned unchanged, with None.
+        Joint poses without keyframes and without velocities, and the space that the keyframes moved.
 
     Raises:
         MotionError: :data:`SPACE_JOINTS` are at one place.
     """
-    if poses.names[-2:] != SPACE_JOINTS:
-        return poses, None
-    origin, end = poses.positions[:, -2], poses.positions[:, -1]
+    origin, end = space.positions[:, 0], space.positions[:, 1]
     size = np.linalg.norm(end - origin, axis=-1)
     if not (size >= SMALLEST_SIZE / 2).all():
         raise MotionError(f"the joints {' and '.join(SPACE_JOINTS)} are at one place: a size of zero")
-    rotation = quaternion_to_matrix(poses.rotations[:, -2])
-    positions = np.einsum("nji,nkj->nki", rotation, poses.positions[:, :-2] - origin[:, None])
+    rotation = quaternion_to_matrix(space.rotations[:, 0])
+    positions = np.einsum("nji,nkj->nki", rotation, poses.positions - origin[:, None])
     back = np.swapaxes(rotation, -1, -2)[:, None]
-    rotations = matrix_to_quaternion(back @ quaternion_to_matrix(poses.rotations[:, :-2]))
-    original = JointPoses(poses.names[:-2], positions / size[:, None, None], rotations)
+    rotations = matrix_to_quaternion(back @ quaternion_to_matrix(poses.rotations))
+    original = JointPoses(poses.names, positions / size[:, None, None], rotations)
     return original, KeyframeSpace(origin, rotation, size)
 
 

@@ -171,12 +171,6 @@ def swing_joints(count: int) -> tuple[str, ...]:
     return (f"{LOOSE_JOINT}origin", *(f"{LOOSE_JOINT}{number}" for number in range(count))) if count else ()
 
 
-def without_swing(poses: JointPoses) -> tuple[JointPoses, Array | None]:
-    """Joint poses without the joints that :meth:`LooseSwing.add` appends, and the swing (N, K, 3) if any."""
-    own, ends = poses.split(lambda name: name.startswith(LOOSE_JOINT))
-    return own, ends.positions[:, 1:] - ends.positions[:, :1] if ends.names else None
-
-
 def check_swing(poses: JointPoses, names: Sequence[str], count: int) -> None:
     """Raise MotionError unless joints of a pose (N = 1) carry the swing of a human.
 

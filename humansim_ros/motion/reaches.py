@@ -287,11 +287,18 @@ class Reaches:
         poses: JointPoses,
         seconds: float,
         others: SceneQuery,
-        space: Callable[[Array], KeyframeSpace] | None = None,
+        space: Callable[[Array], KeyframeSpace | None],
     ) -> JointPoses:
-        """A corrected pose (N = 1) with velocities, at a scene time."""
+        """A corrected pose (N = 1) with velocities, at a scene time.
+
+        Args:
+            poses: Pose of the motion with velocities.
+            seconds: Scene time.
+            others: Knows where humans and objects are.
+            space: Returns the space of the motion that keyframes move, if any, at times (N,).
+        """
         times = seconds + AROUND
         if not any(reach.shares(times).any() for reach in self.reaches):
             return poses
-        three = self.apply(poses.extrapolate(AROUND), times, others, space and space(times))
+        three = self.apply(poses.extrapolate(AROUND), times, others, space(times))
         return JointPoses.with_velocities(poses.names, three.positions[:, None], three.rotations[:, None])

@@ -6,14 +6,12 @@ from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.body.eyes import Eyes, looked_angles, with_looks, within_limits
-from humansim_ros.body.face_actions import FACE_AT_REST
-from humansim_ros.body.jaw import Jaw
-from humansim_ros.body.loose import swing_at_rest
+from humansim_ros.body.eyes import Eyes, within_limits
 from humansim_ros.body.rated import Rated
 from humansim_ros.errors import MotionError, in_section, warn_about
 from humansim_ros.geometry import (
@@ -30,14 +28,13 @@ from humansim_ros.geometry import (
 from humansim_ros.humans.human import Human
 from humansim_ros.mesh.simplification import Simplification
 from humansim_ros.motion.contacts import ON_SKIN, FootContacts, SkinContact, skin_on_floor
-from humansim_ros.motion.faces import Face, Target, without_face
+from humansim_ros.motion.faces import Face, GazeTarget
 from humansim_ros.motion.file_frame import detect_file_frame
 from humansim_ros.motion.hand_keys import BUILT_IN_HANDS, HandKey
-from humansim_ros.motion.hand_poses import HandKeys, without_hands
+from humansim_ros.motion.hand_poses import HandKeys
 from humansim_ros.motion.joint_matching import match_motion
-from humansim_ros.motion.keyframes import KeyframeSpace, KeyframeTrack, undo_keyframes
+from humansim_ros.motion.keyframes import KeyframeSpace, KeyframeTrack
 from humansim_ros.motion.kinematics import JointPoses, Motion
-from humansim_ros.motion.loose_swing import LooseSwing, without_swing
 from humansim_ros.motion.path_motion import Gait, PathMotion, WalkPath, sample_together
 from humansim_ros.motion.reaches import Palm, Reaches
 from humansim_ros.motion.retarget import Retargeter
@@ -46,6 +43,7 @@ from humansim_ros.motion.world_motion import Placement, WorldMotion, playing_war
 from humansim_ros.render import Body
 from humansim_ros.scene.config import LIVE, HumanConfig, MotionConfig
 from humansim_ros.scene.human_state import HumanState
+from humansim_ros.scene.layers import BodyPoses, PoseLayer, layers_of
 from humansim_ros.scene.source import STANDING, SceneSource
 from humansim_ros.types import Array
 
@@ -64,12 +62,8 @@ class Actor:
         retargeter: Retargeting of the motion onto the skeleton.
         offset: Time that the motion is ahead of the scene, seconds of the scene.
         ahead: Time that the motion is ahead after a change while it played, seconds of its file.
-        keyframes: Keyframes that move, rotate and scale the space of the motion over scene time.
-        hands: Keys of the hands over the motion; None without.
         levels: Simpler versions of the mesh, for colours of small people; None for the whole mesh alone.
-        face: Its face over scene time; None for a stiff face.
-        reaches: What its hands reach for over scene time; None for nothing.
-        jaw: Its jaw, which moves with its face; None for one that does not.
+        layers: What changes the pose of the motion, in the order of the stages.
         others: Knows the others of its scene by name, for gazes and reaches.
     """
 
@@ -80,12 +74,8 @@ class Actor:
     retargeter: Retargeter
     offset: float = 0.0
     ahead: float = 0.0
-    keyframes: KeyframeTrack | None = None
     levels: Simplification | None = None
-    hands: HandKeys | None = None
-    face: Face | None = None
-    reaches: Reaches | None = None
-    jaw: Jaw | None = None
+    layers: tuple[PoseLayer, ...] = ()
     others: SceneQuery | None = field(default=None, repr=False, compare=False)
 
     @classmethod
@@ -158,7 +148,8 @@ class Actor:
             hands = HandKeys.of(_hand_keys(config), human.skeleton, world, retargeter.match)
         if config.hands and hands is None:
             warn_about(name, f"'hands' {_NO_HANDS_MOVE}")
-        return cls(name, instance, human, world, retargeter, config.offset, hands=hands)
+        actor = cls(name, instance, human, world, retargeter, config.offset, layers=layers_of(human))
+        return actor.with_layer("hands", settings=hands)
 
     @classmethod
     def load(
@@ -189,19 +180,14 @@ class Actor:
                 actor = cls.build(name, instance, human, config.motion, source)
                 if path is not None:
                     actor = actor._along(path, config.motion, source)
-        return replace(actor, keyframes=keyframes)
+        return actor.with_layer("keyframes", settings=keyframes)
 
     def with_motion(self, config: MotionConfig, source: SceneSource, motion: Motion | None = None) -> Actor:
         """The same human with another motion; parameters as in :meth:`build`."""
         changed = Actor.build(self.name, self.instance, self.human, config, source, motion)
-        changed = replace(
-            changed,
-            keyframes=self.keyframes,
-            levels=self.levels,
-            face=self.face,
-            jaw=self.jaw,
-            others=self.others,
-        )
+        hands = changed.hands
+        changed = replace(changed, levels=self.levels, layers=self.layers, others=self.others)
+        changed = changed.with_layer("hands", settings=hands)
         return changed if self.reaches is None else changed.with_reaches(self.reaches)
 
     def with_hands(self, config: MotionConfig) -> Actor:
@@ -217,7 +203,7 @@ class Actor:
             hands = HandKeys.of(_hand_keys(config), self.human.skeleton, motion, self.retargeter.match)
             if config.hands and hands is None:
                 raise MotionError(_NO_HANDS_MOVE)
-        changed = replace(self, hands=hands)
+        changed = self.with_layer("hands", settings=hands)
         return changed if self.reaches is None else changed.with_reaches(self.reaches)
 
     def with_reaches(self, reaches: Reaches) -> Actor:
@@ -230,14 +216,47 @@ class Actor:
         poses = reaches.poses
         if not poses:
             hands = self.hands and replace(self.hands, reaching=())
-            return replace(self, reaches=reaches, hands=hands)
+            return self.with_layer("reach", settings=reaches).with_layer("hands", settings=hands)
         hands = self.hands
         if hands is None:
             keys = [HandKey("relaxed", self.motion.start, each.side) for each in poses]
             hands = HandKeys.of(keys, self.human.skeleton, self.motion, self.retargeter.match)
         if hands is None:
             raise MotionError(_NO_HANDS_MOVE, key="pose")
-        return replace(self, reaches=reaches, hands=hands.reaching_for(poses))
+        reaching = self.with_layer("reach", settings=reaches)
+        return reaching.with_layer("hands", settings=hands.reaching_for(poses))
+
+    def with_layer(self, name: str, **changes: Any) -> Actor:
+        """The same human with other fields of one of its layers."""
+        layers = (replace(layer, **changes) if layer.name == name else layer for layer in self.layers)
+        return replace(self, layers=tuple(layers))
+
+    def _settings(self, name: str) -> Any:
+        return next((layer.settings for layer in self.layers if layer.name == name), None)
+
+    @property
+    def keyframes(self) -> KeyframeTrack | None:
+        """Keyframes that move, rotate and scale the space of the motion over scene time."""
+        track: KeyframeTrack | None = self._settings("keyframes")
+        return track
+
+    @property
+    def hands(self) -> HandKeys | None:
+        """Keys of the hands over the motion; None without."""
+        keys: HandKeys | None = self._settings("hands")
+        return keys
+
+    @property
+    def face(self) -> Face | None:
+        """Its face over scene time; None for a stiff face."""
+        face: Face | None = self._settings("face")
+        return face
+
+    @property
+    def reaches(self) -> Reaches | None:
+        """What its hands reach for over scene time; None for nothing."""
+        reaches: Reaches | None = self._settings("reach")
+        return reaches
 
     @staticmethod
     def _fit(world: WorldMotion, human: Human, config: MotionConfig, source: SceneSource) -> Retargeter:
@@ -271,34 +290,26 @@ class Actor:
     def joint_poses(self, seconds: float) -> JointPoses:
         """Joint poses of the motion at a scene time, as the motion player publishes them."""
         poses = self.motion.sample_with_velocities(seconds + self.offset, self.ahead)
-        if self.reaches is not None:
-            space = None if self.keyframes is None else self._space
-            poses = self.reaches.apply_at(poses, seconds, self._others, space)
-        poses = poses if self.keyframes is None else self.keyframes.apply(poses, seconds)
-        poses = (
-            poses
-            if self.hands is None
-            else self.hands.add(poses, seconds + self.offset, self.ahead, self.offset)
-        )
-        return self.with_face(poses, seconds)
+        return self.encoded(poses, seconds)
 
-    def with_face(self, poses: JointPoses, seconds: float) -> JointPoses:
-        """Joint poses of the motion at a scene time, with the joints that carry the face and loose parts."""
-        poses = poses if self.face is None else self.face.add(poses, seconds, self)
-        return poses if self._swing is None else self._swing.add(poses, seconds)
+    def encoded(self, poses: JointPoses, seconds: float) -> JointPoses:
+        """Joint poses of the motion at a scene time, changed by the layers."""
+        for layer in self.layers:
+            poses = layer.encode(poses, seconds, self)
+        return poses
 
     @cached_property
-    def _swing(self) -> LooseSwing | None:
-        """Swing of its loose parts over scene time."""
-        loose = self.human.loose
-        return None if loose is None else LooseSwing(loose.kinds.tolist(), self._loose_ends)
+    def memory(self) -> dict[str, Any]:
+        """What the layers remember of this human, by their names."""
+        return {}
 
-    def _loose_ends(self, times: Array) -> tuple[Array, Array, Array]:
-        """Ends of its loose parts at scene times; see :meth:`Human.loose_ends`."""
-        joints, sizes = self._sized_joints_at(times, WITHOUT_REACH)
-        bones = joints[:, : len(self.human.skeleton)].copy()
-        bones[..., :3, :3] *= sizes[:, None, None, None]
-        return self.human.loose_ends(bones)
+    def bones_at(self, times: Array) -> Array:
+        """Frames (N, B, 4, 4) of the bones, scaled, without reach, at scene times (N,)."""
+        bones = self.joints_at(times, WITHOUT_REACH)[:, : len(self.human.skeleton)].copy()
+        space = self.space_at(times)
+        if space is not None:
+            bones[..., :3, :3] *= space.size[:, None, None, None]
+        return bones
 
     def state(self, poses: JointPoses) -> HumanState:
         """State of the body from joint poses with N = 1, as the skinner publishes it.
@@ -309,19 +320,16 @@ class Actor:
         linear = angular = None
         features: dict[str, Rated] = {}
         moving = poses.linear is not None
-        posed, sizes, weights, offsets = self.posed(poses.extrapolate(AROUND) if moving else poses)
-        opened = self._open_jaw(posed, weights, sizes)
-        for name, values in (("face", weights), ("swing", offsets)):
-            if values is not None:
-                rest = FACE_AT_REST if name == "face" else swing_at_rest(values.shape[1])
-                features[name] = (
-                    rest.moving(values, 2 * VELOCITY_STEP) if moving else replace(rest, values=values[0])
-                )
-        now = len(posed) // 2
-        bones, joints, size = posed[now], opened[now], sizes[now]
+        body = self.posed(poses.extrapolate(AROUND) if moving else poses)
+        for topic, (rest, values) in body.values.items():
+            features[topic] = (
+                rest.moving(values, 2 * VELOCITY_STEP) if moving else replace(rest, values=values[0])
+            )
+        now = len(body.bones) // 2
+        bones, joints, size = body.bones[now], body.joints[now], body.sizes[now]
         if moving:
-            turns = matrix_to_quaternion(opened[::2, :, :3, :3])
-            linear, angular = central_difference(opened[::2, :, :3, 3], turns)
+            turns = matrix_to_quaternion(body.joints[::2, :, :3, :3])
+            linear, angular = central_difference(body.joints[::2, :, :3, 3], turns)
         bones = bones[: len(skeleton)]
         if size != 1:
             bones = bones @ np.diag([size, size, size, 1.0])
@@ -340,22 +348,16 @@ class Actor:
     @cached_property
     def features(self) -> Mapping[str, Rated]:
         """Values at rest that travel next to the joints, by name of their topic."""
-        found = {} if self.face is None else {"face": FACE_AT_REST}
-        if self.human.loose is not None:
-            found["swing"] = swing_at_rest(len(self.human.loose.kinds))
-        return found
-
-    def _open_jaw(self, joints: Array, weights: Array | None, sizes: Array) -> Array:
-        """Frames (N, J, 4, 4) of joints, of bodies of sizes (N,), with the jaw as weights (N, 52) move it."""
-        if weights is None or self.jaw is None:
-            return joints
-        return self.jaw.open(joints, weights, sizes)
+        return {layer.topic: rest for layer in self.layers if (rest := layer.rest) is not None}
 
     def _skin(self, bones: Array, values: Mapping[str, Array]) -> NDArray[np.float32]:
         """Vertices (V, 3) of bone frames (B, 4, 4), with values of :attr:`HumanState.features`."""
-        weights = values.get("face")
-        face = None if weights is None else self.human.of_actions(weights)
-        return self.human.pose(bones, face, values.get("swing"))
+        named = {
+            layer.topic: layer.skinned(self.human, values[layer.topic])
+            for layer in self.layers
+            if layer.topic in values
+        }
+        return self.human.pose(bones, **named)
 
     def at(self, seconds: float) -> HumanState:
         """State of the body at a scene time in seconds."""
@@ -373,24 +375,17 @@ class Actor:
 
         ``stages``: those of the motion and its space always count; of the others, ARMS and HEAD.
         """
-        joints, _ = self._sized_joints_at(times, stages)
-        face = self.face
-        if PoseStage.HEAD in stages and face is not None and face.turns_head and self._eyes is not None:
-            shares, points = face.head_at(times, self)
-            self._eyes.turn_head(joints, points, shares)
+        chosen = [layer for layer in self.layers if layer.stage in stages]
+        poses = self.motion.sample(times + self.offset, self.ahead)
+        for layer in chosen:
+            poses = layer.bend(poses, times, self)
+        joints = self.human.skeleton.joint_transforms(self.retargeter.pose(poses, {}))
+        for layer in chosen:
+            joints = layer.place(joints, times, self)
         return joints
 
-    def _sized_joints_at(self, times: Array, stages: Set[PoseStage]) -> tuple[Array, Array]:
-        """Joints as :meth:`joints_at`, with the head as the motion has it, and the scale of the body (N,)."""
-        poses = self.motion.sample(times + self.offset, self.ahead)
-        space = None if self.keyframes is None else self._space(times)
-        if self.reaches is not None and PoseStage.ARMS in stages:
-            poses = self.reaches.apply(poses, times, self._others, space)
-        joints, sizes = self.joints_of(poses)
-        return (joints, sizes) if space is None else (space.to_map(joints), space.size)
-
-    @property
-    def _others(self) -> SceneQuery:
+    def asking(self) -> SceneQuery:
+        """Knows the others of the scene. Raises MotionError if the human is in no scene."""
         if self.others is None:
             raise MotionError(f"{self.name} is in no scene: nobody knows where the others are")
         return self.others
@@ -400,21 +395,23 @@ class Actor:
         poses, roles = self.motion.sample(times + self.offset, self.ahead), self.motion.match.roles
         middle, left = self.retargeter.hips(poses), poses.positions[:, roles["LeftHip"]]
         left = unit_vectors(left - poses.positions[:, roles["RightHip"]])
-        if self.keyframes is None:
+        space = self.space_at(times)
+        if space is None:
             return middle, left
-        space = self._space(times)
         return space.position + space.size[:, None] * rotate(space.rotation, middle), rotate(
             space.rotation, left
         )
 
     def palms_at(self, side: str, times: Array) -> Array:
         """Points (N, 3) of the skin of the ``left`` or ``right`` palm at scene times (N,)."""
-        size = 1.0 if self.keyframes is None else self.keyframes.at(times).size[:, :1]
+        space = self.space_at(times)
+        size = 1.0 if space is None else space.size[:, None]
         return Palm.of(self.human.skeleton, side).points(self.joints_at(times), size)
 
-    def _space(self, times: Array) -> KeyframeSpace:
-        """Space of the motion, as keyframes move it, at scene times (N,)."""
-        assert self.keyframes is not None
+    def space_at(self, times: Array) -> KeyframeSpace | None:
+        """Space of the motion, as keyframes move it, at scene times (N,); None without keyframes."""
+        if self.keyframes is None:
+            return None
         key = self.keyframes.at(times)
         return KeyframeSpace(key.position, quaternion_to_matrix(key.quaternion), key.size[:, 0])
 
@@ -443,16 +440,16 @@ class Actor:
         """Whether its motion is of a file."""
         return self.motion.motion.path == path
 
-    def seen(self, target: Target, times: Array, turned: bool) -> Array:
+    def seen(self, target: GazeTarget, times: Array, turned: bool) -> Array:
         """Points (N, 3) of what it looks at, at scene times (N,). ``turned``: see :class:`SceneQuery`."""
         if not isinstance(target, str):
             return np.broadcast_to(np.array(target), (len(times), 3))
-        others = self._others
+        others = self.asking()
         if others.is_human(target):
             return others.eyes(target, times, turned)
         return others.camera_position(target, times)
 
-    def sees(self, target: Target, times: Array) -> NDArray[np.bool_]:
+    def sees(self, target: GazeTarget, times: Array) -> NDArray[np.bool_]:
         """Whether eyes and head can turn to a target at scene times (N,); always without eyes."""
         if self._eyes is None:
             return np.ones(len(times), dtype=bool)
@@ -473,17 +470,19 @@ class Actor:
         """
         if state.linear is None or state.angular is None:
             return state.vertices
-        skeleton, joints, face = self.human.skeleton, state.joints, state.features.get("face")
+        skeleton, joints, features = self.human.skeleton, state.joints, state.features
         count = len(skeleton)
         bones = moved(joints[:count], state.linear[:count], state.angular[:count], seconds)
-        jaw = self.jaw
-        if jaw is None or face is None or not jaw.moves(np.stack([face.values, face.rates])):
-            jaw = None
-        size = skeleton.size_of(joints[:count, :3, 3], but=-1 if jaw is None else jaw.bone)
-        if jaw is not None and face is not None:  # the action moves the skin, not the bone
+        own = [
+            (layer, features[layer.topic], bone)
+            for layer in self.layers
+            if layer.topic in features and (bone := layer.moved_bone(features[layer.topic])) >= 0
+        ]
+        size = skeleton.size_of(joints[:count, :3, 3], but=own[0][2] if own else -1)
+        for layer, rated, bone in own:  # the values move the skin, not the bone
             joints = joints.copy()
-            joints[jaw.bone] = jaw.closed(joints[jaw.bone], face.values, size)
-            bones[jaw.bone] = jaw.closed(bones[jaw.bone], face.after(seconds), size)
+            joints[bone] = layer.undone(joints[bone], rated.values, size)
+            bones[bone] = layer.undone(bones[bone], rated.after(seconds), size)
         # fingers, toes, jaw and eyes stay joined to the bone above: they are short, and would come apart
         for details in skeleton.detail_levels:
             above = skeleton.parents[details]
@@ -497,32 +496,29 @@ class Actor:
         """Body for renderers from the vertices (V, 3) of a frame."""
         return Body(self.human.mesh, vertices, self.human.triangle_parts, self.instance, levels=self.levels)
 
-    def posed(self, poses: JointPoses) -> tuple[Array, Array, Array | None, Array | None]:
-        """Poses (N, J, 4, 4) of the joints, scale of the body (N,), weights (N, 52) of its face, and swing
-        (N, K, 3) of loose parts.
-        """
-        poses, swing = without_swing(poses)
-        poses, face = without_face(poses)
-        joints, sizes = self.joints_of(poses)
-        if face is None:
-            return joints, sizes, None, swing
-        if self._eyes is None:
-            return joints, sizes, face.weights, swing
-        if face.head_shares.any():
-            self._eyes.turn_head(joints, face.head_points, face.head_shares)
-        angles = looked_angles(face.weights)
-        if face.shares.any():
-            angles += face.shares[:, None, None] * self._eyes.angles_to(joints, face.points)
-        angles = within_limits(angles)
-        self._eyes.turn(joints, angles)
-        return joints, sizes, with_looks(face.weights, angles), swing
+    def posed(self, poses: JointPoses) -> BodyPoses:
+        """The body posed by joint poses at N times."""
+        body, carried = self._before_fit(poses)
+        rotations = self.retargeter.pose(body.poses, body.turns)
+        body.joints = body.bones = self.human.skeleton.joint_transforms(rotations)
+        body.sizes = np.ones(len(body.bones))
+        for layer, data in reversed(carried):
+            layer.after_fit(body, data)
+        return body
 
-    def joints_of(self, poses: JointPoses) -> tuple[Array, Array]:
-        """Poses (N, J, 4, 4) of the ground-truth joints, and scale of the body (N,)."""
-        poses, hands = without_hands(poses)
-        own, space = undo_keyframes(poses)
-        joints = self.human.skeleton.joint_transforms(self.retargeter.pose(own, hands))
-        return (joints, np.ones(len(joints))) if space is None else (space.to_map(joints), space.size)
+    def motion_poses(self, poses: JointPoses) -> JointPoses:
+        """Joints of the motion that joint poses with joints of layers were made of."""
+        return self._before_fit(poses)[0].poses
+
+    def _before_fit(self, poses: JointPoses) -> tuple[BodyPoses, list[tuple[PoseLayer, Any]]]:
+        """A body before its fit, and the data of the layers whose joints there are, the last one first."""
+        body, carried = BodyPoses(poses), []
+        for layer in reversed(self.layers):
+            rest, own = layer.take(body.poses)
+            if own.names:
+                body.poses = rest
+                carried.append((layer, layer.before_fit(body, own)))
+        return body, carried
 
 
 def _lowest_skin(human: Human) -> Callable[[Array], Array]:
@@ -549,7 +545,7 @@ def joint_poses_of(actors: Mapping[str, Actor], seconds: float) -> dict[str, Joi
     along paths with one gait are computed together."""
     walking: dict[int, dict[str, PathMotion]] = defaultdict(dict)
     for name, actor in actors.items():
-        if isinstance(actor.motion, PathMotion) and actor.keyframes is None and actor.hands is None:
+        if isinstance(actor.motion, PathMotion):
             walking[id(actor.motion.gait)][name] = actor.motion
     together: dict[str, JointPoses] = {}
     for motions in walking.values():
@@ -559,6 +555,6 @@ def joint_poses_of(actors: Mapping[str, Actor], seconds: float) -> dict[str, Joi
         ]
         together |= zip(motions, sample_together(list(motions.values()), times), strict=True)
     return {
-        name: actor.with_face(together[name], seconds) if name in together else actor.joint_poses(seconds)
+        name: actor.encoded(together[name], seconds) if name in together else actor.joint_poses(seconds)
         for name, actor in actors.items()
     }

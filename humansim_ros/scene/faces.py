@@ -85,7 +85,7 @@ def with_faces(
             human = actors[name].human
             jaw = source.once(partial(jaw_of, human), "jaw", id(human.mesh.vertices))
             face = replace(face, body_file=actors[name].motion.motion.path)
-            out[name] = replace(actors[name], face=face, jaw=jaw)
+            out[name] = actors[name].with_layer("face", settings=face, jaw=jaw)
             if configs[name].motion.file == LIVE and config != FaceConfig(mouth=config.mouth):
                 source.warn(
                     f"humans.{name}.face", "another node moves this human, and its face: nothing else does"

@@ -14,14 +14,11 @@ import numpy as np
 from humansim_ros.errors import MotionError, within_bounds
 from humansim_ros.geometry import quaternion_to_matrix
 from humansim_ros.motion.bone_drivers import has_rotations
-from humansim_ros.motion.faces import FACE_JOINT, check_face
-from humansim_ros.motion.hand_poses import HAND_JOINTS
 from humansim_ros.motion.joint_match import JointMatch
 from humansim_ros.motion.joint_matching import match_names
-from humansim_ros.motion.keyframes import SPACE_JOINTS, undo_keyframes
 from humansim_ros.motion.kinematics import JointPoses
-from humansim_ros.motion.loose_swing import LOOSE_JOINT, check_swing, swing_joints
 from humansim_ros.motion.retarget import Retargeter
+from humansim_ros.motion.scene_query import PoseStage
 from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.human_state import HumanState
 from humansim_ros.types import Array
@@ -183,25 +180,14 @@ class LiveRetargeter:
         if len(set(poses.names)) < len(poses.names):
             twice = sorted(name for name, count in Counter(poses.names).items() if count > 1)
             raise MotionError(f"joint names appear twice: {', '.join(twice[:6])}")
-        space = SPACE_JOINTS if set(SPACE_JOINTS) <= set(poses.names) else ()
-        hands = tuple(name for name in poses.names if name in HAND_JOINTS)
-        face = tuple(name for name in poses.names if name.startswith(FACE_JOINT))
-        if face:
-            if self._actor.face is None:
-                raise MotionError(f"the scene gives {self._actor.name} no face: add the key face: {{}}")
-            check_face(poses)
-        loose = tuple(name for name in poses.names if name.startswith(LOOSE_JOINT))
-        if loose:
-            parts = self._actor.human.loose
-            count = 0 if parts is None else len(parts.kinds)
-            check_swing(poses, loose, count)
-            loose = swing_joints(count)
-        added = {*space, *hands, *face, *loose}
-        own = tuple(name for name in poses.names if name not in added)
-        moved, _ = undo_keyframes(poses.named((*own, *space)))
-        self._source = self._source_of(moved, stamp)
-        actor = replace(self._actor, retargeter=self._source.retargeter)
-        return actor.state(poses.named((*self._source.names, *space, *hands, *face, *loose)))
+        actor = self._actor
+        sent = {layer.stage: layer.sent(poses, actor) for layer in actor.layers}
+        added = [name for names in sent.values() for name in names]
+        own = tuple(name for name in poses.names if name not in set(added))
+        space = [name for stage, names in sent.items() if stage <= PoseStage.SPACE for name in names]
+        self._source = self._source_of(actor.motion_poses(poses.named((*own, *space))), stamp)
+        actor = replace(actor, retargeter=self._source.retargeter)
+        return actor.state(poses.named((*self._source.names, *added)))
 
     def _source_of(self, poses: JointPoses, stamp: int | None) -> JointSource:
         """Source of a pose: a known one, or a new one."""

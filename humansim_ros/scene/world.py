@@ -22,8 +22,8 @@ _REMEMBERED = 64
 class World:
     """Answers a :class:`~humansim_ros.motion.scene_query.SceneQuery`.
 
-    It is pickled without its content, so that a pickled human does not bring the others along. A pickled scene
-    fills its world again.
+    It is pickled without its content, so that a human does not bring the others along. A pickled scene fills
+    its world again.
 
     Attributes:
         people: Humans by name.

@@ -123,10 +123,10 @@ class SceneViewSource(ViewSource):
         faces: dict[str, Array] = {}
         for name, actor in self._playback.actors.items():
             # without the motion of the jaw: shapes move its skin on the page
-            (joints[name],), (size,), weights, _ = actor.posed(shown.motions[name].contiguous())
-            sizes[name] = float(size)
-            if weights is not None:
-                faces[name] = actor.human.of_actions(weights[0])
+            body = actor.posed(shown.motions[name].contiguous())
+            joints[name], sizes[name] = body.bones[0], float(body.sizes[0])
+            if "face" in body.values:
+                faces[name] = actor.human.of_actions(body.values["face"][1][0])
         self._shown = index
         images = self._images(index, wanted)
         estimate, errors = self._estimate(elapsed)

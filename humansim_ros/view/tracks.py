@@ -299,7 +299,7 @@ class _SceneTracks:
     def motion(self, index: int) -> TrackSample:
         poses = self._playback.show(self._scene.frame_time(index)).motions
         actors = self._playback.actors
-        joints = {name: actor.posed(poses[name].contiguous())[0][0] for name, actor in actors.items()}
+        joints = {name: actor.posed(poses[name].contiguous()).bones[0] for name, actor in actors.items()}
         return TrackSample({name: each[:, :3, 3].astype(np.float32) for name, each in joints.items()})
 
     def views(self, index: int) -> TrackSample:

@@ -16,7 +16,7 @@ from humansim_ros.body.eyes import LIMITS, LOOKS, NECK_LIMITS
 from humansim_ros.body.face_actions import ACTIONS, FACE_AT_REST, expression
 from humansim_ros.errors import HumansimError, HumansimWarning, MotionError
 from humansim_ros.motion.face_files import read_face_file
-from humansim_ros.motion.faces import LIFE_SECONDS, blinks, glances, saccade_seconds, speech, without_face
+from humansim_ros.motion.faces import LIFE_SECONDS, blinks, glances, saccade_seconds, speech
 from humansim_ros.motion.kinematics import JointPoses
 from humansim_ros.motion.limits import load_limits
 from humansim_ros.scene.actor import Actor
@@ -97,7 +97,7 @@ def test_a_message_of_the_player_carries_the_face() -> None:
     assert np.array_equal(got.vertices, own.vertices)
     assert np.array_equal([got.face.values, got.face.rates], [own.face.values, own.face.rates])
     assert not any("face" in name for name in JointSource.of_actor(actor).names)
-    assert set(without_face(poses)[0].names) == set(actor.motion.names)
+    assert set(poses.split(lambda name: name.startswith("face/"))[0].names) == set(actor.motion.names)
 
 
 def test_vertices_move_with_the_rates_of_the_face() -> None:
@@ -437,7 +437,7 @@ def test_a_human_is_pickled_without_those_that_it_looks_at() -> None:
     again = pickle.loads(pickle.dumps(both)).actors["anna"]
     np.testing.assert_array_equal(again.at(0.4).vertices, both.actors["anna"].at(0.4).vertices)
     alone = pickle.dumps(both.actors["anna"])
-    assert len(alone) < 1.1 * len(pickle.dumps(replace(both.actors["anna"], face=None)))
+    assert len(alone) < 1.1 * len(pickle.dumps(both.actors["anna"].with_layer("face", settings=None)))
     with pytest.raises(HumansimError, match="does not know where ben is"):
         pickle.loads(alone).at(0.4)
 

@@ -23,7 +23,7 @@ from humansim_ros.humans.makehuman.packed import people_data
 from humansim_ros.humans.makehuman.shape import MakeHumanConfig, Outfit
 from humansim_ros.messages.humans import read_joints
 from humansim_ros.motion import loose_swing
-from humansim_ros.motion.loose_swing import LooseSwing, without_swing
+from humansim_ros.motion.loose_swing import LooseSwing
 from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.live import JointSource, LiveRetargeter
 from humansim_ros.types import Array
@@ -139,9 +139,9 @@ def test_a_message_of_the_player_carries_the_swing(anna: Actor) -> None:
     assert np.array_equal(got.vertices, own.vertices) and np.array_equal(got.joints, own.joints)
     assert np.array_equal([got.swing.values, got.swing.rates], [own.swing.values, own.swing.rates])
     assert not any("loose" in name for name in JointSource.of_actor(anna).names)
-    assert set(without_swing(poses)[0].names) == set(anna.motion.names)
+    assert set(poses.split(lambda name: name.startswith("loose/"))[0].names) == set(anna.motion.names)
     # who sends joints alone moves the body without a swing
-    bare = LiveRetargeter(anna).retarget(without_swing(poses)[0])
+    bare = LiveRetargeter(anna).retarget(poses.split(lambda name: name.startswith("loose/"))[0])
     assert bare.swing is None and np.array_equal(bare.joints, own.joints)
     assert np.abs(bare.vertices - own.vertices).max() > 0.003
 
@@ -154,7 +154,7 @@ def test_wrong_joints_of_a_swing_are_refused(anna: Actor) -> None:
     far[0, -1] += 3
     with pytest.raises(MotionError, match="more than 2 m away"):
         live.retarget(replace(poses, positions=far))
-    stiff = replace(anna, human=replace(anna.human, loose=None))
+    stiff = anna.with_layer("cloth", settings=())
     with pytest.raises(MotionError, match="this body needs none"):
         LiveRetargeter(stiff).retarget(poses)
 

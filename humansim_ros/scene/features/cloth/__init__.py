@@ -1,0 +1,1 @@
+"""Loose cloth and hair that swing."""

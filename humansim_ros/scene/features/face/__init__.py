@@ -1,0 +1,1 @@
+"""Faces: expressions, speech, gazes, and the jaw."""

@@ -1,0 +1,1 @@
+"""Poses of hands whose fingers no motion drives."""

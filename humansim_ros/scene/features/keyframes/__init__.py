@@ -1,0 +1,1 @@
+"""Keyframes that move, turn and scale a human in the scene."""

@@ -1,0 +1,1 @@
+"""Hands that reach for points, objects and other humans."""

@@ -1,0 +1,34 @@
+"""Layer of hands that reach."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from humansim_ros.motion.kinematics import JointPoses
+from humansim_ros.motion.reaches import Reaches
+from humansim_ros.motion.scene_query import PoseStage
+from humansim_ros.scene.layers import Owner, PoseLayer
+from humansim_ros.types import Array
+
+
+@dataclass(frozen=True, eq=False)
+class ReachLayer(PoseLayer):
+    """Bends the arms so that the hands reach their goals."""
+
+    name: ClassVar[str] = "reach"
+    stage: ClassVar[PoseStage] = PoseStage.ARMS
+    settings: Reaches | None = None
+
+    def encode(self, poses: JointPoses, seconds: float, human: Owner) -> JointPoses:
+        if self.settings is None:
+            return poses
+        return self.settings.apply_at(poses, seconds, human.asking(), human.space_at)
+
+    def bend(self, poses: JointPoses, times: Array, human: Owner) -> JointPoses:
+        if self.settings is None:
+            return poses
+        return self.settings.apply(poses, times, human.asking(), human.space_at(times))
+
+
+LAYER = ReachLayer

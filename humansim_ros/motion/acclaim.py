@@ -1,7 +1,8 @@
 """Acclaim motions: a skeleton file (.asf) and a motion file (.amc) [Lander 1998].
 
-The world rotation of a bone is the parent's times ``C M C^-1``: C is the bone's axis, M the rotations of its
-degrees of freedom, each about fixed axes in their order (``rx ry rz``: M = Rz Ry Rx).
+The world rotation of a bone is the rotation of its parent times ``C M C^-1``. C is the rotation of the bone's
+``axis``. M holds the rotations of its degrees of freedom, in their order about fixed axes (``rx ry rz``: M =
+Rz Ry Rx).
 """
 
 from __future__ import annotations
@@ -18,11 +19,11 @@ from humansim_ros.io.files import read_text, resolve_inside
 from humansim_ros.motion.kinematics import Motion, motion_of_rotations, refuse_cycle
 from humansim_ros.types import Array
 
-#: Greatest sizes of the files, and most bones.
+#: Largest size of each file in bytes, and most bones.
 _MAX_SKELETON, _MAX_MOTION, _MAX_BONES = 4 << 20, 1 << 29, 1000
-#: Frames per second of a file that does not state them, as of the CMU database.
+#: Frames per second of a file that does not state its rate. Files of the CMU database do not.
 _RATE = 120.0
-#: ``length`` of the files of CMU, with lengths that are inches times this number.
+#: Value of ``length`` in files of CMU. Their lengths are in inches times this number.
 _CMU_LENGTH, _INCH = 0.45, 0.0254
 #: Largest number of a file.
 _LARGEST = 1e9
@@ -49,14 +50,18 @@ class _Bone:
 def read_acclaim(path: str | os.PathLike[str], skeleton: str | None = None) -> Motion:
     """Read an .amc file with its .asf file.
 
-    ``skeleton``: name of the .asf file in the folder of the .amc file or below. By default the file of the
-    same name, or of its beginning (``07.asf`` of ``07_01.amc``), or else the only one of the folder.
+    ``skeleton``: name of the .asf file in the folder of the .amc file or below. If None, it is the .asf file
+    with the same name, else with the beginning of the name (``07.asf`` for ``07_01.amc``), else the only .asf
+    file of the folder.
 
-    Joints are where the bones start and have the names of the bones. Lengths stay in the unit of the file;
-    the unit is known for files of CMU (length 0.45: 1/0.45 inch). Files without a rate have 120 frames/s.
+
+    Each joint is at the start of a bone and has the name of the bone. Lengths stay in the unit of the file.
+    The unit is known only for files of CMU: there ``length`` is 0.45, and the unit is 1/0.45 inch. Files
+    without a rate have 120 frames/s.
 
     Raises:
-        MotionError: A file is missing or not valid, or both do not belong together; with file and line.
+        MotionError: A file is missing or not valid, or the two files do not belong together. The error names
+            file and line.
     """
     file = Path(path)
     if file.suffix.lower() == ".asf":
@@ -66,13 +71,14 @@ def read_acclaim(path: str | os.PathLike[str], skeleton: str | None = None) -> M
 
 def _find_skeleton(path: Path, name: str | None) -> Path:
     if name is None:
-        read_text(path, MotionError, "AMC motion", _MAX_MOTION)  # a missing file is the first error
+        # if a file is missing, its error comes before other errors
+        read_text(path, MotionError, "AMC motion", _MAX_MOTION)
         try:
             names = [entry.name for entry in os.scandir(path.parent)]
         except OSError as reason:
             raise MotionError(f"cannot look for its .asf file: {reason.strerror}", path=path) from None
         found = sorted(file for file in names if file.lower().endswith(".asf"))
-        stem = path.stem.lower().lstrip(".")  # the page reads a file under a hidden name first
+        stem = path.stem.lower().lstrip(".")  # the web page reads an uploaded file under a hidden name first
         begins = [file for file in found if stem.startswith(tuple(file[:-4].lower() + mark for mark in "_-"))]
         fitting = [file for file in found if stem == file[:-4].lower()] or begins
         if not fitting and len(found) == 1:
@@ -90,7 +96,7 @@ def _find_skeleton(path: Path, name: str | None) -> Path:
 
 
 class _Text:
-    """Words of the lines of a file, without comments; errors have its path."""
+    """Words of the lines of a file, without comments. Errors name the file."""
 
     def __init__(self, path: Path, what: str, most: int) -> None:
         self.path = path
@@ -101,7 +107,7 @@ class _Text:
         return MotionError(message, path=self.path, line=line)
 
     def numbers(self, words: list[str], count: int, what: str, line: int) -> Array:
-        """``count`` finite numbers."""
+        """Read ``count`` finite numbers."""
         try:
             values = np.array([float(word) for word in words])
         except ValueError:
@@ -117,9 +123,9 @@ class _Skeleton(_Text):
 
     Attributes:
         bones: Bones by name; the root is a bone without length.
-        parents: Parent of each bone but the root, parents first.
-        position: Where the root is, (3,).
-        length, degrees: Scale of lengths, and degrees of a unit of angles.
+        parents: Parent of each bone except the root. Parents come before their children.
+        position: Position of the root, (3,).
+        length, degrees: Scale of lengths, and the unit of angles in degrees.
     """
 
     def __init__(self, path: Path) -> None:
@@ -214,7 +220,7 @@ class _Skeleton(_Text):
             raise self.error("a bone without 'end': the file is cut off", bone.line)
 
     def _hierarchy(self, rows: list[tuple[int, list[str]]]) -> dict[str, str]:
-        """Parent of each bone, parents first."""
+        """Find the parent of each bone. Parents come before their children."""
         children: dict[str, list[str]] = {}
         above_of: dict[str, str] = {}
         for line, (parent, *names) in rows:
@@ -309,7 +315,7 @@ class _Amc(_Text):
             raise self.error(f"this frame has no values of {needed}", start)
 
     def motion(self) -> Motion:
-        """The motion: joints where bones start, end sites where the last bones end."""
+        """Make the motion: joints where bones start, and end sites where the last bones end."""
         skeleton, bones = self.skeleton, self.skeleton.bones
         names = [_ROOT, *skeleton.parents]
         number = {name: index for index, name in enumerate(names)}
@@ -349,12 +355,12 @@ class _Amc(_Text):
             positions,
             1 / (self.rate or _RATE),
             path=str(self.path),
-            # lengths of CMU are in inches times 0.45; for other scales the unit is detected
+            # lengths of CMU are in inches times 0.45. For other scales, the unit is detected
             unit=_INCH / _CMU_LENGTH if skeleton.length == _CMU_LENGTH else None,
         )
 
     def _turn(self, bone: _Bone, table: Array) -> Rotation:
-        """Rotations (F) of the degrees of freedom of a bone."""
+        """Rotations (F) of a bone: its degrees of freedom together."""
         columns = {word[1]: column for column, word in enumerate(bone.dof) if word[0] == "r"}
         order = bone.axis_order if bone.name == _ROOT else columns
         turn = Rotation.identity(len(table))

@@ -1,8 +1,8 @@
 """Everyday activities from a seed: built-in motions one after the other, with feet that do not slide.
 
-Motions follow each other where their poses match: who stands can talk, sit down or begin to walk; who walks
-can only walk on or stop. A walk begins and ends with steps that are made for it, so no foot moves while it
-stands. Each errand leads back to its start, so that an activity repeats without a jump.
+A motion follows another where their poses match. Somebody who stands can talk, sit down or begin to walk.
+Somebody who walks can only walk on or stop. A walk has special first and last steps, so that no foot slides
+while it stands. Each errand leads back to its start, so that an activity repeats without a jump.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from humansim_ros.types import Array
 ActivityKind = Literal["around", "desk", "standing", "exercise"]
 #: Frames per second of an activity.
 RATE = 30
-#: Frames over which the last pose of a part fades into the next part.
+#: The last pose of a part fades into the next part over this number of frames.
 _FADE = 8
-#: Longest way from the start, metres, that a leg of an errand may have.
+#: Longest distance from the start, metres, that an errand reaches.
 _REACH = 2.6
 
 
@@ -42,10 +42,11 @@ class ActivityPart:
 
     Attributes:
         motion: Name of the motion.
-        before: Posture in its first frame: ``stand``, ``sit``, or a gait, whose left heel strikes.
-        after: Posture in its last frame; ``<gait>_half`` where the right heel strikes.
-        start: First second.
-        end: Last second; the end of the motion if None.
+        before: Posture in its first frame: ``stand``, ``sit``, or the name of a gait. In a gait, the left
+            heel strikes the floor in this frame.
+        after: Posture in its last frame. ``<gait>_half`` means that the right heel strikes the floor.
+        start: Start in seconds of the motion.
+        end: End in seconds of the motion. If None, the end of the motion.
     """
 
     motion: str
@@ -55,9 +56,9 @@ class ActivityPart:
     end: float | None = None
 
 
-#: Seconds of ``sit_stand`` in which the person sits still.
+#: Time of ``sit_stand``, seconds, at which the person sits still.
 _SEATED = 3.4
-#: Gait -> motion, seconds of a stride, metres of a stride.
+#: Gait -> its motion, seconds of a stride, metres of a stride.
 _GAITS: dict[str, tuple[str, float, float]] = {
     "walk": ("walk_straight", 1.0, 1.25),
     "walk_slow": ("walk_slow", 1.2, 0.96),
@@ -76,13 +77,13 @@ def _parts() -> dict[str, ActivityPart]:
         parts[f"{gait}_start"] = ActivityPart(f"{gait}_start", "stand", gait)
         parts[gait] = ActivityPart(motion, gait, gait, 0.0, stride)
         parts[f"{gait}_half"] = ActivityPart(motion, gait, f"{gait}_half", 0.0, stride / 2)
-        # mirrored: the right heel has struck
+        # exchanged sides: in this half stride, the right heel has struck
         parts[f"{gait}_stop"] = ActivityPart(f"{gait}_stop", f"{gait}_half", "stand")
     return parts
 
 
 PARTS = _parts()
-#: What is done, and how often relative to the others.
+#: What people do while they stand, and how often compared with the others.
 _STANDING = {"talk": 3, "stand": 3, "phone": 2, "wave": 1, "pick_up": 1}
 _SITTING = {"sit": 3}
 _AT_DESK = {"write": 3, "eat": 2, "sit": 2}
@@ -92,22 +93,23 @@ _EXERCISES = {"squats": 2, "jumping_jacks": 2, "dance": 3, "stand": 1}
 
 @dataclass(frozen=True)
 class ActivityStep:
-    """A part of an activity; ``mirror``: left and right exchanged."""
+    """A part of an activity. If ``mirror`` is set, left and right are exchanged."""
 
     part: str
     mirror: bool = False
 
 
 def plan_activity(seed: int, seconds: float, kind: str | None = None) -> list[ActivityStep]:
-    """Parts of an activity.
+    """Plan the parts of an activity.
 
     Args:
         seed: The same seed gives the same activity.
-        seconds: Least duration.
-        kind: Kind of activity; drawn from the seed if None.
+        seconds: Shortest duration.
+        kind: Kind of activity. If None, the seed decides.
 
     Returns:
-        Parts whose postures match; the last ends at the place and in the posture of the first.
+        Parts with matching postures. The last part ends at the place and in the posture where the first part
+        begins.
 
     Example:
         >>> [step.part for step in plan_activity(4, 20, "standing")]
@@ -129,11 +131,11 @@ def plan_activity(seed: int, seconds: float, kind: str | None = None) -> list[Ac
 
 @dataclass
 class _Plan:
-    """An activity that grows.
+    """A plan to which parts are added.
 
     Attributes:
         random: Random numbers.
-        seconds: Time that is left.
+        seconds: Time that is left to fill.
         steps: Parts so far.
     """
 
@@ -144,11 +146,11 @@ class _Plan:
         self.steps: list[ActivityStep] = []
 
     def uniform(self) -> float:
-        """The next random number, from 0 to 1; the same in every Python."""
+        """Return the next random number from 0 to 1. Every version of Python gives the same number."""
         return self.random.random()
 
     def one_of(self, weights: dict[str, int]) -> str:
-        """One of some names by weight."""
+        """Choose one of some names, by weight."""
         place = self.uniform() * sum(weights.values())
         for name, weight in weights.items():
             place -= weight
@@ -157,7 +159,7 @@ class _Plan:
         return next(iter(weights))
 
     def other_of(self, weights: dict[str, int]) -> str:
-        """As :meth:`one_of`, but not what is done already."""
+        """Choose a name as :meth:`one_of` does, but not the one that the last part has."""
         last = self.steps[-1].part if self.steps else ""
         return self.one_of({name: weight for name, weight in weights.items() if name != last} or weights)
 
@@ -203,23 +205,25 @@ class _Plan:
         self._turn(2 if self.uniform() < 0.5 else -2)
 
     def _strides(self, gait: str) -> int:
-        """Whole strides between the first step and the last ones, within reach."""
+        """Number of whole strides between the first step and the last steps, so that the errand stays in
+        reach."""
         most = int(_REACH / _GAITS[gait][2]) - 1
         return int((most + 1) * self.uniform())
 
     def _walk(self, gait: str, strides: int, mirror: bool) -> None:
-        """Walk straight ahead; feet and heading are at the end as at the start."""
+        """Walk straight ahead. The feet and the heading at the end are the same as at the start."""
         self.add(f"{gait}_start", *[gait] * strides, f"{gait}_half", mirror=mirror)
         self.add(f"{gait}_stop", mirror=not mirror)
 
     def _turn(self, quarters: int) -> None:
-        """Turn on the spot by quarters to the left; to the right if negative."""
+        """Turn on the spot by quarters of a circle: to the left, or to the right if ``quarters`` is
+        negative."""
         self.add(*["turn_left"] * abs(quarters), mirror=quarters < 0)
 
 
-#: Name of the motion of which each seed is a part: ``activity#4``.
+#: Base name of all activities: ``activity#4`` is the one with seed 4.
 ACTIVITY = "activity"
-#: Shortest and longest activity, seconds, and its duration if none is given.
+#: Shortest and longest activity, and its usual duration, seconds.
 _SHORTEST, _LONGEST, _USUAL = 1.0, 600.0, 60.0
 
 
@@ -229,10 +233,11 @@ def is_activity(name: str) -> bool:
 
 
 def read_activity(name: str) -> Motion:
-    """Motion of an activity by its name: ``activity#SEED``, with ``,KIND`` and ``,SECONDS`` if given.
+    """Make the motion of an activity from its name: ``activity#SEED``, with ``,KIND`` and ``,SECONDS``.
 
-    ``activity`` alone has the seed 1. The same name gives the same motion. It lasts a minute, or the seconds
-    given, and until its last part is done.
+    The kind and the seconds may be left out. ``activity`` alone has the seed 1. The same name gives the same
+    motion. The motion lasts for the given seconds (a minute by default), and longer until its last part is
+    done.
 
     Raises:
         MotionError: The name has no seed, or an unknown kind, or seconds outside 1 to 600.
@@ -267,20 +272,21 @@ def _settings(name: str) -> tuple[int, float, str | None]:
 
 
 def needs_table(name: str) -> bool:
-    """Whether a person writes or eats in a built-in motion or an activity, by its name."""
+    """Whether a person in a built-in motion or an activity writes or eats at a table."""
     if is_activity(name):
         return any(step.part in _AT_TABLE for step in plan_activity(*_settings(name)))
     return name in _AT_TABLE
 
 
 def joined(steps: Sequence[ActivityStep], path: str = "") -> Motion:
-    """Motion of parts one after the other.
+    """Join parts to one motion.
 
-    Each part begins where the part before it ends: the ankles are in the same place, and what differs in the
-    pose fades in a quarter of a second.
+    Each part begins where the part before it ends: the ankles are in the same place. Other differences of the
+    pose fade out in a quarter of a second.
 
     Raises:
-        MotionError: There is no part, or a part begins with another posture than the one before ends with.
+        MotionError: There is no part, or a part begins in another posture than the one in which the part
+            before it ends.
     """
     if not steps:
         raise MotionError("an activity needs a part")
@@ -315,7 +321,7 @@ def _values(step: ActivityStep) -> Array:
 
 
 def _mirrored(values: Array) -> Array:
-    """Frames (F, C) with left and right exchanged."""
+    """Exchange left and right in frames (F, C)."""
     motion = _clip("stand")
     out = values.copy()
     for joint, other in enumerate(opposite_joints(motion.joint_names, {}).tolist()):
@@ -328,7 +334,8 @@ def _mirrored(values: Array) -> Array:
 
 
 def _continued(last: Array, values: Array) -> Array:
-    """Frames (F, C) moved and turned so that they go on from a frame (C,), which fades into them."""
+    """Move and turn frames (F, C) so that they go on from the frame ``last`` (C,), and fade from that
+    frame."""
     motion = _clip("stand")
     both = replace(motion, values=np.stack([last, values[0]]))
     feet = both.world_positions()[:, [motion.joint("LeftAnkle"), motion.joint("RightAnkle")]]
@@ -354,7 +361,7 @@ def _continued(last: Array, values: Array) -> Array:
 
 
 def _rotations(motion: Motion) -> Iterator[list[int]]:
-    """Columns of the rotation of each joint."""
+    """Find the columns of the rotation of each joint."""
     for joint, names in enumerate(motion.channels):
         if names:
             yield list(motion.columns(joint))[-3:]

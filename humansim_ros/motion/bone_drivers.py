@@ -23,7 +23,8 @@ from humansim_ros.motion.joint_match import JointMatch
 from humansim_ros.motion.kinematics import JointPoses
 from humansim_ros.types import Array, Indices
 
-#: Rotations of pelvis, chest and feet that follow from positions, in order after the rotations of all joints.
+#: Rotations of pelvis, chest and feet that are computed from positions. In arrays, they come in this order
+#: after the rotations of all joints.
 LINE_ROTATIONS = ("pelvis", "chest", "l_ankle", "r_ankle")
 _LINE_OF_BONE = {
     "HumanoidRoot": "pelvis",
@@ -39,19 +40,17 @@ _LINE_OF_BONE = {
 }
 _NONE = np.zeros(0, dtype=np.intp)
 _TOES = {"l_ankle": "l_metatarsal", "r_ankle": "r_metatarsal"}
-#: Arms without joints hang down, and lean outwards by this share.
+#: Arms without known joints hang down. They lean outwards by this share.
 _OUTWARDS = 0.18
-#: A shorter link (metres) has no direction: its bone keeps the rotation that it inherits.
+#: A shorter link (metres) has no clear direction, so its bone keeps the rotation that it inherits.
 SHORTEST_LINK = 1e-4
 
 
 @dataclass(frozen=True)
 class DrivenBones:
-    """Some bones of a level of a skeleton, and their drivers.
-
-    ``places``: their places in the level. ``bones``: their indices. ``starts``, ``ends``: joints at both ends
-    of the driving links; the same joint twice where the rotation of a joint drives a bone.
-    """
+    """Some bones of a level of a skeleton, and their drivers. ``places``: places of the bones in the level.
+    ``bones``: indices of the bones. ``starts``, ``ends``: joints at both ends of the driving links. If the
+    rotation of a joint drives a bone, ``starts`` and ``ends`` have the same joint."""
 
     places: Indices
     bones: Indices
@@ -60,7 +59,7 @@ class DrivenBones:
 
     @classmethod
     def among(cls, bones: Indices, skeleton: Skeleton, drivers: Mapping[str, tuple[int, int]]) -> DrivenBones:
-        """The bones that have drivers."""
+        """Choose the bones that have drivers."""
         rows = [
             (place, bone, *drivers[skeleton.names[bone]])
             for place, bone in enumerate(bones)
@@ -69,7 +68,7 @@ class DrivenBones:
         return cls(*np.array(rows, dtype=np.intp).reshape(-1, 4).T)
 
     def split(self, chosen: ArrayLike) -> tuple[DrivenBones, DrivenBones]:
-        """The bones that are not chosen (b,), and the chosen bones."""
+        """Split these bones: those that are not ``chosen`` (b,), and those that are."""
         pick = np.asarray(chosen, dtype=bool)
         every = (self.places, self.bones, self.starts, self.ends)
         return DrivenBones(*(part[~pick] for part in every)), DrivenBones(*(part[pick] for part in every))
@@ -79,10 +78,11 @@ class DrivenBones:
 class BoneDrivers:
     """The drivers of the bones of a skeleton.
 
-    ``extra``: also of bones that the general skeleton lacks. ``rest_links``: bone -> direction (3,) of its
-    link at rest, in the axes of the bone at rest. Such a bone is not parallel to its link. It leaves its rest
-    pose as the link leaves its own. ``loose``: bones for which the rotations of their joints are not used.
-    Instead, pelvis, chest and feet use the last four of the joint rotations, as in ``LINE_ROTATIONS``.
+    ``extra``: include drivers of bones that the general skeleton lacks. ``rest_links``: bone -> direction
+    (3,) of its link at rest, in the axes of the bone at rest. Such a bone is not parallel to its link. It
+    leaves its rest pose as the link leaves its own. ``loose``: bones that do not use the rotations of their
+    joints. Among these, pelvis, chest and feet use the last four of the joint rotations instead, named in
+    ``LINE_ROTATIONS``.
     """
 
     skeleton: Skeleton
@@ -93,7 +93,8 @@ class BoneDrivers:
 
     @cached_property
     def _joints(self) -> dict[str, tuple[int, int]]:
-        """Bone -> joint (twice) whose rotation drives it; negative numbers for rotations from positions."""
+        """Bone -> the joint (twice) with the rotation that drives it. A negative number means a rotation from
+        positions."""
         drivers = {**(self.match.extra if self.extra else {}), **self.match.difference}
         for bone in self.loose:
             if drivers.pop(bone, None) is not None and (line := _LINE_OF_BONE.get(bone)) is not None:
@@ -118,7 +119,7 @@ class BoneDrivers:
         return tuple((bones, *self._split(bones)) for bones in self.skeleton.levels)
 
     def inherited(self, rotations: Array, bones: Indices) -> Array:
-        """Rotations (N, b, 3, 3) that bones of one level inherit from their parents' rotations."""
+        """Rotations (N, b, 3, 3) of the bones of one level that follow their parents only."""
         local = self._at_rest[bones]
         parents = self.skeleton.parents[bones]
         above = np.where((parents < 0)[:, None, None], WORLD_FROM_BODY, rotations[:, parents])
@@ -126,7 +127,7 @@ class BoneDrivers:
 
     @cached_property
     def _at_rest(self) -> Array:
-        """Rotations (B, 3, 3) at rest in the parents. Upper arms without a joint hang down."""
+        """Rotations (B, 3, 3) at rest relative to the parents. Upper arms without a joint hang down."""
         local = self.skeleton.rest_in_parent[:, :3, :3].copy()
         for bone, side in (("l_shoulder", 1), ("r_shoulder", -1)):
             if bone in self.match.held:
@@ -137,10 +138,9 @@ class BoneDrivers:
         return local
 
     def swing(self, positions: Array, joint_rotations: Array) -> Array:
-        """Bone rotations (N, B, 3, 3) by the shortest rotation onto the links [thesis §7.2], level by level.
-
-        ``positions``: (N, J, 3). ``joint_rotations``: (N, J, 3, 3), or (N, J + 4, 3, 3) with ``loose`` bones.
-        """
+        """Rotate bones (N, B, 3, 3) onto their links by the shortest rotation [thesis §7.2], level by level.
+        ``positions``: (N, J, 3). ``joint_rotations``: (N, J, 3, 3), or (N, J + 4, 3, 3) with ``loose``
+        bones."""
         skeleton = self.skeleton
         rotations = np.empty((len(positions), len(skeleton), 3, 3))
         for bones, links, joints in self.levels:
@@ -156,10 +156,9 @@ class BoneDrivers:
         return rotations
 
     def transfer(self, positions: Array, joint_rotations: Array, rest: Array) -> Array:
-        """Bone rotations (N, B, 3, 3) by the whole rotations of the joints from a shared rest pose (B, 3, 3).
-
-        Bones with a link are then rotated onto it. ``positions``, ``joint_rotations``: as in :meth:`swing`.
-        """
+        """Rotate bones (N, B, 3, 3) by the whole rotations of the joints, from a shared rest pose (B, 3, 3).
+        Bones with a link are then rotated onto it. ``positions``, ``joint_rotations``: the same as in
+        :meth:`swing`."""
         rotations = np.empty((len(positions), len(self.skeleton), 3, 3))
         links, joints, _ = self._transferred
         for driven in (links, joints):
@@ -175,10 +174,11 @@ class BoneDrivers:
         return rotations
 
     def turned(self, rotations: Array, positions: Array, turns: Array, chain: Indices) -> Array:
-        """Bone rotations (N, B, 3, 3) with a turned chain of bones; what inherits its rotation follows.
+        """Turn a chain of bones, and the bones that inherit rotations from the chain. Returns rotations (N,
+        B, 3, 3).
 
         Args:
-            rotations: Bone rotations of :meth:`transfer`, (N, B, 3, 3).
+            rotations: Bone rotations from :meth:`transfer`, (N, B, 3, 3).
             positions: Joint positions, (N, J, 3).
             turns: Rotations of the chain in ``map``, (N, 3, 3).
             chain: Numbers of its bones.
@@ -189,7 +189,7 @@ class BoneDrivers:
         return rotations
 
     def _inherit(self, rotations: Array, positions: Array, fixed: Indices = _NONE) -> None:
-        """Set the rotations (N, B, 3, 3) of bones that inherit them, but for fixed ones."""
+        """Set the rotations (N, B, 3, 3) of bones that inherit them, except for the ``fixed`` bones."""
         *_, inheriting = self._transferred
         for bones, links in inheriting:
             before = rotations[:, fixed]
@@ -201,10 +201,9 @@ class BoneDrivers:
 
     @cached_property
     def _transferred(self) -> tuple[DrivenBones, DrivenBones, list[tuple[Indices, DrivenBones]]]:
-        """Bones with the rotation of their joint and a link; bones with the rotation only; and the others.
-
-        The others inherit their rotation: for each level of the skeleton, the bones and those with a link.
-        """
+        """Return three groups of bones: with the rotation of their joint and a link, with the rotation only,
+        and the rest. The bones of the rest inherit their rotation. They are listed for each level of the
+        skeleton, together with those of them that have a link."""
         links, joints = self.driven
         links, loose = links.split([self.skeleton.names[bone] in self.loose for bone in links.bones])
         others = np.setdiff1d(np.arange(len(self.skeleton)), [*links.bones, *joints.bones])
@@ -217,12 +216,13 @@ class BoneDrivers:
 
     @cached_property
     def _leaving_rest(self) -> Indices:
-        """Bones with the rotation of their joint and a link to which they are not parallel."""
+        """Bones with the rotation of their joint and a link, where bone and link are not parallel."""
         links, *_ = self._transferred
         return np.intersect1d(links.bones, [self.skeleton.bone(bone) for bone in self.rest_links])
 
     def _along_links(self, rotations: Array, bones: Indices) -> Array:
-        """Rotations (N, b, 3, 3) that make bones parallel to their links at rest, where they differ."""
+        """Rotations (N, b, 3, 3) that make bones parallel to their links at rest. Only bones that differ
+        change."""
         return (
             rotations
             if self._from_links is None
@@ -230,13 +230,14 @@ class BoneDrivers:
         )
 
     def _onto_links(self, rotations: Array, positions: Array, driven: DrivenBones) -> Array:
-        """Bone rotations (N, b, 3, 3) along the links at rest, rotated onto the links by the shortest way."""
+        """Rotate bones (N, b, 3, 3) that are parallel to their links at rest onto the links, by the shortest
+        way."""
         swung = swing_onto(rotations, link_vectors(positions, driven.starts, driven.ends))
         return swung if self._from_links is None else swung @ self._from_links[driven.bones]
 
     @cached_property
     def _from_links(self) -> Array | None:
-        """Rotations (B, 3, 3) that put a bone at rest where it is parallel to its link at rest."""
+        """Rotations (B, 3, 3) from a bone that is parallel to its link at rest to the bone at rest."""
         if not self.rest_links:
             return None
         out = np.tile(np.eye(3), (len(self.skeleton), 1, 1))
@@ -251,26 +252,24 @@ def link_vectors(positions: Array, starts: Indices, ends: Indices) -> Array:
 
 
 def swing_onto(rotations: Array, links: Array) -> Array:
-    """Bone rotations (N, b, 3, 3), and then the shortest rotation of the +y axes onto links (N, b, 3).
-
-    A link without length changes nothing.
-    """
+    """Rotate bones (N, b, 3, 3), then turn their +y axes onto links (N, b, 3) by the shortest rotation. A
+    link without length changes nothing."""
     length = np.linalg.norm(links, axis=-1, keepdims=True)
     in_bone = rotate(np.swapaxes(rotations, -1, -2), links) / np.maximum(length, 1e-12)
     goal = np.where(length < SHORTEST_LINK, [0.0, 1.0, 0.0], in_bone)
     return np.asarray(rotations @ quaternion_to_matrix(from_y_axis(goal)))
 
 
-#: Rotations that differ by less than this angle (radians) over joints and time are constant.
+#: Rotations of all joints that differ over time by less than this angle (radians) count as constant.
 _CONSTANT_ANGLE = 1e-6
-#: Angles (degrees) between a line and a joint, in the median pose, up to which they rotate together.
+#: A line and a joint rotate together if they differ by less than these angles (degrees) in the median pose.
 _HIPS, _SHOULDERS, _FLEXIBLE = 12.0, 15.0, 25.0
-#: Share of the poses in which rigid hips may differ more.
+#: Rigid hips may differ by more in this share of the poses.
 _RIGID_SHARE = 0.1
 
 
 def has_rotations(poses: JointPoses) -> bool:
-    """Whether a source measures joint rotations: not if all are zero or all are the same."""
+    """Whether a source measures joint rotations. It does not if all rotations are zero or the same."""
     rotations = poses.rotations
     if not (np.linalg.norm(rotations, axis=-1) > 0.5).all():
         return False
@@ -279,16 +278,17 @@ def has_rotations(poses: JointPoses) -> bool:
 
 
 def loose_bones(poses: JointPoses, match: JointMatch, standing: bool) -> tuple[str, ...]:
-    """Bones with a driving joint that does not rotate as the lines between the joints do.
+    """Find bones with a driving joint that does not rotate as the lines between the joints do.
 
     The rotation of such a joint does not describe the body. Examples are hips that a neural network predicts
-    independently, and a root that does not move. Rigid hips carry the line between the hip joints. Chest
-    and spine carry the line between the shoulders within some degrees, and joints of limbs their links.
+    independently, and a root that does not move. For comparison: the line between the hip joints turns
+    rigidly with the hips. The line between the shoulders turns with chest and spine, within some degrees. The
+    links of limbs turn with their joints.
 
     Args:
         poses: Joint poses.
         match: Joints that drive bones.
-        standing: The rotations count from a rest pose that stands and faces +x.
+        standing: Whether the rotations count from a rest pose that stands and faces +x.
     """
     roles = match.roles
     back = np.swapaxes(quaternion_to_matrix(poses.rotations), -1, -2)
@@ -299,10 +299,10 @@ def loose_bones(poses: JointPoses, match: JointMatch, standing: bool) -> tuple[s
         """Whether lines differ much from their direction at rest.
 
         Args:
-            joint: Joint in whose axes the lines are compared.
+            joint: Joint. The lines are compared in its axes.
             line: Lines, (N, 3) metres in ``map``.
-            most: Largest angle that is no difference, degrees.
-            rest: Direction at rest, (3,) in the joint's axes; without it, the mean direction.
+            most: Largest angle that does not count as a difference, degrees.
+            rest: Direction at rest, (3,) in the axes of the joint. If None, the mean direction.
             share: Share of the lines that must differ, 0 to 1.
         """
         known = np.linalg.norm(line, axis=-1) > SHORTEST_LINK
@@ -319,7 +319,7 @@ def loose_bones(poses: JointPoses, match: JointMatch, standing: bool) -> tuple[s
         ("Chest", lines.shoulders, _SHOULDERS, 0.5),
     ):
         if role != "Hips" and lines.shoulders is lines.hips:
-            continue  # without shoulders, no line shows how the trunk turns
+            continue  # if the shoulders are unknown, no line shows how the trunk turns
         if role in roles and deviates(roles[role], line, most, left, share):
             joints.add(roles[role])
     for side in ("Left", "Right"):
@@ -335,17 +335,16 @@ def loose_bones(poses: JointPoses, match: JointMatch, standing: bool) -> tuple[s
     loose = [bone for bone, joint in match.difference.items() if joint in joints]
     return (
         *loose,
-        # toes follow a foot with a joint that does not rotate as the foot does
+        # toes also count if their foot has a joint that does not rotate as the foot does
         *(toes for bone, toes in _TOES.items() if bone in loose and toes in match.extra),
         *(bone for bone, (start, link) in links.items() if deviates(start, link, _FLEXIBLE)),
     )
 
 
 def line_rotations(poses: JointPoses, match: JointMatch) -> Array:
-    """Rotations from rest (N, 4, 3, 3) of pelvis, chest, left foot and right foot, from joint positions.
-
-    The pelvis follows hips and trunk, the chest follows shoulders and trunk, and a foot follows its shin.
-    """
+    """Compute rotations from rest (N, 4, 3, 3) of pelvis, chest, left foot and right foot from joint
+    positions. The pelvis follows hips and trunk, the chest follows shoulders and trunk, and a foot follows
+    its shin."""
     lines = BodyLines.of(poses.positions, match.roles)
     pelvis, chest = (lines.axes(left) @ WORLD_FROM_BODY.T for left in (lines.hips, lines.shoulders))
     feet = []

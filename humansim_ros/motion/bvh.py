@@ -1,7 +1,7 @@
 """Read and write Biovision hierarchy (BVH) motion files.
 
 Nothing is converted: positions stay in the units and axes of the file. Position channels replace the OFFSET,
-as in Blender; files of old programs that add them are detected.
+as in Blender. Old programs add them to the OFFSET: files of such programs are detected.
 """
 
 from __future__ import annotations
@@ -32,26 +32,28 @@ from humansim_ros.motion.bvh_text import (
 from humansim_ros.motion.kinematics import AXES, CHANNEL_NAMES, Motion
 from humansim_ros.types import Array
 
-#: Channels of files by their name in lower case. Scales are read, and left out.
+#: Channels of files by their name in lower case. Channels of scales are read, but not kept.
 _CANONICAL = {name.lower(): name for name in (*CHANNEL_NAMES, "Xscale", "Yscale", "Zscale")}
-#: Keywords with words that may go on in the next line, and pattern of these words.
+#: Keywords with words that may continue on the next line, and the pattern of these words.
 _GOES_ON = {
     "OFFSET": re.compile(r"[-+.,\d\seE]+"),
     "CHANNELS": re.compile(r"[\d\s,]*([xyz](rotation|position|scale)[\s,]*)*", re.IGNORECASE),
     "ROOT": re.compile(r"(?!offset\b|channels\b|joint\b|end\b)[^{}]+", re.IGNORECASE),
 }
 _GOES_ON |= {"JOINT": _GOES_ON["ROOT"], "END": re.compile("site", re.IGNORECASE)}
-#: Most characters of a joint's name: every end site repeats the name of its joint.
+#: Most characters of the name of a joint. The limit matters since every end site repeats the name of its
+#: joint.
 LONGEST_NAME = 1000
 #: Most joints, end sites included. A person with face, fingers and hair has some hundreds.
 _MAX_JOINTS = 20_000
-#: Words that start an end site; the first is followed by "Site".
+#: Words that start an end site. After the first of them comes the word "Site".
 _ENDS = ("END", "ENDSITE", "END_SITE")
 
 
 @dataclass
 class _Joint:
-    """A joint or an end site: its statement in the hierarchy, and number of its parent (-1 for a root)."""
+    """A joint or an end site: its statement in the hierarchy, and the number of its parent (-1 for a
+    root)."""
 
     name: str
     is_end: bool
@@ -66,17 +68,15 @@ class _Joint:
 
 
 class Parser:
-    """Parser of one file, from its start to its end.
-
-    The hierarchy is read statement by statement, the rows by :mod:`.bvh_text`.
-    """
+    """Parser of one file, which reads from the start to the end. The hierarchy is read statement by
+    statement. :mod:`.bvh_text` reads the rows."""
 
     def __init__(self, path: str | os.PathLike[str], file: TextIO, encoding: str = "latin-1") -> None:
         self.text = BvhText(path, file, encoding)
         self.joints: list[_Joint] = []
 
     def parse(self) -> Motion:
-        """The motion of the file; position channels replace the OFFSET."""
+        """Read the motion of the file. Position channels replace the OFFSET."""
         has_motion = self._hierarchy()
         self.text.warn_of_notes()
         self._make_names_unique()
@@ -93,14 +93,15 @@ class Parser:
         )
 
     def _parts(self) -> Iterator[str]:
-        """Lines of the hierarchy, with braces as parts of their own."""
+        """Split the lines of the hierarchy at braces. Each brace is a part of its own."""
         while text := self.text.next_line():
             for part in BRACE.split(text):
                 if statement := part.strip():
                     yield statement
 
     def _statements(self) -> Iterator[str]:
-        """Statements of the hierarchy. One that lacks words goes on in the next line, if they are there."""
+        """Statements of the hierarchy. A statement that lacks words continues on the next line, if the words
+        are there."""
         parts, ahead = self._parts(), ""
         while statement := ahead or next(parts, ""):
             ahead, line = "", self.text.line
@@ -113,11 +114,11 @@ class Parser:
             self.text.line = last
 
     def _hierarchy(self) -> bool:
-        """Read the joints; True if a MOTION section follows."""
+        """Read the joints. Returns True if a MOTION section follows."""
         text = self.text
         stack: list[int] = []  # numbers of open joints
         pending: int | None = None
-        surplus: int | None = None  # line of the first '}' after the hierarchy is closed
+        surplus: int | None = None  # line of the first '}' that comes after the end of the hierarchy
         for statement in self._from_first_joint():
             keyword, rest = [*statement.split(maxsplit=1), ""][:2]
             keyword = keyword.upper()
@@ -184,9 +185,9 @@ class Parser:
         raise self.text.error(f"not a BVH file: it should start with HIERARCHY, not {first[:40]!r}")
 
     def _check_braces(self, stack: list[int], pending: int | None, surplus: int | None) -> None:
-        """Accept braces that are missing or left over at the end of the hierarchy, with a warning. A brace
-        that is missing or left over further up would change the hierarchy. This is an error. It is known by
-        the indents, which then disagree with the hierarchy."""
+        """Check the braces at the end of the hierarchy, where missing or extra braces give a warning only. A
+        missing or extra brace further up would change the hierarchy, so it is an error. It is found because
+        the indents then disagree with the hierarchy."""
         text = self.text
         is_open = pending is not None or not all(self.joints[joint].offset for joint in stack)
         if is_open or (stack and not self._indents_agree()):
@@ -227,7 +228,7 @@ class Parser:
         self.joints.append(_Joint(name, is_end, parent, text.line, text.indent))
 
     def _make_names_unique(self) -> None:
-        """Number joints of the same name as Blender does; name end sites after their joints."""
+        """Number joints of the same name as Blender does, and name end sites after their joints."""
         if not self.joints:
             raise self.text.error("the hierarchy has no joints")
         given = {joint.name for joint in self.joints if not joint.is_end}
@@ -254,7 +255,8 @@ class Parser:
             values = self.text.numbers(rest)
         except ValueError:
             values = []
-        if len(values) == 6:  # SOMA writes the rotation at rest behind it, which the rows replace
+        # SOMA writes the rotation at rest after the OFFSET. The rows replace this rotation
+        if len(values) == 6:
             message = "six numbers after OFFSET: the last three, a rotation at rest, are not used"
             self.text.note("offset", message)
             values = values[:3]
@@ -292,7 +294,7 @@ class Parser:
         return [name for joint in self.joints for name in joint.channels or ()]
 
     def _without_scales(self, values: Array) -> Array:
-        """Values of all channels but scales, with a warning of these."""
+        """Values of all channels except scales. Warns if there are scales."""
         scales = np.array([name.endswith("scale") for name in self._channel_names])
         if not scales.any():
             return values
@@ -320,34 +322,39 @@ __all__ = ["CHANNEL_NAMES", "Motion", "PositionChannels", "read_bvh", "write_bvh
 #: Whether position channels replace the OFFSET or are added to it; ``auto`` detects it.
 PositionChannels = Literal["auto", "replace", "add"]
 
-#: Largest file: an hour of 60 joints at 120 frames per second; and its part that shows the encoding.
+#: Largest file, bytes: an hour of 60 joints at 120 frames per second. The first bytes, from which the
+#: encoding is detected.
 _MAX_BYTES, _HEAD = 1 << 30, 1 << 16
-#: Positions are added to OFFSETs if they contain less than this share of the OFFSET.
+#: Positions count as added to OFFSETs if they contain less than this share of the OFFSET.
 _ADDED_SHARE = 0.1
 #: Positions that vary by less than this share of the skeleton's size count as constant.
 _CONSTANT_SHARE = 0.005
-#: An OFFSET decides if it is at least this many standard deviations of the positions long.
+#: An OFFSET is evidence if its length is at least this number of standard deviations of the positions.
 _MIN_SIGNIFICANCE = 3.0
-#: Links change their length if it changes by more than these shares of the skeleton's size and of the length,
-#: and by less than the factor: other joints do not belong to a link.
+#: A link changes its length if the change is more than the first share of the size of the skeleton, and more
+#: than the second share of its length. A length that changes by more than the factor does not belong to a
+#: link.
 _CHANGES, _CHANGED_SHARE, _MOST_CHANGED = 0.004, 0.02, 1.5
-#: Deeper joints are not indented further: a chain of thousands would be mostly tabs.
+#: Deeper joints get no further indent, since a chain of thousands of joints would be mostly tabs.
 _MAX_INDENT = 40
 
 
 def read_bvh(path: str | os.PathLike[str], positions: PositionChannels = "auto") -> Motion:
-    """Read a BVH motion file: text in UTF-8, UTF-16, an encoding of East Asia or Latin-1, with any line ends.
+    """Read a BVH motion file. Its text may be in UTF-8, UTF-16, Latin-1 or an encoding of East Asia, with any
+    line ends.
 
-    ``positions``: whether position channels ``replace`` the OFFSET, as in nearly all programs, or are to
-    ``add`` to it. ``auto`` detects files that add: their positions stay near 0 next to large OFFSETs.
+    ``positions``: ``replace`` if position channels replace the OFFSET, as in nearly all programs. ``add`` if
+    they are added to the OFFSET. ``auto`` detects which: added positions stay near 0 although the OFFSETs are
+    large.
 
-    Warns (HumansimWarning) where something is wrong but its meaning clear: a missing or wrong ``Frames:``
-    count (the rows decide), no ``Frame Time:`` (30 frames per second), missing words HIERARCHY and MOTION,
-    end sites with other words, commas, up to 1 % bad rows, text after the rows, and others (docs/motion.md
-    lists them). Needs about twice the memory of the values, whatever the header says.
+
+    A fault with a clear meaning gives a HumansimWarning. docs/motion.md lists all of these faults. For
+    example, the rows decide if the ``Frames:`` count is wrong or missing, and the rate is 30 frames per
+    second if ``Frame Time:`` is missing. Up to 1 % of the rows may be bad. Reading needs about twice the
+    memory of the values, whatever the header says.
 
     Raises:
-        MotionError: The file is not valid; with file and line.
+        MotionError: The file is not valid. The error names file and line.
 
     Example:
         >>> from humansim_ros import read_bvh
@@ -362,7 +369,7 @@ def read_bvh(path: str | os.PathLike[str], positions: PositionChannels = "auto")
     with open_file(path, MotionError, what, _MAX_BYTES) as stream, reading_errors(path, MotionError, what):
         encoding = text_encoding(stream.read(_HEAD))
         stream.seek(0)
-        # Latin-1 decodes any byte; the parser decodes the lines of the hierarchy again
+        # Latin-1 decodes any byte. The parser later decodes the lines of the hierarchy again
         decoded = encoding if encoding.startswith("utf-16") else "latin-1"
         file = io.TextIOWrapper(stream, decoded, errors="replace")
         motion = Parser(path, file, encoding).parse()
@@ -376,13 +383,14 @@ def read_bvh(path: str | os.PathLike[str], positions: PositionChannels = "auto")
 
 
 def _warn_of_lengths(motion: Motion) -> None:
-    """Warn of links between joints that change their length, which those of a person do not."""
+    """Warn about links between joints that change their length, since the links of a person do not."""
     names, parents, count = motion.joint_names, motion.parents, np.bincount(motion.parents + 1)
     inner = {parent for name, parent in zip(names, parents, strict=True) if not name.endswith("_end")}
     joints = [
         joint
         for joint in sorted({joint for joint, *_ in motion.position_columns})
-        # joints below a root move as a whole if they are the only one, or trackers
+        # joints directly below a root are left out if they are trackers or the only joint: they may move as a
+        # whole
         if (up := parents[joint]) >= 0 and (parents[up] >= 0 or (joint in inner and count[up + 1] > 1))
     ]
     frames = slice(None, None, max(1, motion.n_frames // 1000))
@@ -399,11 +407,11 @@ def _warn_of_lengths(motion: Motion) -> None:
 
 
 def _added_positions(motion: Motion) -> str:
-    """Text about joints whose positions seem to be added to OFFSETs; empty if most joints tell otherwise.
+    """Describe joints with positions that seem to be added to OFFSETs. Empty if most joints contradict this.
 
-    Their positions contain nearly nothing of their OFFSETs. The share of the OFFSET is a least-squares fit.
-    An axis weighs more, the less the joint moves along it: the height of a walking person decides more than
-    the place on the floor.
+    Added positions contain nearly nothing of their OFFSETs. A least-squares fit gives the share of the
+    OFFSET. An axis has more weight if the joint moves less along it. For a walking person, for example, the
+    height decides more than the place on the floor.
     """
     by_joint: dict[int, dict[int, int]] = {}
     for joint, axis, column in motion.position_columns:
@@ -415,7 +423,7 @@ def _added_positions(motion: Motion) -> str:
     values = motion.values[:: max(1, motion.n_frames // 1000)][:, columns]
     offsets = motion.offsets[joints]
     noise = _CONSTANT_SHARE * float(np.ptp(motion.rest_positions(), axis=0).max())
-    with np.errstate(invalid="ignore", divide="ignore"):  # a skeleton of one point
+    with np.errstate(invalid="ignore", divide="ignore"):  # a skeleton of one point divides by zero
         weights = offsets / (values.var(axis=0) + noise * noise)
         significance = (weights * offsets).sum(axis=-1)
         share = (np.median(values, axis=0) * weights).sum(axis=-1) / significance
@@ -428,10 +436,11 @@ def _added_positions(motion: Motion) -> str:
 
 
 def write_bvh(path: str | os.PathLike[str], motion: Motion) -> None:
-    """Write a motion as a BVH file (UTF-8) that :func:`read_bvh` and other programs read back exactly.
+    """Write a motion as a BVH file (UTF-8). :func:`read_bvh` and other programs read it back exactly.
 
-    Numbers have all their digits. Positions that are added to OFFSETs are written as positions that replace
-    them, which all programs read. Warns (HumansimWarning) where ``read_bvh`` would detect added positions.
+    Numbers keep all their digits. Positions always replace the OFFSETs in the new file, even if they were
+    added in the source, since all programs read such files. Gives a HumansimWarning if ``read_bvh`` would
+    wrongly detect added positions.
 
     Raises:
         MotionError: A BVH file cannot hold a name or a number of the motion.
@@ -506,6 +515,6 @@ def _lines(motion: Motion) -> Iterator[str]:
 
 
 def _number(value: float) -> str:
-    """Shortest text, without an exponent, that reads back as this number."""
+    """Write a number as the shortest text without an exponent that reads back as the same number."""
     text = repr(float(value))
     return np.format_float_positional(value, trim="0") if "e" in text else text

@@ -19,29 +19,31 @@ from humansim_ros.types import Array
 #: Smallest and largest number of characters of a block of rows. Larger blocks are faster and need more
 #: memory.
 _BLOCK_SIZES = 1 << 12, 1 << 16
-#: Largest number of characters of a line of the hierarchy, or of a number.
+#: Most characters of a line of the hierarchy, or of a number.
 _MAX_CHARACTERS = 1 << 20
 #: Larger numbers cannot be measurements, and their squares may be infinite.
 LARGEST = 1e15
 BRACE = re.compile(r"([{}])")
 #: A minus sign that starts a new number without a space before it ("1.5-2.5"); not the sign in "1e-5".
 _GLUED_MINUS = re.compile(r"(?<=[0-9.])-")
-#: A comma that separates numbers for certain: with white space next to it, or the second of a word.
+#: A comma that certainly separates numbers: it is next to white space, or it is the second comma of a word.
 _SEPARATOR = re.compile(r",(?:\s|$)|,[^\s,]+,")
 _DECIMAL = re.compile(r"(?<=\d),(?=\d)")
-#: A comment: a line that starts with one of these marks, or the end of a line after a mark among white space.
+#: A comment: a line that starts with one of these marks, or the end of a line from a mark between white
+#: space.
 _COMMENT = re.compile(r"^[ \t]*(?://|/?\*|[#;%]).*|(?<=[ \t])(?://|[#;][ \t]).*", re.MULTILINE)
 
 
 class BvhText:
-    """Text of one file, from its start to its end.
+    """Text of one file, read from its start to its end.
 
     Attributes:
         path: Path of the file, for messages.
         line: Number of the last line that was read.
         indent: Width of the white space before the last line of the hierarchy.
 
-    ``encoding``: the same as in ``text_encoding``. ``file`` decodes UTF-16, and every other text as Latin-1.
+    ``encoding``: the same as in ``text_encoding``. ``file`` decodes UTF-16 itself. It decodes every other
+    text as Latin-1.
     """
 
     def __init__(self, path: str | os.PathLike[str], file: TextIO, encoding: str) -> None:
@@ -55,11 +57,11 @@ class BvhText:
         self._odd: dict[str, tuple[int, str, int]] = {}
 
     def error(self, message: str, line: int | None = None) -> MotionError:
-        """Error at a line; by default the last line that was read."""
+        """Make an error for a line. If ``line`` is not given, for the last line that was read."""
         return MotionError(message, path=self.path, line=self.line if line is None else line)
 
     def warn(self, message: str, line: int | None = None) -> None:
-        """Warn about a line; by default the last line that was read."""
+        """Warn about a line. If ``line`` is not given, about the last line that was read."""
         warn_about(f"{self.path}:{self.line if line is None else line}", message)
 
     def warn_file(self, message: str) -> None:
@@ -67,7 +69,8 @@ class BvhText:
         warn_about(self.path, message)
 
     def note(self, kind: str, message: str) -> None:
-        """Remember something odd in the last line. :meth:`warn_of_notes` warns of the first of each kind."""
+        """Remember something odd in the last line. :meth:`warn_of_notes` later warns about the first case of
+        each kind."""
         line, first, count = self._odd.get(kind, (self.line, message, 0))
         self._odd[kind] = line, first, count + 1
 
@@ -78,7 +81,7 @@ class BvhText:
         self._odd = {}
 
     def next_line(self) -> str:
-        """Next line with its line end, without a comment; "" after the last."""
+        """Return the next line with its line end, without comments. After the last line, return ""."""
         if self._unread:
             text, self._unread = self._unread, ""
             self.line += 1
@@ -107,17 +110,15 @@ class BvhText:
         return line.decode(self._encoding, "replace")
 
     def unread(self, text: str) -> None:
-        """Give the last line back: the next line or block starts with ``text``."""
+        """Give back the last line, so that the next line or block starts with ``text``."""
         if not text.isascii():
             raise self.error(f"cannot understand {text.strip()[:40]!r}")
         self._unread = text if text.endswith("\n") else f"{text}\n"
         self.line -= 1
 
     def blocks(self) -> Iterator[str]:
-        """The rest of the file in blocks of whole lines, of whole words where a line is longer.
-
-        They do not change ``line``.
-        """
+        """Return the rest of the file in blocks of whole lines. A line that is too long is split between
+        words. Blocks do not change ``line``."""
         rest, self._unread, n_read = self._unread, "", 0
         while text := self._file.read(min(max(_BLOCK_SIZES[0], n_read // 16), _BLOCK_SIZES[1])):
             n_read += len(text)
@@ -132,7 +133,7 @@ class BvhText:
             yield _without_comments(rest)
 
     def numbers(self, text: str) -> list[float]:
-        """Numbers of a text in the last line; ValueError if it has other words."""
+        """Numbers of a text in the last line. Raises ValueError for other words."""
         if "," in text and (mark := comma_meaning(text)) is not None:
             self.note("comma", f"commas {_COMMAS[mark]}")
             text = text.replace(",", mark)
@@ -144,7 +145,7 @@ def _without_comments(rows: str) -> str:
 
 
 def to_float(word: str) -> float:
-    """Number of a file; ValueError for numbers that only Python accepts ("1_000")."""
+    """Read a number of a file. Raises ValueError for numbers that only Python accepts ("1_000")."""
     if "_" in word or not word.isascii():
         raise ValueError
     return float(word)
@@ -156,32 +157,34 @@ def split_glued(text: str) -> str:
 
 
 def comma_meaning(text: str) -> str | None:
-    """What replaces the commas in a text of numbers: " " or "."; None where their meaning is not clear.
+    """Return the character that replaces the commas in a text of numbers: " " or ".". None if their meaning
+    is not clear.
 
-    Beside points, commas separate numbers. Without points they are decimal if each is between two digits,
-    and no number has two of them. The number of values that a line needs shows whether this is right.
+    If the text also has points, the commas separate numbers. Otherwise they are decimal if each comma is
+    between two digits and no number has two commas. The number of values that a line needs shows whether this
+    is right.
     """
     if "." in text or _SEPARATOR.search(text):
         return " "
     return "." if len(_DECIMAL.findall(text)) == text.count(",") else None
 
 
-#: What commas do, for messages, by what replaces them.
+#: Words for messages that say how commas are read, by the character that replaces them.
 _COMMAS = {".": "are read as decimal points", " ": "are read as white space between numbers"}
 
 
 def comma_hint(text: str) -> str:
-    """End of a message about a text that is no number."""
+    """Make the end of a message about a text that is not a number."""
     return "; decimals need a point, not a comma" if "," in text else ""
 
 
-#: Smallest and largest frame time, seconds.
+#: Shortest and longest frame time, seconds.
 FRAME_TIMES = 1e-9, 1e6
-#: Frame time of files that give none, seconds.
+#: Frame time of files that do not state it, seconds.
 _USUAL_FRAME_TIME = 1 / 30
 #: A line of the header: its key, the colon and its value.
 _HEADER = re.compile(r"(frames|frame[\s_]*time)\s*(?P<colon>[:=]?)\s*(?P<value>.*)", re.IGNORECASE)
-#: White space between a line of the header and the next one, where both are on one line.
+#: White space between two lines of the header that are on one line.
 _NEXT_KEY = re.compile(r"(?<=\S)\s+(?=frames\b|frame[\s_]*time\b)", re.IGNORECASE)
 _NUMBER_START = re.compile(r"[+-]?[.,]?\d")
 #: Whether a character, by its code, is part of plain numbers and white space.
@@ -194,10 +197,8 @@ def starts_motion(statement: str) -> bool:
 
 
 def read_motion_section(text: BvhText, angles: NDArray[np.bool_]) -> tuple[Array, float]:
-    """Channel values (F, C) and frame time after the word MOTION; F is 0 where ``Frames:`` says so.
-
-    ``angles``: (C,) whether each channel is an angle.
-    """
+    """Read channel values (F, C) and frame time after the word MOTION. F is 0 if ``Frames:`` says so.
+    ``angles``: (C,) whether each channel is an angle."""
     n_frames, frame_time = _read_header(text)
     rows = _Rows(text, angles, n_frames).read()
     if len(rows) == 0:
@@ -210,9 +211,9 @@ def read_motion_section(text: BvhText, angles: NDArray[np.bool_]) -> tuple[Array
 
 
 def _read_header(text: BvhText) -> tuple[float, float]:
-    """Number of frames (NaN where it is missing) and frame time."""
+    """Read the number of frames (NaN if missing) and the frame time."""
     header: dict[str, tuple[int, str]] = {}
-    awaited = ""  # key with a number that is on the next line
+    awaited = ""  # key that waits for its number on the next line
     while len(header) < 2 or awaited:
         line = text.next_line()
         if not line:
@@ -265,21 +266,20 @@ def _header_number(text: BvhText, key: str, line: int, value: str) -> float:
     return numbers[0]
 
 
-#: Share of bad rows from which a file is refused, and their largest number.
+#: A file is refused if this share of its rows is bad, or if this number of rows is bad.
 _BAD_SHARE, _MAX_BAD = 0.01, 10_000
-#: So many bad rows are read before their share counts.
+#: The share counts only from this number of bad rows on.
 _FIRST_BAD = 10
-#: Angles (degrees) that change by less between two frames are interpolated; otherwise a pose is held.
+#: An angle that changes by less (degrees) between two frames is interpolated. Otherwise the pose before is
+#: held.
 _STEADY = 45.0
 
 
 @dataclass(frozen=True)
 class _BadLine:
-    """A line that is no row: its number, the index of its first value and their number, and the reason.
-
-    ``word``: the first word of a line without any number; "" for others. ``n_lines``: number of such lines
-    one after another.
-    """
+    """A line that is not a row: its number, the index of its first value, its number of values, and the
+    reason. ``word``: the first word of a line without any number, otherwise "". ``n_lines``: number of such
+    lines one after another."""
 
     line: int
     start: int
@@ -290,7 +290,7 @@ class _BadLine:
 
 
 class _Rows:
-    """Reader of the rows: in blocks, and word by word only where a block is not plain."""
+    """Reader of the rows. It reads in blocks, and word by word only if a block is not plain."""
 
     def __init__(self, text: BvhText, angles: NDArray[np.bool_], n_frames: float) -> None:
         self.text = text
@@ -298,10 +298,10 @@ class _Rows:
         self.n_channels = len(angles)
         self.n_frames = n_frames
         self.layout = _Layout(self.n_channels)
-        self.bad: list[_BadLine] = []  # lines with a word that is no number
-        self.n_damaged = 0  # those of them with a number
+        self.bad: list[_BadLine] = []  # lines with a word that is not a number
+        self.n_damaged = 0  # how many of the bad lines also have a number
         self.n_values = 0
-        self.comma: str | None = None  # what replaces commas
+        self.comma: str | None = None  # character that replaces commas
         self.has_points = False
 
     def read(self) -> Array:
@@ -327,18 +327,19 @@ class _Rows:
         return self._rows(np.concatenate([np.empty(0), *parts]))
 
     def _is_over(self, n_values: int) -> bool:
-        """Whether text follows after as many values as ``Frames:`` says."""
+        """Whether there are already as many values as ``Frames:`` says, so that only other text can
+        follow."""
         is_text = len(self.bad) == 1 and self.bad[0].word and self.bad[0].start == n_values
         return bool(is_text and n_values and n_values == self.n_frames * self.n_channels)
 
     def _is_hopeless(self) -> bool:
-        """Whether too many lines are bad already. Text may be the end of the file."""
+        """Whether there are already too many bad lines. Lines of text only may be the end of the file."""
         n_bad = self.n_damaged + self.layout.n_odd * self.layout.is_broken
         n_lines = max(self.layout.n_lines, 0 if np.isnan(self.n_frames) else self.n_frames)
         return n_bad > min(_MAX_BAD, max(_FIRST_BAD, _BAD_SHARE * n_lines)) or len(self.bad) > _MAX_BAD
 
     def _rows(self, values: Array) -> Array:
-        """Rows (F, C) of all values; where lines are bad, without them or with frames in their place."""
+        """Rows (F, C) of all values. Bad lines are left out, or replaced by interpolated frames."""
         bad = self._without_tail()
         odd, layout, n_channels = self.layout.odd, self.layout, self.n_channels
         if odd and not bad and not layout.is_broken and len(values) == self.n_frames * n_channels:
@@ -350,14 +351,14 @@ class _Rows:
         n_bad = sum(each.n_lines for each in bad) + layout.n_odd - len(odd)
         if n_bad > min(_MAX_BAD, _BAD_SHARE * (n_good + n_bad)) or (bad and self._is_hopeless()):
             first = bad[0]
-            # a short row at the end of the file is a truncated file
+            # a short last row means that the file was cut off
             is_cut = first in odd and first.line == layout.last_line and first.count < n_channels
             share = f"; {n_bad} of {n_good + n_bad} rows are bad, more than {_BAD_SHARE:.0%}" * (n_good > 0)
             raise self.text.error(first.reason + "; the file is truncated" * is_cut + share, first.line)
         return self._mended(values, bad) if bad else values.reshape(-1, n_channels)
 
     def _without_tail(self) -> list[_BadLine]:
-        """The bad lines, without text after the last row. A warning names this text."""
+        """Return the bad lines, except text after the last row. A warning tells about this text."""
         tail = len(self.bad)
         while tail and self.bad[tail - 1].word and self.bad[tail - 1].start == self.n_values:
             tail -= 1
@@ -370,7 +371,7 @@ class _Rows:
         return self.bad
 
     def _mended(self, values: Array, bad: list[_BadLine]) -> Array:
-        """Rows (F, C) with a frame in the place of each bad line that was one."""
+        """Rows (F, C) with a new frame in place of each bad line that was a frame."""
         keep = np.ones(len(values), dtype=bool)
         before = np.cumsum([0, *(each.count for each in bad)])[:-1]
         for each in bad:
@@ -387,13 +388,13 @@ class _Rows:
         return _filled(rows, np.repeat(places, n_lines * is_frame), self.angles)
 
     def _were_frames(self, bad: list[_BadLine], n_rows: int) -> NDArray[np.bool_]:
-        """Whether bad lines are damaged frames, rather than text between them: ``Frames:`` decides."""
+        """Whether bad lines are damaged frames or text between frames. ``Frames:`` decides."""
         if self.n_frames in (n_rows, n_rows + sum(each.n_lines for each in bad)):
             return np.full(len(bad), self.n_frames > n_rows)
         return np.array([not each.word for each in bad])
 
     def _without_commas(self, block: str) -> str:
-        """A block with its commas replaced; as it is where their meaning is not clear."""
+        """Replace the commas of a block. If their meaning is not clear, the block does not change."""
         mark = " " if self.has_points else comma_meaning(block)
         if mark is None or self.comma not in (None, mark):
             return block
@@ -404,7 +405,8 @@ class _Rows:
         return block.replace(",", mark)
 
     def _slow_values(self, block: str) -> tuple[Array, NDArray[np.intp]]:
-        """As :func:`_fast_values`, for any white space; notes bad lines, and ends where only text follows."""
+        """Do the same as :func:`_fast_values` for any white space. Notes bad lines, and ends if only text
+        follows."""
         values: list[float] = []
         ends: list[int] = []
         for number, line in enumerate(block.split("\n"), self.text.line + 1):
@@ -421,7 +423,7 @@ class _Rows:
         return np.array(values), np.array(ends[:-1], dtype=np.intp)
 
     def _add_line(self, words: list[str], values: list[float], number: int) -> _BadLine | None:
-        """Add the values of a line, or tell why it has none."""
+        """Add the values of a line. Returns the reason if the line has none."""
         numbers: list[float] = []
         reason = bad_word = ""
         for word in words:
@@ -441,11 +443,9 @@ class _Rows:
 
 
 def _filled(rows: Array, places: NDArray[np.intp], angles: NDArray[np.bool_]) -> Array:
-    """Rows (F, C) with a frame before each place: between its neighbours, or like the nearer one.
-
-    ``places``: numbers of the good rows (R, C) before which a frame is missing, sorted; a number twice for
-    two frames. ``angles``: (C,) whether a channel is an angle in degrees.
-    """
+    """Rows (F, C) with a new frame before each of ``places``. It lies between its neighbours, or equals the
+    nearer one. ``places``: sorted numbers of the good rows (R, C) before which a frame is missing. For two
+    missing frames, the number is there twice. ``angles``: (C,) whether a channel is an angle in degrees."""
     out = np.insert(rows, places, 0.0, axis=0)
     missing = places + np.arange(len(places))
     known = np.setdiff1d(np.arange(len(out)), missing)
@@ -465,27 +465,26 @@ def _filled(rows: Array, places: NDArray[np.intp], angles: NDArray[np.bool_]) ->
 
 
 class _Layout:
-    """Layout of rows of C values on lines.
-
-    One row on a line is usual. A line may also hold several whole rows, or a part of one: the start of each
-    row is clear if the number of all values fits.
-    """
+    """Layout of rows of C values on lines. Usually a line holds one row. A line may also hold several whole
+    rows, or a part of a row. The start of each row is then clear if the number of all values fits."""
 
     def __init__(self, n_channels: int) -> None:
         self.n_channels = n_channels
-        #: First lines without exactly one row, the number of all of them, and of all lines with values.
+        #: First lines that do not have exactly one row, the number of all such lines, and the number of lines
+        #: with values.
         self.odd: list[_BadLine] = []
         self.n_odd = 0
         self.n_lines = 0
         #: Last line with a value.
         self.last_line = 0
-        #: Whether a line holds the end of a row and the start of the next.
+        #: Whether a line has the end of one row and the start of the next.
         self.is_broken = False
         self._on_line = 0  # values so far on the current line
         self._n_values = 0  # values on all lines before the current one
 
     def add(self, values: Array, ends: NDArray[np.intp], line: int) -> None:
-        """Add values, the number of them before each line end, and the number of the first line."""
+        """Add a block. ``values``: its values. ``ends``: the number of values before each line end. ``line``:
+        its first line."""
         if len(ends) == 0:
             self._on_line += len(values)
             return
@@ -521,9 +520,10 @@ class _Layout:
 
 
 def _fast_values(text: str) -> tuple[Array, NDArray[np.intp]] | None:
-    """Values of a text of plain finite numbers, and the number of them before each line end; else None."""
+    """Values of a text of plain finite numbers, and the number of values before each line end. None for other
+    text."""
     characters = np.frombuffer(text.encode("latin-1", "replace"), dtype=np.uint8)
-    # with these characters only, Python accepts no more than files do
+    # with these characters only, Python accepts the same numbers as files do
     if not _PLAIN[characters].all():
         return None
     blank = characters <= 32

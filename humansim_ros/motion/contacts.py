@@ -1,4 +1,4 @@
-"""Contacts with the floor: corrections that keep standing feet at their place, and put skin on the floor."""
+"""Contacts with the floor: corrections that keep standing feet in place, and put the skin on the floor."""
 
 from __future__ import annotations
 
@@ -32,18 +32,18 @@ from humansim_ros.motion.soles import contact_steps, sole_loads, sole_points, st
 from humansim_ros.motion.world_motion import PoseCorrection, WorldMotion
 from humansim_ros.types import Array
 
-#: Largest share of its length to which a leg is straightened, unless it was straighter before.
+#: A correction straightens a leg up to this share of its length. A leg that was straighter before stays so.
 STRAIGHTEST = 0.9995
-#: A leg with an ankle that is nearer to the hip than this share of its length is not corrected.
+#: A leg is not corrected if its ankle is nearer to the hip than this share of the length of the leg.
 _FOLDED = 0.25
 
 
 def two_bone(hip: Array, knee: Array, ankle: Array, goal: Array) -> tuple[Array, Array]:
-    """Rotations (N, 3, 3) of thigh and shin that bring the ankle to a goal, or as near as the leg reaches.
+    """Rotations (N, 3, 3) of thigh and shin that bring the ankle to a goal, or as near as the leg can reach.
 
-    An arm is a leg here: its shoulder, elbow and wrist are hip, knee and ankle.
+    An arm can be passed, too: its shoulder, elbow and wrist take the place of hip, knee and ankle.
 
-    The plane in which the leg bends takes the shortest rotation of the line from hip to ankle.
+    The leg bends in a plane. This plane turns with the line from hip to ankle, by the shortest rotation.
 
     Args:
         hip: Positions (N, 3).
@@ -74,7 +74,8 @@ def two_bone(hip: Array, knee: Array, ankle: Array, goal: Array) -> tuple[Array,
 
 
 def correction_share(hip: Array, knee: Array, ankle: Array) -> Array:
-    """Share (N, 1) of a correction that a leg takes; 0 for a folded leg, whose knee would swing far."""
+    """Share (N, 1) of a correction that a leg takes. It is 0 for a folded leg, since its knee would swing
+    far."""
     leg = np.linalg.norm(knee - hip, axis=-1) + np.linalg.norm(ankle - knee, axis=-1)
     share = (np.linalg.norm(ankle - hip, axis=-1) / leg - _FOLDED) / _FOLDED
     return smooth_step(share)[:, None]
@@ -89,20 +90,20 @@ def _bone_frame(along: Array, normal: Array) -> Array:
     return out
 
 
-#: Seconds of the cycles before and after, so that a stance across the end of a loop is one stance.
+#: Seconds that are added before and after a cycle, so that a stance across the end of a loop is one stance.
 _MARGIN = 2.0
-#: Largest correction of a foot, metres: a foot that slides farther does not stand.
+#: Largest correction of a foot, metres. A foot that slides farther is not standing.
 _MAX_SHIFT = 0.25
-#: Largest lowering of the body (metres), and the time over which it is smoothed (seconds).
+#: Largest distance by which the body is lowered (metres), and the time over which this is smoothed (seconds).
 _MAX_DROP, _DROP_TIME = 0.15, 0.12
 _SIDES = (("Left", "l"), ("Right", "r"))
-#: Poses of the legs that are computed at once.
+#: Number of poses of the legs that are computed at once.
 _BATCH = 1000
 
 
 @dataclass(frozen=True)
 class FootContacts:
-    """Corrections that keep the feet of a motion at their place; a pure function of time.
+    """Corrections that keep the feet of a motion in place. They depend on the time only.
 
     :meth:`apply` moves the joints of the source's legs so that the retargeted feet move by the shifts and
     keep their orientation.
@@ -126,7 +127,7 @@ class FootContacts:
         """Detect the stances in a cycle of a motion, and compute the corrections.
 
         In a stance, the loaded part of the sole (heel, toe or both) is on the floor and does not move.
-        Between stances the correction fades from one to the next.
+        Between two stances, the correction fades from the first one to the second.
 
         Raises:
             MotionError: The joint match has no ankles.
@@ -139,10 +140,11 @@ class FootContacts:
         margin = 0
         if plain.loop != "none" and step > 0:
             margin = min(count - 1, int(_MARGIN / step))
-        # a cycle, with the end of the one before and the start of the next (the first has no blend)
+        # a cycle, with the end of the cycle before and the start of the next one. The first cycle has no
+        # blend
         times = np.arange(-margin, count + margin) * step + (length if margin else 0.0)
         contacts = cls(world.motion, retargeter, phases, np.zeros((count, 2, 3)), np.zeros(count))
-        assert contacts._legs  # a leg without ankle is an error now, not while the motion plays
+        assert contacts._legs  # a leg without an ankle is an error now, not later while the motion plays
         if step == 0:
             return contacts
         points, hips, ankles = _posed_legs(plain, retargeter, times)
@@ -152,11 +154,11 @@ class FootContacts:
         cycle = slice(margin, margin + count)
         shifts = shifts[cycle]
         if margin:
-            shifts = shifts @ plain.cycle_rotations(np.ones(1))[0]  # back into the first cycle
+            shifts = shifts @ plain.cycle_rotations(np.ones(1))[0]  # rotated back into the first cycle
         return replace(contacts, shifts=shifts, drops=drops[cycle])
 
     def apply(self, poses: JointPoses, phases: Array, cycle_rotations: Array) -> JointPoses:
-        """Corrected poses; see :class:`~humansim_ros.motion.world_motion.PoseCorrection`."""
+        """Correct poses. See :class:`~humansim_ros.motion.world_motion.PoseCorrection`."""
         shift = np.array(
             [[np.interp(phases, self.phases, axis) for axis in foot.T] for foot in self.shifts.swapaxes(0, 1)]
         ).transpose(2, 0, 1)
@@ -166,7 +168,8 @@ class FootContacts:
         return self._move_ankles(replace(poses, positions=lowered), shift)
 
     def _move_ankles(self, poses: JointPoses, shift: Array) -> JointPoses:
-        """Joints with the ankles of the retargeted body moved by ``shift`` (N, 2, 3), metres in ``map``."""
+        """Move joints so that the ankles of the retargeted body move by ``shift`` (N, 2, 3), metres in
+        ``map``."""
         skeleton = self.retargeter.skeleton
         posed = self.retargeter.pose(poses)
         new, rotations = np.array(poses.positions), quaternion_to_matrix(poses.rotations)
@@ -177,7 +180,7 @@ class FootContacts:
             )
             goal = ankle + shift[:, foot] * correction_share(hip, knee, ankle)
             thigh, shin = two_bone(hip, knee, ankle, goal)
-            # the source's leg rotates as the skeleton's leg. Its foot keeps its orientation
+            # the leg of the source rotates as the leg of the skeleton does. Its foot keeps its orientation
             leg.turn(new, rotations, thigh, shin)
         return JointPoses(poses.names, new, matrix_to_quaternion(rotations))
 
@@ -189,10 +192,9 @@ class FootContacts:
 
 @dataclass(frozen=True)
 class Leg:
-    """Joints of a leg of a motion: the three main ones, and those that move with thigh, shin and foot.
-
-    Of an arm these are shoulder, elbow and wrist, and those that move with upper arm, forearm and hand.
-    """
+    """Joints of a leg of a motion: hip, knee and ankle, and the joints that move with thigh, shin and foot.
+    An arm has shoulder, elbow and wrist instead, and the joints that move with upper arm, forearm and
+    hand."""
 
     hip: int
     knee: int
@@ -203,14 +205,15 @@ class Leg:
 
     @classmethod
     def of(cls, side: str, motion: Motion, roles: Mapping[str, int]) -> Leg:
-        """The leg on a side, ``Left`` or ``Right``. Raises MotionError if its ankle is unknown."""
+        """Find the leg on a side, ``Left`` or ``Right``. Raises MotionError if its ankle is unknown."""
         if (ankle := roles.get(f"{side}Ankle")) is None:
             raise MotionError("feet cannot be pinned: the joint table knows no ankles", path=motion.path)
         return cls._of(motion, roles[f"{side}Hip"], roles[f"{side}Knee"], ankle)
 
     @classmethod
     def arm(cls, side: str, motion: Motion, roles: Mapping[str, int]) -> Leg:
-        """The arm on a side, ``Left`` or ``Right``. Raises MotionError if a joint of it is unknown."""
+        """Find the arm on a side, ``Left`` or ``Right``. Raises MotionError if one of its joints is
+        unknown."""
         shoulder, elbow, wrist = (roles.get(f"{side}{part}") for part in ("Shoulder", "Elbow", "Wrist"))
         if shoulder is None or elbow is None or wrist is None:
             raise MotionError("hands cannot reach: the joint table knows no wrists", path=motion.path)
@@ -219,7 +222,7 @@ class Leg:
     @classmethod
     def _of(cls, motion: Motion, hip: int, knee: int, ankle: int) -> Leg:
         part = {joint: number for number, joint in enumerate((hip, knee, ankle))}
-        for joint, parent in enumerate(motion.parents):  # parents come first
+        for joint, parent in enumerate(motion.parents):  # parents come before their children
             if joint not in part and int(parent) in part:
                 part[joint] = part[int(parent)]
         thigh, shin, foot = ([j for j, number in part.items() if number == k] for k in range(3))
@@ -245,7 +248,7 @@ class Leg:
             rotations: Rotations of the joints, (N, J, 3, 3).
             thigh: Rotations of the thigh, (N, 3, 3).
             shin: Rotations of the shin, (N, 3, 3).
-            foot: Rotations of the foot, (N, 3, 3). It keeps its orientation if None.
+            foot: Rotations of the foot, (N, 3, 3). If None, the foot keeps its orientation.
         """
         hip, knee, ankle = (positions[:, joint].copy() for joint in (self.hip, self.knee, self.ankle))
         new_knee = hip + rotate(thigh, knee - hip)
@@ -260,24 +263,26 @@ class Leg:
             rotations[:, joints] = rotation[:, None] @ rotations[:, joints]
 
 
-#: Built-in motions in which more than the soles is on the floor.
+#: Built-in motions in which other parts of the body than the soles touch the floor.
 ON_SKIN = frozenset({"lie", "fall", "crawl"})
-#: Seconds between heights of a body on its skin, and seconds over which they are smoothed.
+#: Seconds between the times for which the height of the body is computed, and seconds over which heights are
+#: smoothed.
 _SKIN_STEP, _SETTLED = 1 / 30, 0.1
-#: Largest distance of skin from the bones of thighs and shins, as shares of their lengths, and metres below
-#: the hips from which nothing follows both legs: hems of skirts and coats hang, and are not on the floor.
+#: Largest distance of skin from the bones of thighs and shins, as shares of the lengths of the bones. Surfaces
+#: that are lower than ``_CROTCH`` (metres below the hips) and follow both legs do not count: they are hems of
+#: skirts and coats, which hang and do not lie on the floor.
 _SKIN = (("hip", 0.3), ("knee", 0.2))
 _CROTCH = 0.1
 
 
 @dataclass(frozen=True)
 class SkinContact:
-    """Heights that put the lowest skin of a body on the floor; a pure function of time.
+    """Heights that put the lowest skin of a body on the floor. They depend on the time only.
 
     Attributes:
         phases: (M,) seconds of the file since the start of a cycle.
         rises: (M,) metres by which the motion is raised.
-        before: Correction that is applied before, if any.
+        before: Correction that is applied first. None if there is none.
     """
 
     phases: Array
@@ -307,7 +312,7 @@ class SkinContact:
         return cls(phases, -heights / retargeter.scale, world.correction)
 
     def apply(self, poses: JointPoses, phases: Array, cycle_rotations: Array) -> JointPoses:
-        """Corrected poses; see :class:`~humansim_ros.motion.world_motion.PoseCorrection`."""
+        """Correct poses. See :class:`~humansim_ros.motion.world_motion.PoseCorrection`."""
         if self.before is not None:
             poses = self.before.apply(poses, phases, cycle_rotations)
         rises = np.interp(phases, self.phases, self.rises)[:, None, None] * np.array([0.0, 0.0, 1.0])
@@ -315,7 +320,7 @@ class SkinContact:
 
 
 def skin_on_floor(skeleton: Skeleton, vertices: Array, weights: csr_matrix) -> NDArray[np.bool_]:
-    """Vertices (V,) that lie on a floor: all but wide hems of skirts and coats.
+    """Find the vertices (V,) that can lie on a floor: all except wide hems of skirts and coats.
 
     Args:
         skeleton: The skeleton.
@@ -352,7 +357,8 @@ def _posed_legs(motion: WorldMotion, retargeter: Retargeter, times: Array) -> tu
 
 
 def _drops(skeleton: Skeleton, hips: Array, goals: Array, standing: NDArray[np.bool_], step: float) -> Array:
-    """Smooth lowering (N,) of the body, in metres, with which standing legs reach their goals.
+    """Compute how far (N,) the body is lowered, in metres, so that standing legs reach their goals. It is
+    smooth.
 
     Args:
         skeleton: Skeleton with legs.
@@ -380,7 +386,7 @@ def _drops(skeleton: Skeleton, hips: Array, goals: Array, standing: NDArray[np.b
 
 
 def _shifts(points: Array, standing: NDArray[np.bool_]) -> Array:
-    """Corrections (N, 2, 3) of the feet that keep them at their place while they stand."""
+    """Corrections (N, 2, 3) that keep feet in place while they stand."""
     loads = sole_loads(points)
     out = np.zeros((len(points), 2, 3))
     for foot in (0, 1):
@@ -398,7 +404,7 @@ def _shifts(points: Array, standing: NDArray[np.bool_]) -> Array:
         for (_, left), (right, _) in pairwise(runs):
             weight = smooth_step(np.linspace(0.0, 1.0, right - left + 1))[:, None]
             out[left : right + 1, foot] = (1 - weight) * out[left, foot] + weight * out[right, foot]
-        # a foot in the air stays above the floor
+        # a foot in the air must stay above the floor
         out[:, foot, 2] = np.maximum(out[:, foot, 2], -points[:, foot, :, 2].min(-1))
     size = np.linalg.norm(out, axis=-1, keepdims=True)
     return np.asarray(out * np.minimum(1.0, _MAX_SHIFT / np.maximum(size, 1e-12)))

@@ -1,6 +1,6 @@
 """Joints of fingers, toes, jaw and eyes in motions, by their names.
 
-One table of words for all programs: Mixamo and HumanIK ``LeftHandIndex1``, VRM and Unity
+One table of words serves the names of all programs: Mixamo and HumanIK ``LeftHandIndex1``, VRM and Unity
 ``leftIndexProximal``, Unreal ``index_01_l``, Biped ``L Finger11``, Rigify ``f_index.01.L``, SMPL-X
 ``left_index1``, Xsens ``LeftSecondPP``, Rokoko ``LeftFinger2Proximal``, MakeHuman ``finger2-1.L``, Daz
 ``lIndex1``, ARKit ``left_handIndex_1_joint``, MikuMikuDance ``左人指１``, H-Anim 2
@@ -20,7 +20,7 @@ from humansim_ros.body.joint_names import DETAIL_BONES, FINGERS, JOINT_NAMES
 from humansim_ros.motion.joint_tables import plain_name
 from humansim_ros.types import Indices
 
-#: Words of a finger.
+#: Words in names that mean a finger.
 _FINGER_WORDS = {
     "thumb": "thumb",
     **dict.fromkeys(("index", "pointer"), "index"),
@@ -30,7 +30,8 @@ _FINGER_WORDS = {
 }
 _ORDINALS = dict(zip(("first", "second", "third", "fourth", "fifth"), FINGERS, strict=True))
 _SIDES = {"left": "l", "l": "l", "right": "r", "r": "r"}
-#: Words of a segment. Of fingers, metacarpals are in the palm: only the thumb's moves a bone.
+#: Words in names that mean a segment. Metacarpals of fingers are in the palm, so only that of the thumb moves
+#: a bone.
 _SEGMENTS = {
     **dict.fromkeys(("metacarpal", "mc", "start"), "metacarpal"),
     **dict.fromkeys(("proximal", "pp"), "proximal"),
@@ -40,17 +41,18 @@ _SEGMENTS = {
 }
 #: Joints with these words belong to controls of a rig, not to the hand.
 _OTHER = {"ik", "ctrl", "control", "target", "pole", "twist", "helper", "roll", "in", "carpal", "toe"}
-#: Words that the name of an eye or a jaw may have besides its side.
+#: Words that the name of an eye or a jaw may have in addition to its side.
 _FACE_WORDS = {"joint", "bone", "cc", "base", "def", "m", "j", "adj", "face", "smplhf", "lower", "root"}
 _FACE = {"eye": "eyeball_joint", "eyeball": "eyeball_joint", "jaw": "temporomandibular"}
 _WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+")
-#: Words that are written as one: ``lthumb``, ``lefthandindex``, ``ringfinger``.
+#: Words without a separator between them: ``lthumb``, ``lefthandindex``, ``ringfinger``.
 _FUSED = re.compile(rf"(left|right|l|r)?(?:hand)?({'|'.join([*_FINGER_WORDS, 'finger'])})(?:finger)?")
-#: Word of Biped for the end of a finger, whose number counts from 0.
+#: Word of Biped for the end of a finger. Biped counts fingers from 0.
 _NUB = re.compile("nub", re.IGNORECASE)
 _MMD = re.compile(r"([左右])(?:([親人中薬小])差?指([0-3０-３])|(目))$")
 _MMD_FINGERS = dict(zip("親人中薬小", FINGERS, strict=True))
-#: Joints of H-Anim 2 by the finger and its number, and the segments of H-Anim 2 that rotate with them.
+#: Joints of H-Anim 2 by the finger and its number, and the segments of H-Anim 2 that rotate with these
+#: joints.
 _HANIM = {
     **{row.hanim2: row.name for row in JOINT_NAMES if row.hanim2 and row.name in DETAIL_BONES},
     **{
@@ -71,10 +73,8 @@ _ORDER = ("metacarpal", "proximal", "intermediate", "distal")
 
 @lru_cache(1 << 13)
 def _finger_joint(name: str) -> tuple[str, str, str | int] | None:
-    """Side, finger, and segment of a finger joint: a word of :data:`_ORDER` or a number; None if it is none.
-
-    A number is the one of the name: from 1, or from 0 where the thumb begins with 0.
-    """
+    """Side, finger and segment of a finger joint. None for other joints. The segment is a word of
+    :data:`_ORDER`, or the number in the name. Numbers start at 1, or at 0 if the thumb starts at 0."""
     plain = plain_name(name)
     if plain in DETAIL_BONES and plain[-1].isdigit():
         return plain[0], plain[2:-1], int(plain[-1])
@@ -99,7 +99,8 @@ def _finger_joint(name: str) -> tuple[str, str, str | int] | None:
         return None
     if not finger and counted and numbers:
         first = numbers.pop(0)
-        # Biped: fingers from 0, joints after the first have a second digit, ends have that of their joint
+        # Biped counts fingers from 0. Joints after the first have a second digit. Ends have the second digit
+        # of their joint
         if not numbers and (not segment or len(first) == 2 or _NUB.search(plain)):
             if not segment:
                 numbers.append(str(int(first[1:] or "0") + 1))
@@ -122,7 +123,7 @@ def _words(name: str) -> list[str]:
 
 @lru_cache(1 << 13)
 def _face_bone(name: str) -> str | None:
-    """Bone of the jaw or an eye that a joint of this name drives."""
+    """Bone of the jaw or an eye that a joint with this name drives. None if there is no such bone."""
     plain = plain_name(name)
     if plain in DETAIL_BONES:
         return plain if plain.endswith(("eyeball_joint", "temporomandibular")) else None
@@ -148,9 +149,9 @@ def _face_bone(name: str) -> str | None:
 def detail_joints(
     joint_names: Sequence[str], roles: Mapping[str, int], parents: Indices | None = None
 ) -> dict[str, tuple[int, int]]:
-    """Joints that drive bones of fingers, toes, jaw and eyes.
+    """Find the joints that drive bones of fingers, toes, jaw and eyes.
 
-    A finger counts with two joints or more: with one, it only shows the direction of the hand.
+    A finger must have at least two joints. A finger with one joint only shows the direction of the hand.
 
     Args:
         joint_names: Names of J joints.
@@ -159,12 +160,13 @@ def detail_joints(
             joint before it.
 
     Returns:
-        Bone -> (start joint, end joint) of the link that it is parallel to; the same joint twice where it
-        takes the rotation of the joint: of the last joint without an end, of toes, jaw and eyes.
+        Bone -> (start joint, end joint) of the link that the bone is parallel to. The same joint twice means
+        that the bone takes the rotation of the joint. This is so for toes, jaw and eyes, and for the last
+        joint of a finger if its end is unknown.
     """
     named: dict[tuple[str, str], dict[str | int, int]] = {}
     face: dict[str, tuple[int, int]] = {}
-    # a name that begins with _ is a helper's
+    # a name that begins with _ belongs to a helper joint
     for joint, name in sorted(enumerate(joint_names), key=lambda each: each[1].startswith("_")):
         if (found := _finger_joint(name)) is not None:
             named.setdefault(found[:2], {}).setdefault(found[2], joint)
@@ -192,21 +194,21 @@ def detail_joints(
 def _in_order(
     joints: Mapping[str | int, int], finger: str, joint_names: Sequence[str]
 ) -> tuple[tuple[int, ...], int | None]:
-    """Joints of a finger from its base, at most three, and its tip."""
+    """Return at most three joints of a finger, from its base on, and its tip."""
     numbers = sorted(each for each in joints if isinstance(each, int) and (each or finger == "thumb"))
     words = [word for word in _ORDER if word in joints and (finger == "thumb" or word != "metacarpal")]
     chain = [joints[word] for word in words if not numbers or word == "metacarpal"]
     chain += [joints[number] for number in numbers]
     tip = joints.get("tip")
     if tip is not None and chain and joint_names[tip] == f"{joint_names[chain[-1]]}_end":
-        tip = None  # an end site: the joint before it may be the tip
+        tip = None  # if there is no end site, the last joint may be the tip
     if len(chain) > 3 and (tip is not None or len(chain) > 4 or 0 in numbers):
-        chain = chain[1:]  # the first joint is in the palm, as in files of SOMA and Meta Quest
+        chain = chain[1:]  # the first joint is in the palm, for example in files of SOMA and Meta Quest
     return tuple(chain[:3]), chain[3] if len(chain) > 3 else tip
 
 
 def _tip(joint: int, joint_names: Sequence[str], parents: Indices | None) -> int:
-    """End of the last joint of a finger; the joint itself if it has none."""
+    """End of the last joint of a finger. If there is no end, the joint itself."""
     if (end := f"{joint_names[joint]}_end") in joint_names:
         return list(joint_names).index(end)
     below = [] if parents is None else np.flatnonzero(parents == joint).tolist()
@@ -216,7 +218,7 @@ def _tip(joint: int, joint_names: Sequence[str], parents: Indices | None) -> int
 def _is_chain(joints: Sequence[int], parents: Indices) -> bool:
     """Whether each of the joints descends from the joint before it."""
     for above, joint in itertools.pairwise(joints):
-        for _ in parents:  # no longer path exists, and a cycle has no end
+        for _ in parents:  # no path is longer than the number of joints, and a cycle would not end
             joint = int(parents[joint])
             if joint < 0 or joint == above:
                 break

@@ -18,13 +18,13 @@ from humansim_ros.types import Array
 
 #: Largest file that is read, bytes, and most frames.
 _MAX_BYTES, _MAX_FRAMES = 32 << 20, 1_000_000
-#: Hours, minutes, seconds, and frames of a second with their fraction.
+#: Hours, minutes, seconds, and the number of the frame within the second, with its fraction.
 _TIMECODE = re.compile(r"(\d{1,2}):(\d{1,2}):(\d{1,2})[:;](\d{1,3}(?:\.\d+)?)")
 _RATES = (24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 120.0)
 _DAY = 86400.0
 #: Number of an action by its name in lower case.
 _NUMBERS = {action.lower(): number for number, action in enumerate(ACTIONS)}
-#: Columns that are no actions: rotations of head and eyes. The actions say where the eyes look.
+#: Columns that are not actions: rotations of head and eyes. The actions already say where the eyes look.
 _OTHER = re.compile(r"(head|lefteye|righteye)(yaw|pitch|roll)")
 
 
@@ -33,14 +33,16 @@ def read_face_file(path: str | os.PathLike[str], animation: str | None = None) -
 
     Args:
         path: File.
-        animation: Name of the animation of a glTF file; the first that moves a face if None.
+        animation: Name of the animation of a glTF file. If None, the first animation that moves a face.
 
     Raises:
-        MotionError: The file is no recording of a face; with file, line and column, or key.
+        MotionError: The file is not a recording of a face. The error names the file, and the line and column
+            or the key.
     """
     known = motion_format(path)
     if known is not None and known.name in ("gltf", "vrma"):
-        from humansim_ros.motion.gltf_faces import read_gltf_face  # most faces are CSV files
+        # imported here, since most faces are CSV files
+        from humansim_ros.motion.gltf_faces import read_gltf_face
 
         return read_gltf_face(path, animation)
     return _read_live_link(path)
@@ -49,12 +51,13 @@ def read_face_file(path: str | os.PathLike[str], animation: str | None = None) -
 def _read_live_link(path: str | os.PathLike[str]) -> WeightTrack:
     """Read a CSV file of Live Link Face.
 
-    A time code counts the frames of a second: the rate is the smallest usual one that has them all, and 60
-    for less than a second. The first frame is at time 0. Between frames, weights change linearly. Rows
-    without a face, which have no weights, are left out; the first line has the names of the columns.
+    A time code counts the frames within each second. So the rate is the smallest usual rate that has all of
+    these frames. For a recording shorter than a second, the rate is 60. The first frame is at time 0. Between
+    frames, weights change linearly. The first line has the names of the columns. Rows without weights, where
+    no face was found, are left out.
 
     Raises:
-        MotionError: The file is not such a recording; with file, line and column.
+        MotionError: The file is not such a recording. The error names file, line and column.
     """
     text = read_bytes(path, MotionError, "face", _MAX_BYTES).decode("utf-8-sig", errors="replace")
     try:
@@ -70,7 +73,8 @@ def _read_live_link(path: str | os.PathLike[str]) -> WeightTrack:
     weights = np.array(
         [[_weight(row[columns[name]], line, name, path) for name in names] for line, row in frames]
     )
-    order = np.flatnonzero(np.diff(times, prepend=-1.0) > 0)  # a frame that repeats a time is left out
+    # a frame that repeats the time of the frame before is left out
+    order = np.flatnonzero(np.diff(times, prepend=-1.0) > 0)
     if len(order) < len(times) and (np.diff(times) < 0).any():
         line = frames[int(np.argmax(np.diff(times) < 0)) + 1][0]
         raise MotionError("the time code goes back", path=path, line=line)
@@ -78,7 +82,7 @@ def _read_live_link(path: str | os.PathLike[str]) -> WeightTrack:
 
 
 def _columns(head: list[str], path: str | os.PathLike[str]) -> dict[str, int]:
-    """Number of the column of the time code, and of each action, by name in lower case."""
+    """Number of the column of the time code and of each action, by its name in lower case."""
     columns: dict[str, int] = {}
     for number, title in enumerate(head):
         name = title.strip().lower()
@@ -100,7 +104,7 @@ def _columns(head: list[str], path: str | os.PathLike[str]) -> dict[str, int]:
 
 
 def _times(codes: list[tuple[int, str]], path: str | os.PathLike[str]) -> Array:
-    """Seconds (F,) of time codes with their lines, from 0."""
+    """Seconds (F,) of time codes, from 0. ``codes`` have the numbers of their lines."""
     parts = []
     for line, code in codes:
         match = _TIMECODE.fullmatch(code.strip())
@@ -117,7 +121,7 @@ def _times(codes: list[tuple[int, str]], path: str | os.PathLike[str]) -> Array:
     )
     times = whole + frames / rate
     times = times - times[0]
-    return np.where(times < -_DAY / 2, times + _DAY, times)  # a take over midnight
+    return np.where(times < -_DAY / 2, times + _DAY, times)  # a recording that goes on after midnight
 
 
 def _weight(text: str, line: int, name: str, path: str | os.PathLike[str]) -> float:

@@ -1,4 +1,4 @@
-"""Keys of faces; imports neither meshes nor motions."""
+"""Keys of faces. The module imports neither meshes nor motions."""
 
 from __future__ import annotations
 
@@ -7,21 +7,21 @@ from dataclasses import dataclass
 
 from humansim_ros.body.face_actions import ExpressionName
 
-#: Gaze at nothing: the eyes look ahead.
+#: Gaze without a target: the eyes look ahead.
 AHEAD = "ahead"
 
 
 @dataclass(frozen=True)
 class FaceKey:
-    """What a face does from a time on. What it does not name goes on.
+    """What a face does from a time on. Everything that the key does not name goes on as before.
 
     Attributes:
         time: Seconds of the scene.
         expression: Name of an expression, and its ``strength`` from 0 to 1.
-        actions: Weights by action, next to the expression.
+        actions: Weights by action, in addition to the expression.
         gaze: Point (3,) in ``map``, name of a human or a camera, or :data:`AHEAD`.
         speak: Seconds for which the face speaks.
-        blend: Seconds in which expression and actions change from those before.
+        blend: Seconds over which expression and actions change from those of the key before.
     """
 
     time: float = 0.0

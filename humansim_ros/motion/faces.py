@@ -1,9 +1,10 @@
-"""Faces over time: what keys, files and life do to the actions of a face and to its gaze.
+"""Faces over time: how keys, files, and blinks and glances change the actions of a face and its gaze.
 
-All of it is a function of the scene time and of a seed. A face travels with a motion as joints at its end:
-the angle in radians of ``face/<action>`` about x is the weight of the action, and ``face/gaze`` is at the
-point that the eyes see. Its angle is the share of the gaze: 0 where eyes are as their actions say, or 1.
-``face/head`` is at the point that the head turns to, more slowly. Its angle is the share of that turn.
+A face depends only on the scene time and on a seed. The joints of a motion carry the face: extra joints come
+after the other joints. The angle of ``face/<action>`` about x, in radians, is the weight of the action.
+``face/gaze`` is at the point that the eyes look at. Its angle is the share of the gaze, from 0 (the actions
+decide where the eyes look) to 1. ``face/head`` is at the point that the head turns to. The head is slower
+than the eyes. Its angle is the share of that turn.
 """
 
 from __future__ import annotations
@@ -26,43 +27,43 @@ from humansim_ros.motion.face_keys import FaceKey
 from humansim_ros.motion.kinematics import JointPoses
 from humansim_ros.types import Array
 
-#: Joints that carry a face in a motion begin with this.
+#: Names of joints that carry a face in a motion begin with this text.
 FACE_JOINT = "face/"
 GAZE_JOINT = FACE_JOINT + "gaze"
 HEAD_JOINT = FACE_JOINT + "head"
 FACE_JOINTS = frozenset((*(FACE_JOINT + action for action in ACTIONS), GAZE_JOINT, HEAD_JOINT))
-#: What somebody looks at: a point in ``map``, or the name of a human or camera.
+#: Target of a gaze: a point in ``map``, or the name of a human or camera.
 GazeTarget = str | tuple[float, float, float]
 #: Returns the next random number, uniformly distributed from 0 to 1.
 Uniform = Callable[[], float]
 #: Seconds after which blinks and glances repeat.
 LIFE_SECONDS = 600.0
-#: Blinks at rest: number a minute [Bentivoglio 1997], spread of the logarithm of their intervals, and the
-#: shortest interval.
+#: Blinks of a person at rest: number a minute [Bentivoglio 1997], spread of the logarithm of the intervals
+#: between blinks, and the shortest interval in seconds.
 _BLINKS, _SPREAD, _SHORTEST = 17.0, 0.7, 0.6
-#: Lids during a blink [VanderWerf 2003]: seconds, and how far they are closed.
+#: Course of a blink [VanderWerf 2003]: seconds, and how far the lids are closed.
 _BLINK = ((0.0, 0.0), (0.1, 1.0), (0.12, 1.0), (0.35, 0.0))
-#: Saccades take 21 ms, and 2.2 ms for each degree [Carpenter 1988].
+#: Duration of saccades: 21 ms, and 2.2 ms more for each degree [Carpenter 1988].
 _SACCADE, _SACCADE_DEGREE = 0.021, 0.0022
-#: Turns of the head take longer: seconds, and seconds for each degree of the gaze.
+#: Duration of turns of the head: seconds, and more seconds for each degree of the gaze.
 _TURN, _TURN_DEGREE = 0.25, 0.004
-#: Mean size of glances, with sizes that are distributed exponentially [Lee 2002], and the largest; degrees.
+#: Mean and largest size of glances, degrees. The sizes are distributed exponentially [Lee 2002].
 _GLANCE, _LARGEST_GLANCE = 6.9, 12.0
-#: Shortest and longest rest of the eyes between two glances, seconds.
+#: Shortest and longest time that the eyes rest between two glances, seconds.
 _FIXATION = (0.4, 3.0)
-#: Share of glances that is left while the eyes look at something.
+#: While the eyes look at something, glances are reduced to this share.
 _FIXED = 0.1
-#: Syllables, seconds; their rhythm is 2 to 7 Hz [Chandrasekaran 2009].
+#: Shortest and longest syllable, seconds. Speech has a rhythm of 2 to 7 Hz [Chandrasekaran 2009].
 _SYLLABLE = (0.15, 0.3)
-#: Syllables between two pauses, and seconds of a pause.
+#: Least and most syllables between two pauses, and the same for the seconds of a pause.
 _PHRASE, _PAUSE = (4, 13), (0.25, 0.6)
-#: Mouths of consonants, and of vowels by the names of VRM: weights by action, of both sides.
+#: Shapes of the mouth for consonants, and for vowels by the names of VRM: weights by action, of both sides.
 _CONSONANTS: Sequence[Mapping[str, float]] = read_table("faces")["consonants"]
 VOWELS: Mapping[str, Mapping[str, float]] = read_table("faces")["vowels"]
 
 
 def linear(share: Array) -> Array:
-    """Share of a change that is even, as between the frames of recordings."""
+    """Share of a linear change, as between the frames of recordings."""
     return share
 
 
@@ -72,10 +73,11 @@ class WeightTrack:
 
     Attributes:
         actions: Numbers of A actions.
-        times: (K,) seconds, rising; the first and last weights go on before and after.
+        times: (K,) seconds, rising. Before the first time and after the last one, the weights do not change.
         weights: (K, A).
-        period: Seconds after which they repeat.
-        ease: Share of a change, for shares of the time from one of the times to the next.
+        period: Seconds after which the weights repeat.
+        ease: Function of the share of the time between two neighbours of ``times``. Returns the share of the
+            change.
     """
 
     actions: tuple[int, ...]
@@ -97,7 +99,7 @@ class WeightTrack:
 
     @classmethod
     def of_points(cls, points: Sequence[tuple[float, Array]], period: float = math.inf) -> WeightTrack:
-        """Track through weights (52,) at rising times."""
+        """Track through weights (52,) at rising times. ``points``: times with their weights."""
         weights = np.array([weight for _, weight in points])
         actions = np.flatnonzero(weights.any(axis=0))
         times = np.array([time for time, _ in points])
@@ -105,10 +107,8 @@ class WeightTrack:
 
 
 def key_track(keys: Sequence[tuple[float, float, Array]]) -> WeightTrack:
-    """Track of keys in the order of time: time, seconds of the change, weights (52,).
-
-    A key at 0 holds from the start.
-    """
+    """Track of keys in the order of time. Each key has a time, the seconds of the change, and weights (52,).
+    A key at 0 holds from the start."""
     points: list[tuple[float, Array]] = [(-1.0, np.zeros(len(ACTIONS)))]
     for time, blend, weights in keys:
         if time == 0:
@@ -123,7 +123,7 @@ def key_track(keys: Sequence[tuple[float, float, Array]]) -> WeightTrack:
 
 
 def blinks(uniform: Uniform) -> WeightTrack:
-    """Blinks of both eyes for :data:`LIFE_SECONDS`."""
+    """Make blinks of both eyes for :data:`LIFE_SECONDS`."""
     closed = face_weights({"eyeBlinkLeft": 1.0, "eyeBlinkRight": 1.0})
     middle = math.log(60 / _BLINKS) - _SPREAD**2 / 2
     normal = statistics.NormalDist(middle, _SPREAD)
@@ -131,24 +131,25 @@ def blinks(uniform: Uniform) -> WeightTrack:
     time = 0.0
     while True:
         interval = math.exp(normal.inv_cdf(min(max(uniform(), 1e-6), 1 - 1e-6)))
-        time += round(max(interval, _SHORTEST), 3)  # rounded: logarithms of two machines may differ
+        # rounded, since logarithms may differ between two machines
+        time += round(max(interval, _SHORTEST), 3)
         if time + _BLINK[-1][0] > LIFE_SECONDS:
             return WeightTrack.of_points(points, LIFE_SECONDS)
         points += [(time + after, share * closed) for after, share in _BLINK]
 
 
 def saccade_seconds(degrees: float) -> float:
-    """Seconds in which the eyes turn by an angle at once."""
+    """Duration (seconds) of one quick turn of the eyes by an angle."""
     return _SACCADE + _SACCADE_DEGREE * degrees
 
 
 def turn_seconds(degrees: float) -> float:
-    """Seconds in which the head follows a gaze that turns by an angle at once."""
+    """Duration (seconds) of a turn of the head after the gaze, which turned by an angle at once."""
     return _TURN + _TURN_DEGREE * degrees
 
 
 def glances(uniform: Uniform) -> WeightTrack:
-    """Small movements of the eyes around where they look, for :data:`LIFE_SECONDS`."""
+    """Make small movements of the eyes around the point that they look at, for :data:`LIFE_SECONDS`."""
     points: list[tuple[float, Array]] = [(0.0, np.zeros(len(ACTIONS)))]
     time, before, eyes = 0.0, np.zeros(2), points[0][1]
     while True:
@@ -166,12 +167,13 @@ def glances(uniform: Uniform) -> WeightTrack:
 
 
 def look_weights(angles: Array) -> Array:
-    """Weights (52,) with which both eyes look to yaw and pitch (2,), radians."""
+    """Weights (52,) that make both eyes look to yaw and pitch (2,), radians."""
     return with_looks(np.zeros((1, len(ACTIONS))), np.broadcast_to(angles, (1, 2, 2)))[0]
 
 
 def speech(start: float, seconds: float, uniform: Uniform) -> WeightTrack:
-    """A mouth that speaks for some seconds: syllables of a consonant and a vowel, and pauses."""
+    """Make a mouth that speaks for some seconds. Each syllable is a consonant and a vowel. There are
+    pauses."""
     silence = np.zeros(len(ACTIONS))
     points, time, left = [(start, silence)], start, 0
     while True:
@@ -194,37 +196,38 @@ def _between(limits: tuple[float, float], uniform: Uniform) -> float:
 
 
 def _mouth(mouths: Sequence[Mapping[str, float]], uniform: Uniform) -> Array:
-    """Weights (52,) of one of some mouths."""
+    """Choose one of some shapes of the mouth. Returns its weights (52,)."""
     chosen = mouths[min(int(len(mouths) * uniform()), len(mouths) - 1)]
     return face_weights(both_sides(chosen))
 
 
 class Looker(Protocol):
-    """The human who has a face."""
+    """The human who has the face."""
 
     def seen(self, target: GazeTarget, times: Array, turned: bool) -> Array:
-        """Points (N, 3) of a target at scene times (N,). ``turned``: of somebody with a turned head."""
+        """Points (N, 3) of a target at scene times (N,). ``turned``: if the target is a human, take it with
+        its head turned."""
 
     def eye_rays(self, times: Array) -> tuple[Array, Array]:
-        """Middle of the own eyes (N, 3), and direction ahead (N, 3), before the head turns."""
+        """Middle of the human's own eyes (N, 3), and direction ahead (N, 3), before the head turns."""
 
     def played(self, times: Array) -> Array:
-        """Seconds (N,) of the file of the motion that are played at scene times (N,)."""
+        """Seconds (N,) in the file of the motion that play at scene times (N,)."""
 
     def plays(self, path: str) -> bool:
-        """Whether the motion is of a file."""
+        """Whether the motion comes from the file ``path``."""
 
 
 @dataclass(frozen=True)
 class Gaze:
-    """Eyes turn to a target at a time, and the head does.
+    """A change of the gaze: at a time, the eyes and the head turn to a target.
 
-    The eyes of somebody look into the eyes of others. A head turns to where these eyes are before their head
-    turns, so that two heads can turn to each other.
+    If the target is a human, the eyes look into the eyes of the target. The head turns to the place where the
+    eyes of the target are before the head of the target turns. So two heads can turn to each other.
 
     Attributes:
         time: Seconds of the scene.
-        target: What the eyes look at; None for ahead.
+        target: What the eyes look at. If None, they look ahead.
     """
 
     time: float
@@ -236,12 +239,12 @@ class Face:
     """The face of a human over scene time.
 
     Attributes:
-        tracks: Weights of actions, which are added and limited to 1.
-        takes: Such weights over the time of a file, while the file also moves the body.
+        tracks: Weights of actions. The weights of all tracks are added, and the sum is limited to 1.
+        takes: The same, but over the time of a file that also moves the body.
         body_file: Path of that file.
-        glances: Movements of the eyes while they look at nothing, if it has any.
+        glances: Movements of the eyes while they have no target. None if there are none.
         gazes: Changes of the gaze, in the order of time.
-        head: Share by which the head turns with the gaze: 0 not at all, 1 as people turn it.
+        head: Share by which the head turns with the gaze. 0 is not at all, 1 is as much as people turn it.
     """
 
     tracks: tuple[WeightTrack, ...] = ()
@@ -253,14 +256,14 @@ class Face:
 
     @cached_property
     def _actions(self) -> tuple[int, ...]:
-        """Numbers of the actions that ever move, in order."""
+        """Numbers of the actions that move at any time, in order."""
         glances = () if self.glances is None else (self.glances,)
         tracks = (*self.tracks, *self.takes, *glances)
         return tuple(sorted({action for track in tracks for action in track.actions}))
 
     @cached_property
     def joints(self) -> tuple[str, ...]:
-        """Names of the joints that carry it."""
+        """Names of the joints that carry the face."""
         names = tuple(FACE_JOINT + ACTIONS[action] for action in self._actions)
         return (
             *names,
@@ -269,11 +272,11 @@ class Face:
 
     @property
     def turns_head(self) -> bool:
-        """Whether the head ever turns with the gaze."""
+        """Whether the head turns with the gaze at any time."""
         return bool(self.gazes) and self.head > 0
 
     def add(self, poses: JointPoses, seconds: float, human: Looker) -> JointPoses:
-        """Poses (N = 1) of the motion of a human at a scene time, with the joints that carry the face."""
+        """Add the joints that carry the face to poses (N = 1) of the motion of a human at a scene time."""
         if not self.joints:
             return poses
         times = seconds + AROUND
@@ -293,13 +296,13 @@ class Face:
         return poses.with_joints(self.joints, rotations, angular, positions, linear)
 
     def _weights(self, times: Array, shares: Array, human: Looker) -> Array:
-        """Weights (N, 52) at times (N,) with shares (N,) of the gaze."""
+        """Weights (N, 52) at times (N,), where the gaze has the shares (N,)."""
         weights = np.zeros((len(times), len(ACTIONS)))
         for track in self.tracks:
             weights[:, track.actions] += track.at(times)
         if self.takes and human.plays(self.body_file):
             played = human.played(times)
-            if (np.diff(played) < 0).any():  # a new cycle began
+            if (np.diff(played) < 0).any():  # a new cycle began between the times
                 played[:] = played[len(played) // 2]
             for take in self.takes:
                 weights[:, take.actions] += take.at(played)
@@ -320,7 +323,7 @@ class Face:
         return shares, points
 
     def _head(self, times: Array, human: Looker) -> tuple[Array, Array]:
-        """As :meth:`_gaze`, of the head."""
+        """Do the same as :meth:`_gaze` for the head."""
         shares, points = self._attended(partial(human.seen, turned=False), turn_seconds, times, human)
         return self.head * shares, points
 
@@ -339,9 +342,9 @@ class Face:
 
         Args:
             seen: Returns the points of a target.
-            seconds: Duration of a change by degrees.
-            times: Times, between the same two gazes.
-            human: Whose gaze it is.
+            seconds: Function that returns the duration of a change by an angle in degrees.
+            times: Times. All are between the same two gazes.
+            human: The human who has the gaze.
         """
         number = sum(gaze.time <= times[len(times) // 2] for gaze in self.gazes) - 1
         shares, points = np.zeros(len(times)), np.zeros((len(times), 3))
@@ -350,7 +353,7 @@ class Face:
         time, after = self.gazes[number].time, self.gazes[number].target
         before = self.gazes[number - 1].target if number else None
         done = np.ones(len(times))
-        # a gaze from the start is there at once
+        # a gaze that begins with the scene does not need time to turn
         if time > 0 and times.min() < time + seconds(180):
             lasts = seconds(_change(np.array([time]), before, after, seen, human))
             done = smooth_step((times - time) / lasts)
@@ -383,7 +386,7 @@ def _change(
 
 
 def _turned(start: Array, end: Array, share: Array) -> Array:
-    """Unit vectors (N, 3) a share (N,) of the way from some directions to others."""
+    """Unit vectors (N, 3) on the way from start directions to end directions, at a share (N,) of the way."""
     angle = angle_between(unit_vectors(start), unit_vectors(end))
     sine = np.sin(angle)
     weights = np.where(
@@ -395,7 +398,8 @@ def _turned(start: Array, end: Array, share: Array) -> Array:
 
 
 def key_tracks(keys: Sequence[FaceKey], numbers: Callable[[str], Uniform]) -> tuple[WeightTrack, ...]:
-    """Tracks of the expressions, actions and speech of keys. ``numbers``: random numbers for a purpose."""
+    """Make tracks of the expressions, actions and speech of keys. ``numbers``: gives random numbers for a
+    purpose."""
     keys = sorted(keys, key=lambda key: key.time)
     expressions = [
         (key.time, key.blend, key.strength * face_weights(expression(key.expression)))
@@ -411,7 +415,7 @@ def key_tracks(keys: Sequence[FaceKey], numbers: Callable[[str], Uniform]) -> tu
 
 @dataclass(frozen=True, eq=False)
 class FacePoses:
-    """A face at N times: weights (N, 52), and points (N, 3) of gaze and head with their shares (N,)."""
+    """A face at N times: weights (N, 52), and the points (N, 3) of gaze and head with their shares (N,)."""
 
     weights: Array
     points: Array
@@ -421,8 +425,9 @@ class FacePoses:
 
 
 def carried_face(carried: JointPoses) -> FacePoses:
-    """The face that joints carry which :meth:`Face.add` appends."""
-    angles = 2 * np.arctan(carried.rotations[..., 0] / carried.rotations[..., 3])  # q and -q are one rotation
+    """Read the face from the joints that :meth:`Face.add` appends."""
+    # q and -q are the same rotation
+    angles = 2 * np.arctan(carried.rotations[..., 0] / carried.rotations[..., 3])
     weights = np.zeros((len(angles), len(ACTIONS)))
     nowhere = np.zeros((len(angles), 3)), np.zeros(len(angles))
     attended = {GAZE_JOINT: nowhere, HEAD_JOINT: nowhere}
@@ -435,7 +440,7 @@ def carried_face(carried: JointPoses) -> FacePoses:
 
 
 def check_face(poses: JointPoses) -> None:
-    """Raise MotionError for joints that cannot carry a face: unknown actions, or weights out of range."""
+    """Raise MotionError if joints cannot carry a face: an action is unknown, or a weight is out of range."""
     for number, name in enumerate(poses.names):
         if not name.startswith(FACE_JOINT):
             continue

@@ -15,21 +15,22 @@ from humansim_ros.motion.joint_match import JointMatch
 from humansim_ros.motion.kinematics import Motion
 from humansim_ros.types import Array
 
-#: Angles (degrees) up to which trunk, legs, hips and shoulders count as a standing person's.
+#: Trunk, legs, hips and shoulders count as those of a standing person up to these angles (degrees).
 _TRUNK_TO_LEGS, _LEG_TO_LEG, _HIPS_TO_SHOULDERS, _HIPS_TO_LEVEL = 35.0, 90.0, 35.0, 35.0
 
-#: Bones with heads that are the joints between which the lines go.
+#: Role -> bone. The head of the bone is the joint of the role. The lines of the body go between these joints.
 _BONE_OF_ROLE = {
     f"{side}{part}": f"{side[0].lower()}_{part.lower()}"
     for side in ("Left", "Right")
     for part in ("Hip", "Knee", "Shoulder", "Elbow")
 }
-#: Weight of the angle between an arm and the trunk in the measure of upright standing.
+#: Weight of the angle between an arm and the trunk, when poses are compared for upright standing.
 _ARM_WEIGHT = 0.05
 
 
 def highest(roles: Mapping[str, int]) -> str:
-    """Role of the joint that shows where the trunk ends: of the neck, else of head, chest, spine or hips."""
+    """Role of the joint that shows where the trunk ends: the neck if known, else head, chest, spine or
+    hips."""
     return next(role for role in ("Neck", "Head", "Chest", "Spine", "Hips") if role in roles)
 
 
@@ -39,10 +40,12 @@ class BodyLines:
 
     Attributes:
         hips: From the right hip to the left hip.
-        shoulders: From the right shoulder to the left shoulder; the hips' line where shoulders are unknown.
-        trunk: From the middle of the hips to the middle of the shoulders, or else to neck, head or spine.
-        thighs: (2, N, 3), from the left and the right hip to the knee.
-        arms: (A, N, 3), from the shoulders to the elbows that are known.
+        shoulders: From the right shoulder to the left shoulder. If the shoulders are unknown, the line of the
+            hips.
+        trunk: From the middle of the hips to the middle of the shoulders. If the shoulders are unknown, to
+            neck, head or spine.
+        thighs: (2, N, 3), from the left hip to the left knee, and from the right hip to the right knee.
+        arms: (A, N, 3), from the shoulder to the elbow. Unknown arms are left out.
     """
 
     hips: Array
@@ -73,40 +76,38 @@ class BodyLines:
             ]
             for start, end in (("Hip", "Knee"), ("Shoulder", "Elbow"))
         )
-        # legs alone stand below a trunk that is in line with them
+        # if only legs are known, the trunk is assumed in line with them
         trunk = -np.mean(thighs, axis=0) if top is None else top - middle
         return cls(hips, shoulders, trunk, np.array(thighs), np.array(arms).reshape(-1, *hips.shape))
 
     @classmethod
     def of_body(cls, posed: Array, skeleton: Skeleton) -> BodyLines:
-        """Lines of posed bones (N, B, 4, 4)."""
+        """Lines of a body with posed bones (N, B, 4, 4)."""
         roles = {role: skeleton.bone(bone) for role, bone in _BONE_OF_ROLE.items()}
         return cls.of(posed[..., :3, 3], roles)
 
     @property
     def left(self) -> Array:
-        """Direction of hips and shoulders together (N, 3), as they are long."""
+        """Common direction (N, 3) of hips and shoulders to the left. The longer one has more weight."""
         return self.hips + self.shoulders if self.shoulders is not self.hips else self.hips
 
     def axes(self, left: Array) -> Array:
-        """Body axes (N, 3, 3) as columns: left (N, 3), up nearly along the trunk, forward."""
+        """Body axes (N, 3, 3) as columns: ``left`` (N, 3), up (nearly along the trunk), forward."""
         x = unit_vectors(left)
         z = unit_vectors(np.cross(x, self.trunk))
         return np.stack([x, np.cross(z, x), z], axis=-1)
 
     def bend(self, up: Array) -> Array:
-        """Sum of angles (N,) in radians by which a pose differs from standing upright.
-
-        The angles are between trunk and up, thighs and down, hips and shoulders, trunk and thighs. Raised
-        arms count a little, so that they decide between poses that are equal otherwise.
-        """
+        """Sum of angles (N,) in radians by which a pose differs from standing upright. The angles are between
+        trunk and up, thighs and down, hips and shoulders, trunk and thighs. Raised arms count a little: they
+        only decide between poses that are otherwise equal."""
         legs = sum(angle_between(-thigh, up) + angle_between(-thigh, self.trunk) for thigh in self.thighs)
         across = angle_between(self.hips, self.shoulders)
         arms = sum(angle_between(-arm, self.trunk) for arm in self.arms)
         return np.asarray(angle_between(self.trunk, up) + legs / 2 + across + _ARM_WEIGHT * arms)
 
     def stands(self) -> Array:
-        """Whether each pose (N,) is a standing person's, in any orientation in space."""
+        """Whether each pose (N,) is that of a standing person. The body may have any orientation in space."""
         legs = unit_vectors(unit_vectors(self.thighs).sum(0))
         angles = np.degrees(
             [
@@ -120,32 +121,39 @@ class BodyLines:
         return np.asarray((angles <= limits[:, None]).all(0))
 
 
-#: Metres per file unit of the units that motion files use ("cmu" is 1/0.45 inch).
+#: Metres for each unit that motion files use ("cmu" is 1/0.45 inch).
 UNITS = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "foot": 0.3048, "cmu": 0.0254 / 0.45}
-#: Height of the ankle, which no joint link measures, as a share of the ankle-to-head height.
+#: Height of the ankle above the sole, as a share of the ankle-to-head height. No link between joints measures
+#: it.
 _ANKLE_SHARE = 0.06
-#: Length of a leg from hip to ankle, as a share of the stature [Winter 2009]. Its two parts are equally long.
+#: Length of a leg from hip to ankle, as a share of the stature [Winter 2009]. Thigh and shin have the same
+#: length.
 _LEG_SHARE = 0.491
 _PLAUSIBLE_STATURE = (1.2, 2.1)
 _TYPICAL_STATURE = 1.7
-#: Stature in metres between which the unit that a file format defines is accepted.
+#: The unit that a file format defines is accepted if the stature is between these values, metres.
 _ACCEPTED_STATURE = (0.4, 2.6)
-#: Angle (degrees) between hips and a file axis up to which the axis is the person's left or right.
+#: An axis of the file counts as the left or right of the person if the hips differ by at most this angle
+#: (degrees).
 _SNAP_ANGLE = 3.0
-#: Most frames in which the person is measured.
+#: Most frames from which the person is measured.
 _MAX_FRAMES = 400
-#: A person stands along an axis within this angle, degrees; exactly in a rest pose.
+#: A person stands along an axis if the angle between both is at most the first one, degrees. In a rest pose,
+#: the second angle counts.
 _UPRIGHT_ANGLE, _EXACT_ANGLE = 45.0, 10.0
-#: Share of the frames in which a person stands along the up axis, against a rest pose and against frame 0.
+#: A person must stand along the up axis in this share of the frames: if the rest pose contradicts, and if
+#: frame 0 does.
 _MOSTLY, _HALF = 0.8, 0.5
-#: Lowest joint over the origin of the file, as a share of the height, where the floor is at the origin.
+#: The floor is at the origin of the file if the height of the lowest joint is between these shares of the
+#: height of the person.
 _FLOOR_AT_ORIGIN = (-0.06, 0.1)
-#: Change of the height of the lowest joint, as a share of the height, of a person that leaves the floor.
+#: A person leaves the floor if the height of the lowest joint changes by more than this share of the person's
+#: height.
 _LEAVES_FLOOR = 0.15
-#: Way of a person who goes about, and thickness of a person who lies, as shares of the height; and share of
-#: the frames in which a person who falls stands.
+#: A person walks about if the way is longer than the first share of the height. A person lies if the body is
+#: thinner than the second share. A person who falls stands in at least the third share of the frames.
 _GOES_ABOUT, _LOW, _SOMETIMES = 0.2, 0.35, 0.1
-#: Confidence in an up axis that the motion contradicts, or that files do not have.
+#: Confidence in an up axis that the motion contradicts, or that is unusual in files.
 _DOUBTFUL = 0.5
 
 
@@ -154,17 +162,19 @@ class FileFrame:
     """Coordinate frame of a motion file in the world, from :func:`detect_file_frame`.
 
     Attributes:
-        up: File axis that points up: ``x``, ``y``, ``z``, or ``-y`` where y points down.
+        up: File axis that points up: ``x``, ``y``, ``z``, or ``-y`` if y points down.
         unit: Metres per file unit.
-        unit_name: Name of the unit, or ``unknown`` where no known unit gives the height of a person and 1.7 m
-            is assumed.
-        world_from_file: (3, 3) rotation that puts the facing of the rest pose on +x.
-        rest_from_body: Body axes in the rest pose of the file, (3, 3); or in the axes of each joint,
-            (J, 3, 3), where the OFFSETs are not a standing person and the straightest frame is the rest
-            pose.
+        unit_name: Name of the unit. ``unknown`` if no known unit gives the height of a person. Then a height
+            of 1.7 m is assumed.
+
+        world_from_file: (3, 3) rotation after which the person in the rest pose faces +x.
+        rest_from_body: Body axes in the rest pose of the file, (3, 3). If the OFFSETs are not a standing
+            person, the straightest frame is the rest pose, and these are the body axes in the axes of each
+            joint, (J, 3, 3).
+
         ankle_to_head: Height in file units.
-        confidence: Confidence in the up axis, 0 to 1; lower with a warning.
-        warning: What contradicts the up axis, or why it is unlikely, for the user.
+        confidence: Confidence in the up axis, 0 to 1. It is lower if there is a warning.
+        warning: Message to the user: what contradicts the up axis, or why the axis is unlikely.
     """
 
     up: str
@@ -183,7 +193,7 @@ class FileFrame:
 
     @property
     def offsets_stand(self) -> bool:
-        """Whether the OFFSETs themselves are a standing person, and so the rest pose."""
+        """Whether the OFFSETs are a standing person, so that they are the rest pose."""
         return self.rest_from_body.ndim == 2
 
     @property
@@ -201,18 +211,19 @@ def detect_file_frame(
 ) -> FileFrame:
     """Detect up axis, facing and unit of a motion.
 
-    Up is the file axis on which the head is above the ankles on average. Where the rest pose stands along
-    another axis (someone dances on the floor or on the hands), floor and movement decide. An axis other than
-    y and z, and one along which head, hips and ankles are rarely in this order, gets a warning. Facing is the
-    direction in front of hips and shoulders at rest. The unit is the known one with which the stature is
-    nearest to 1.7 m.
+    Up is the file axis on which the head is above the ankles on average. If the rest pose stands along
+    another axis (for example, somebody dances on the floor or on the hands), floor and movement decide. There
+    is a warning if the axis is not y or z, or if head, hips and ankles are rarely in this order along it.
+    Facing is the direction in front of hips and shoulders at rest. Of the known units, the one that gives a
+    stature nearest to 1.7 m is chosen.
 
     Args:
         motion: Motion of a person.
         match: Joints of the motion that drive bones.
-        unit: Metres per file unit, where known.
-        up: File axis that points up (``y``, ``-z``); as the motion knows it, or detected, if None.
-        facing: File axis that the person faces at rest, where known.
+        unit: Metres per file unit. If None, it is detected.
+        up: File axis that points up (``y``, ``-z``). If None, the axis that the motion states, else it is
+            detected.
+        facing: File axis that the person faces at rest. If None, it is detected.
 
     Raises:
         MotionError: The skeleton has no height, or its hips are at one place.
@@ -238,7 +249,7 @@ def detect_file_frame(
     )
     if (
         motion.positions == "add"
-    ):  # a root near the origin of the file is added to its OFFSET; or it lies there
+    ):  # a root near the origin of the file: its position is added to its OFFSET, or the person lies there
         evidence = replace(evidence, origin=motion.offsets[motion.parents < 0].mean(0) / height)
     if motion.is_rest_made:
         found, warning = evidence.decide_alone(motion.screen_up)
@@ -250,12 +261,13 @@ def detect_file_frame(
         if (rest_up == up_axis).all():
             rest_axes = axes = _body_axes(rest, roles, up_axis, motion, facing, snap=True)
         else:
-            # the rest pose lies in file space and the root raises it: the first frame has the facing
+            # the rest pose lies in file space, and the root raises it. So the facing comes from the first
+            # frame
             rest_axes = _body_axes(rest, roles, rest_up, motion, snap=True)
             axes = _body_axes(frames[0], roles, up_axis, motion, facing, snap=True)
     else:
-        # The OFFSETs are not a standing person (all bones along one axis, say): the frame in which the person
-        # stands straightest is the rest pose.
+        # The OFFSETs are not a standing person (for example, all bones are along one axis). So the frame in
+        # which the person stands straightest is the rest pose.
         straightest = int(np.argmin(BodyLines.of(frames, roles).bend(up_axis)))
         axes = _body_axes(frames[straightest], roles, up_axis, motion, facing)
         rest_axes = _rest_axes(transforms[straightest], roles, axes)
@@ -285,8 +297,8 @@ class _UpEvidence:
 
     ``points``: joints (F, J, 3), in heights of the person. ``heads``: directions (F, 3) from the ankles to
     the head. ``hips``: directions (F, 3) from the ankles to the middle of the hips. ``lines``: lines of the
-    body in all frames. ``roles``: role -> joint. ``origin``: other place (3,) where the origin of the file
-    may be.
+    body in all frames. ``roles``: role -> joint. ``origin``: another place (3,) that may be the origin of the
+    file.
     """
 
     points: Array
@@ -297,10 +309,10 @@ class _UpEvidence:
     origin: Array = field(default_factory=lambda: np.zeros(3))
 
     def decide(self, rest: Array | None, starts_at_rest: bool) -> tuple[Array, str | None]:
-        """The up axis (3,), and a warning where something contradicts it.
+        """Decide for an up axis (3,). Also return a warning if something contradicts the axis.
 
         Args:
-            rest: Axis along which the OFFSETs stand, (3,); None if they are no rest pose.
+            rest: Axis along which the OFFSETs stand, (3,). None if the OFFSETs are not a rest pose.
             starts_at_rest: Whether frame 0 is the rest pose, turned by its root.
         """
         mean = nearest_axis(self.heads.mean(0))
@@ -327,13 +339,13 @@ class _UpEvidence:
         )
 
     def decide_alone(self, screen_up: str) -> tuple[Array, str | None]:
-        """As :meth:`decide`, without a rest pose: the axis with the most signs that it points up.
+        """Decide without a rest pose: choose the axis with most signs that it points up.
 
-        Head and feet of a person who lies or crawls are along an axis of the floor, too. But only who stands
-        goes about across this axis, and the floor is at the origin of most files.
+        If a person lies or crawls, the axis from the feet to the head is an axis of the floor. But only a
+        person who stands moves across this axis. And in most files, the floor is at the origin.
 
         Args:
-            screen_up: Axis that points up or down on a screen; empty if unknown.
+            screen_up: Axis that points up or down on a screen. Empty if unknown.
         """
         mean = nearest_axis(self.heads.mean(0))
         is_along = angle_between(self.heads, mean) <= np.radians(_UPRIGHT_ANGLE)
@@ -362,7 +374,7 @@ class _UpEvidence:
         )
 
     def _doubt(self, up: Array) -> str | None:
-        """Warning of an axis (3,) along which the whole file stands, but which files do not have as up."""
+        """Warn if the whole file stands along an axis (3,) that files do not use as up axis."""
         if up[1] > 0 or up[2] > 0:
             return self._doubt_of_order(up)
         name, usual = axis_name(up), "y" if up[1] else "z" if up[2] else "y or z"
@@ -373,7 +385,7 @@ class _UpEvidence:
         )
 
     def _doubt_of_order(self, up: Array) -> str | None:
-        """Warning of an axis (3,) along which head, hips and ankles are rarely in this order."""
+        """Warn if head, hips and ankles are rarely in this order along an axis (3,)."""
         hips, heads = self.hips @ up, self.heads @ up
         share = float(((hips > 0) & (heads > hips)).mean())
         if share >= _HALF:
@@ -384,22 +396,20 @@ class _UpEvidence:
         )
 
     def _is_sure(self, mean: Array, witness: Array) -> bool:
-        """Whether more than the share of the frames tells that the mean direction is up."""
+        """Whether more than the required share of the frames shows that the mean direction is up."""
         if _is_usual(mean) != _is_usual(witness) or self._moves_off(witness, mean):
             return True
         return self._is_on_floor(mean) and not self._is_on_floor(witness)
 
     def _first(self) -> tuple[Array, float]:
-        """Axis (3,) along which the person is in frame 0, and the angle between both, degrees."""
+        """Axis (3,) nearest to the body of the person in frame 0, and the angle between both, degrees."""
         axis = nearest_axis(self.heads[0])
         return axis, float(np.degrees(angle_between(self.heads[0], axis)))
 
     def _raised(self, mean: Array, witness: Array, least: float) -> bool:
-        """Whether the mean direction is up: the rest pose lies in file space, and the root raises it.
-
-        Otherwise the person lies, crawls, or stands on the hands. ``least``: share of the frames in which
-        the person must be along the mean direction, where nothing else decides.
-        """
+        """Whether the mean direction is up since the root raises a rest pose that lies in file space.
+        Otherwise the person lies, crawls, or stands on the hands. ``least``: if nothing else decides, the
+        person must be along the mean direction in this share of the frames."""
         if _is_usual(mean) != _is_usual(witness):
             return _is_usual(mean)
         on_floor = self._is_on_floor(mean)
@@ -424,18 +434,19 @@ class _UpEvidence:
         return any(low <= floor - origin @ axis <= high for origin in (np.zeros(3), self.origin))
 
     def _moves_off(self, axis: Array, other: Array) -> bool:
-        """Whether the lowest joint moves along an axis, but not along the other."""
+        """Whether the height of the lowest joint changes along an axis, but not along the other one."""
         spread, others = (np.ptp(np.percentile(self._lowest(each), [25, 75])) for each in (axis, other))
         return bool(spread > max(_LEAVES_FLOOR, 2 * others))
 
     def _least_moved(self, mean: Array) -> Array:
-        """The mean direction; y or z where the person moves along the mean, above a floor at the origin."""
+        """Return the mean direction. If the person moves along it above a floor at the origin, y or z
+        instead."""
         others = [axis for axis in np.eye(3)[1:] if axis @ mean == 0]
         floors = [axis for axis in others if self._is_on_floor(axis) and self._moves_off(mean, axis)]
         return floors[0] if floors and not self._is_on_floor(mean) else mean
 
     def _on_hands(self) -> bool:
-        """Whether the wrists are beyond the head in most frames, seen from the feet."""
+        """Whether, seen from the feet, the wrists are beyond the head in most frames."""
         sides = [side for side in ("Left", "Right") if f"{side}Wrist" in self.roles]
         if not sides or "Head" not in self.roles:
             return False
@@ -445,7 +456,7 @@ class _UpEvidence:
 
 
 def _is_usual(up: Array) -> bool:
-    """Whether files with this up axis (3,) exist: y, z, and -y of images."""
+    """Whether some files have this up axis (3,): y, z, and the -y of images."""
     return bool(up[1] or up[2] > 0)
 
 
@@ -472,7 +483,8 @@ def axis_name(direction: Array) -> str:
 
 
 def ankle_to_head(positions: Array, parents: Sequence[int] | NDArray[np.intp], match: JointMatch) -> float:
-    """Ankle-to-head height of a skeleton [thesis §7.2], along its links: the same in any pose (J, 3)."""
+    """Ankle-to-head height of a skeleton [thesis §7.2]. Measured along the links, so any pose (J, 3) gives
+    the same height."""
     roles = match.roles
 
     def length(a: int, b: int) -> float:
@@ -496,7 +508,7 @@ def ankle_to_head(positions: Array, parents: Sequence[int] | NDArray[np.intp], m
 
 
 def _longest_link(positions: Array, parents: Sequence[int] | NDArray[np.intp], joint: int) -> float:
-    """Distance of a joint to its farthest child; 0 without children."""
+    """Distance of a joint to its farthest child. 0 if the joint has no child."""
     children = np.flatnonzero(np.asarray(parents) == joint)
     return float(np.linalg.norm(positions[children] - positions[joint], axis=1).max(initial=0.0))
 
@@ -516,8 +528,8 @@ def _body_axes(
         roles: Role -> joint.
         up: Direction that points up, (3,).
         motion: Motion of the pose, for messages.
-        facing: Axis that the person faces; detected if absent.
-        snap: Use an axis of the file if hips and shoulders are nearly along it.
+        facing: Axis that the person faces. If None, it is detected.
+        snap: Whether to use an axis of the file if hips and shoulders are nearly along this axis.
     """
     if facing is not None:
         forward = axis_vector(facing)
@@ -538,11 +550,9 @@ def _body_axes(
 
 
 def _rest_axes(transforms: Array, roles: Mapping[str, int], axes: Array) -> Array:
-    """Body axes (J, 3, 3) in the axes of each joint, in a pose (J, 4, 4) that becomes the rest pose.
-
-    Joints of the trunk have the axes of hips, shoulders and trunk, because the person may lean or twist a
-    little in this pose. All others have the axes of the whole body.
-    """
+    """Body axes (J, 3, 3) in the axes of each joint. The pose (J, 4, 4) becomes the rest pose. Joints of the
+    trunk have the axes of hips, shoulders and trunk, because the person may lean or twist a little in this
+    pose. All other joints have the axes of the whole body."""
     lines = BodyLines.of(transforms[None, :, :3, 3], roles)
     rest = np.broadcast_to(axes, (len(transforms), 3, 3)).copy()
     chest = dict.fromkeys(("LeftCollar", "RightCollar", "Chest"), lines.shoulders)
@@ -554,7 +564,7 @@ def _rest_axes(transforms: Array, roles: Mapping[str, int], axes: Array) -> Arra
 
 
 def _guess_unit(stature: float) -> tuple[str, float]:
-    """Name and metres of the unit that makes a stature in file units most plausible."""
+    """Choose the unit that makes a stature in file units most plausible. Returns its name and its metres."""
     low, high = _PLAUSIBLE_STATURE
     plausible = [(name, unit) for name, unit in UNITS.items() if low <= stature * unit <= high]
     if not plausible:

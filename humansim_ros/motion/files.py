@@ -18,18 +18,19 @@ from humansim_ros.motion.bvh import PositionChannels, read_bvh
 from humansim_ros.motion.joint_matching import is_person
 from humansim_ros.motion.kinematics import Motion
 
-#: Greatest size of an archive and of a file in it, and most files of an archive.
+#: Largest archive and largest file in an archive (bytes), and most files of an archive.
 _MAX_ARCHIVE, _MAX_MEMBER, _MAX_MEMBERS = 1 << 30, 1 << 28, 10_000
-#: Formats of files in archives: those that consist of text.
+#: Formats that are read from archives: the formats that are text.
 _IN_ARCHIVES = ("bvh", "acclaim")
 
 
 def find_motion(name: str, folder: Path | None = None, error: type[HumansimError] = MotionError) -> str:
-    """Path of a built-in motion or of a file, with the part that the name chooses (``figure.glb#Walk``).
+    """Find the path of a built-in motion or of a file. It keeps the part after ``#`` (``figure.glb#Walk``).
 
     An activity (``activity#4``) has no file: its name is returned.
 
-    ``folder``: folder that relative paths start from; the current folder if None. Raises ``error``.
+    ``folder``: folder that relative paths start from. If None, the current folder. Raises ``error`` if
+    nothing is found.
     """
     if is_activity(name):
         return name
@@ -39,13 +40,14 @@ def find_motion(name: str, folder: Path | None = None, error: type[HumansimError
 
 
 def read_motion(path: str | os.PathLike[str], positions: PositionChannels = "auto") -> Motion:
-    """Read a motion: a built-in (``walk``), or a file of one of the formats in docs/motion.md.
+    """Read a motion: a built-in motion (``walk``), or a file of one of the formats in docs/motion.md.
 
-    ``path``: name or file. A name after ``#`` chooses a part of the file: the root of a person in a BVH file
-    (``two.bvh#B_Hips``; else the first), the animation of a glTF file (``figure.glb#Walk``; else the first),
-    the skeleton of an AMC file (``07_01.amc#07.asf``), the file of an archive (``all.zip#walk.bvh``, or
-    ``all.zip/walk.bvh``), the seed of an activity (``activity#4``).
-    ``positions``: meaning of the position channels of BVH; see :func:`~humansim_ros.motion.bvh.read_bvh`.
+    ``path``: name or file. A name after ``#`` chooses a part of the file. In a BVH file, this is the root of
+    a person (``two.bvh#B_Hips``). In a glTF file, it is the animation (``figure.glb#Walk``). Without a name,
+    the first person or animation is taken. For an AMC file, it is the skeleton file (``07_01.amc#07.asf``).
+    In an archive, it is the file (``all.zip#walk.bvh``, or ``all.zip/walk.bvh``). For an activity, it is the
+    seed (``activity#4``). ``positions``: meaning of the position channels of BVH; see
+    :func:`~humansim_ros.motion.bvh.read_bvh`.
 
     Raises:
         MotionError: The file is not valid, or has no such part.
@@ -64,7 +66,7 @@ def read_motion(path: str | os.PathLike[str], positions: PositionChannels = "aut
     name = "bvh" if known is None else known.name
     if name == "zip":
         return _read_archive(Path(file), part, positions)
-    # imported on use: most motions are BVH files
+    # imported here, since most motions are BVH files
     if name in ("gltf", "vrma", "fbx", "collada"):
         from humansim_ros.motion.gltf_motion import read_gltf_motion
 
@@ -88,12 +90,13 @@ def read_motion(path: str | os.PathLike[str], positions: PositionChannels = "aut
         if other is None or not exists(Path(file)):
             raise
         raise MotionError(f"this is {other}", path=file) from None
-    # people of built-in motions may lie or crawl all the time
+    # people of built-in motions may lie or crawl all the time, so the up axis is given
     return replace(motion, up="y") if _is_built_in(Path(file)) else motion
 
 
 def _one_person(motion: Motion, root: str | None) -> Motion:
-    """The joints below a root of a motion. If None, those of the first person of several; else all joints."""
+    """Keep the joints below a root of a motion. If ``root`` is None and there are several people, keep the
+    first person."""
     trees: dict[str, list[int]] = {}
     tree_of: list[list[int]] = []
     for joint, parent in enumerate(motion.parents.tolist()):
@@ -117,10 +120,8 @@ def _is_built_in(path: Path) -> bool:
 
 
 def _read_archive(path: Path, member: str | None, positions: PositionChannels) -> Motion:
-    """Motion of a file in a ZIP archive, which is unpacked under a name of its own.
-
-    ``member``: name of the file; the only motion of the archive if None.
-    """
+    """Read the motion of a file in a ZIP archive. The file is unpacked into a folder of its own. ``member``:
+    name of the file. If None, the only motion of the archive."""
     with temporary_folder() as folder:
         with open_file(path, MotionError, "ZIP archive", _MAX_ARCHIVE) as stream:
             try:
@@ -184,7 +185,8 @@ def _skeletons(archive: zipfile.ZipFile, motion: zipfile.ZipInfo) -> list[zipfil
 
 
 def _unpack(path: Path, archive: zipfile.ZipFile, entry: zipfile.ZipInfo, folder: Path) -> Path:
-    """Unpack a file under the last part of its name, in a folder of its own: no name leads elsewhere."""
+    """Unpack a file into a folder of its own, under the last part of its name, so that no name can lead
+    elsewhere."""
     with archive.open(entry) as member:
         content = member.read(_MAX_MEMBER + 1)
     if len(content) > _MAX_MEMBER:

@@ -1,4 +1,5 @@
-"""Faces of glTF files and VRM animations: animated morph targets and expressions, as actions of the face."""
+"""Faces of glTF files and VRM animations: animated morph targets and expressions become actions of the
+face."""
 
 from __future__ import annotations
 
@@ -22,13 +23,13 @@ from humansim_ros.motion.faces import VOWELS, WeightTrack, linear
 from humansim_ros.motion.gltf_motion import Track, find_animation, frame_times, node_tracks, sample_track
 from humansim_ros.types import Array
 
-#: How far rounding may put a weight out of 0 to 1.
+#: Rounding may put a weight outside 0 to 1 by this much.
 _ROUNDING = 1e-3
 #: Number of an action by its name in lower case.
 _NUMBERS = {action.lower(): number for number, action in enumerate(ACTIONS)}
-#: Actions of the presets that VRM 1.0 names [VRM 0.x, 1.0]. It names emotions and sounds, and no
-#: weights: those here are the ones of the same emotions [Friesen 1983], and of the vowels of speech.
-#: ``relaxed`` was ``fun`` in VRM 0: a faint happiness.
+#: Actions of the presets that VRM 1.0 names [VRM 0.x, 1.0]. VRM names emotions and sounds, but gives no
+#: weights. The weights here are those of the same emotions [Friesen 1983] and of the vowels of speech.
+#: ``relaxed`` was ``fun`` in VRM 0, so it is a faint happiness here.
 _PRESETS: Mapping[str, Array] = {
     preset.lower(): face_weights(both_sides(weights))
     for preset, weights in {
@@ -42,26 +43,28 @@ _PRESETS: Mapping[str, Array] = {
         **read_table("faces")["vrm_presets"],
     }.items()
 }
-#: Presets of VRM 1.0, in lower case, by those of VRM 0 that have another name there.
+#: Presets of VRM 0 with another name in VRM 1.0: old name -> new name in lower case.
 _OF_VRM_0: Mapping[str, str] = read_table("faces")["vrm_0"]
-#: Weight 1 of the binds of VRM 0.
+#: Value of the weight 1 in binds of VRM 0.
 _PERCENT = 100
 
 
 def read_gltf_face(path: str | os.PathLike[str], animation: str | None = None) -> WeightTrack:
     """Read the weights of a face over time from an animation of a .gltf, .glb, .vrm or .vrma file.
 
-    Morph targets count by their names: the actions of ARKit, in any case, and with ``_L`` and ``_R`` for
-    ``Left`` and ``Right``; and the presets of VRM 1.0. So do targets that a preset of a VRM avatar (1.0, or a
-    blend shape group of 0.x) moves, the expressions of a VRM animation, and its gaze. Weights of presets are
-    added; of several weights of one action, such as of the meshes of face and teeth, the largest counts.
+    Morph targets are known by their names. Known are the actions of ARKit and the presets of VRM 1.0, in
+    upper or lower case; ``_L`` and ``_R`` may stand for ``Left`` and ``Right``. Also used are targets that a
+    preset of a VRM avatar moves (in VRM 0.x, a blend shape group), and the expressions and the gaze of a VRM
+    animation. Weights of presets are added. If several meshes (such as face and teeth) have a weight for one
+    action, the largest counts.
+
 
     Time 0 is the first key of a node that the animation moves, as in
-    :func:`~humansim_ros.motion.gltf_motion.read_gltf_motion`, or else of the face.
+    :func:`~humansim_ros.motion.gltf_motion.read_gltf_motion`, or else the first key of the face.
 
     Args:
         path: File.
-        animation: Name of the animation; the first that moves a face if None.
+        animation: Name of the animation. If None, the first animation that moves a face.
 
     Raises:
         MotionError: The file is not valid, has no such animation, or its animation moves no face.
@@ -96,10 +99,8 @@ def read_gltf_face(path: str | os.PathLike[str], animation: str | None = None) -
 
 @dataclass(frozen=True, eq=False)
 class _Weight:
-    """An animated weight: of an action by its number, or of a preset by its name in lower case.
-
-    ``unit``: value of the track that is the weight 1.
-    """
+    """An animated weight: of an action (by its number), or of a preset (by its name in lower case). ``unit``:
+    value in the track that means the weight 1."""
 
     name: str
     action: int | None
@@ -107,7 +108,7 @@ class _Weight:
     unit: float = 1.0
 
     def at(self, gltf: Gltf, times: Array) -> Array:
-        """Weights (F,) at times (F,). Raises MotionError if a key has none from 0 to 1."""
+        """Weights (F,) at times (F,). Raises MotionError if the weight of a key is outside 0 to 1."""
         keys, values, interpolation = self.track
         given = (values[:, 1] if interpolation == "CUBICSPLINE" else values)[:, 0]
         wrong = np.flatnonzero((given < -_ROUNDING) | (given > 1 + _ROUNDING))
@@ -121,7 +122,7 @@ class _Weight:
 
 
 def _known(gltf: Gltf, animation: Animation) -> Iterator[_Weight]:
-    """Weights of actions and presets that an animation moves."""
+    """Weights of all known actions and presets that an animation moves."""
     targets: dict[tuple[int, int], Track] = {}
     for node, names, (keys, values, interpolation) in _morphs(gltf, animation):
         for number in range(values.shape[-1]):
@@ -147,10 +148,8 @@ def _known(gltf: Gltf, animation: Animation) -> Iterator[_Weight]:
 
 
 def _gazes(gltf: Gltf, animation: Animation) -> dict[tuple[int, str], Track]:
-    """Rotation of the node whose z axis, in the axes of the head, is the gaze of a VRM animation.
-
-    Empty if it does not move, and for other files.
-    """
+    """Find the node that is the gaze of a VRM animation, and the track of its rotation. The gaze is along z,
+    in axes of the head. Empty if the node does not move, and for other files."""
     node = member(gltf.document.extensions, "VRMC_vrm_animation", "lookAt", "node")
     if not isinstance(node, int):
         return {}
@@ -159,7 +158,7 @@ def _gazes(gltf: Gltf, animation: Animation) -> dict[tuple[int, str], Track]:
 
 
 def _named(name: str, track: Track) -> Iterator[_Weight]:
-    """Weight of an action or a preset of this name, if there is one."""
+    """Weight of the action or the preset with this name. Nothing if the name is unknown."""
     plain = name.lower()
     if plain in _PRESETS:
         yield _Weight(plain, None, track)
@@ -168,14 +167,14 @@ def _named(name: str, track: Track) -> Iterator[_Weight]:
 
 
 def _action(name: str) -> int | None:
-    """Number of an action of a name such as ``eyeBlinkLeft``, ``EyeBlink_L`` or ``face.eye_blink.L``."""
+    """Number of the action with a name such as ``eyeBlinkLeft``, ``EyeBlink_L`` or ``face.eye_blink.L``."""
     bare = re.sub(r"^.*[.:|](?=\w\w)", "", name).lower()
     bare = re.sub(r"[ _.-]r$", "right", re.sub(r"[ _.-]l$", "left", bare))
     return _NUMBERS.get(re.sub(r"[ _.-]", "", bare))
 
 
 def _morphs(gltf: Gltf, animation: Animation) -> Iterator[tuple[int, Mapping[int, str], Track]]:
-    """Nodes whose morph targets an animation moves, with the names of the targets and their track."""
+    """Nodes with morph targets that an animation moves, each with the names of the targets and the track."""
     for number, channel in enumerate(animation.channels):
         node = channel.target.node
         if channel.target.path != "weights" or node is None:
@@ -194,7 +193,8 @@ def _target_count(gltf: Gltf, mesh: int) -> int:
 
 
 def _target_names(gltf: Gltf, mesh: int) -> Mapping[int, str]:
-    """Names of the morph targets of a mesh by number: of the mesh, or of a primitive, as exporters write."""
+    """Names of the morph targets of a mesh, by number. Exporters write them for the mesh or for a
+    primitive."""
     content = gltf.mesh(mesh)
     for extras in (content.extras, *(part.extras for part in content.primitives)):
         names = member(extras, "targetNames")
@@ -204,7 +204,7 @@ def _target_names(gltf: Gltf, mesh: int) -> Mapping[int, str]:
 
 
 def _bound(gltf: Gltf, targets: Mapping[tuple[int, int], Track]) -> Iterator[_Weight]:
-    """Presets of a VRM avatar with morph targets that are moved and have no names of actions or presets."""
+    """Presets of a VRM avatar with moved morph targets that are not named after actions or presets."""
     meshes = {node: gltf.nodes[node].mesh for node, _ in targets}
     names = {node: {} if mesh is None else _target_names(gltf, mesh) for node, mesh in meshes.items()}
     for name, binds in _groups(gltf, meshes):
@@ -215,16 +215,16 @@ def _bound(gltf: Gltf, targets: Mapping[tuple[int, int], Track]) -> Iterator[_We
             found = list(_named(name, targets[place]))
             yield from (replace(each, unit=unit) for each in found)
             if found:
-                break  # the others move with it
+                break  # the other targets of the preset move with this one
 
 
-#: Morph target of a bind, by node and number, and the weight at which its preset is at 1.
+#: Target of a bind (by node and number), and the weight of the target when its preset is at 1.
 _Bind = tuple[tuple[int, int], float]
 
 
 def _groups(gltf: Gltf, meshes: Mapping[int, int | None]) -> Iterator[tuple[str, list[_Bind]]]:
-    """Presets of a VRM 1.0 avatar and blend shape groups of a VRM 0 avatar, with their binds. ``meshes``:
-    mesh by node, of nodes with morph targets that are moved."""
+    """Presets of a VRM 1.0 avatar or blend shape groups of a VRM 0 avatar, with their binds. ``meshes``: node
+    -> mesh, for nodes with morph targets that move."""
     extensions = gltf.document.extensions
     for name, content in _items(member(extensions, "VRMC_vrm", "expressions", "preset")):
         if name.lower() in _PRESETS:
@@ -252,7 +252,7 @@ def _groups(gltf: Gltf, meshes: Mapping[int, int | None]) -> Iterator[tuple[str,
 
 
 def _binds(binds: Any, of: str) -> Iterator[tuple[int, int, float]]:
-    """Node or mesh, number of the morph target and weight of the binds of a document that have them."""
+    """Valid binds of a document: node or mesh, number of the morph target, and weight."""
     for bind in binds if isinstance(binds, list) else []:
         place, index, unit = (member(bind, key) for key in (of, "index", "weight"))
         if isinstance(place, int) and isinstance(index, int) and isinstance(unit, (int, float)):
@@ -266,7 +266,7 @@ def _items(value: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _nothing_moves(gltf: Gltf, animation: Animation) -> str:
-    """Message of an animation that moves no known weight, with the names that it has."""
+    """Message about an animation that moves no known weight. It lists the names that the animation has."""
     names = [printable(name, 40) for _, names, _ in _morphs(gltf, animation) for name in names.values()]
     for kind in ("preset", "custom"):
         found = member(gltf.document.extensions, "VRMC_vrm_animation", "expressions", kind)

@@ -1,4 +1,4 @@
-"""Animations of glTF files as motions, from the rest pose in which the skin was bound."""
+"""Animations of glTF files as motions. The rest pose is the pose in which the skin was bound."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from humansim_ros.mesh.gltf_skeleton import GltfSkeleton
 from humansim_ros.motion.kinematics import Motion, motion_of_rotations
 from humansim_ros.types import Array
 
-#: Lowest frame rate, and the rate where keys are not evenly spaced, per second.
+#: Lowest frame rate, which is also the rate if the keys are not evenly spaced; frames per second.
 _RATE = 60.0
-#: Most frames of an animation, and frames in a batch.
+#: Most frames of an animation, and number of frames that are computed at once.
 _MAX_FRAMES, _BATCH = 100_000, 256
-#: Most joint poses of an animation, over all frames: some hundred megabytes.
+#: Most joint poses of an animation: frames times joints. They need some hundred megabytes.
 _MAX_POSES = 1_000_000
-#: Times (K,), values (K, width), or (K, 3, width) of cubic splines, and the interpolation.
+#: Track: times (K,), values (K, width), or (K, 3, width) for cubic splines, and the kind of interpolation.
 Track: TypeAlias = tuple[Array, Array, str]
 _WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}
-#: Places of human bones of VRM in T pose, metres: y up, facing z, x to the side. Limbs have the lengths of
-#: the general skeleton [thesis table 4.1] and are straight; the ankle is a centimetre behind the knee, as in
-#: most rigs. Length of other bones, those of fingers.
+#: Positions of the human bones of VRM in T pose, metres: y up, facing z, x to the side. Limbs are straight
+#: and have the lengths of the general skeleton [thesis table 4.1]. The ankle is a centimetre behind the knee,
+#: as in most rigs. The last value is the length of other bones (fingers).
 _VRM_BODY: dict[str, tuple[float, float, float]] = {
     "hips": (0, 0.921, 0),
     "spine": (0, 1.0, 0),
@@ -48,23 +48,24 @@ _VRM_BODY: dict[str, tuple[float, float, float]] = {
     "Toes": (0.096, 0.012, 0.14),
 }
 _PHALANX, _NO_SIZE = 0.03, 1e-4
-#: A joint that moves by more than this share of the skeleton's size gets position channels.
+#: A joint gets position channels if it moves by more than this share of the size of the skeleton.
 _MIN_TRANSLATION = 1e-6
 
 
 def read_gltf_motion(path: str | os.PathLike[str], animation: str | None = None) -> Motion:
-    """Read an animation of a .gltf, .glb, .vrm or .vrma file, by name or the first of a skeleton, in metres.
+    """Read an animation of a .gltf, .glb, .vrm or .vrma file, in metres. Without a name, the first one that
+    moves a skeleton.
 
     The rest pose is the pose in which the skin was bound, so that a figure of the same file moves exactly as
-    authored; without a skin, the rest pose of the nodes. Evenly spaced keys are frames, with frames between
-    them; other keys are resampled.
+    authored. If there is no skin, it is the rest pose of the nodes. Evenly spaced keys become frames, with
+    further frames between them. Other keys are resampled.
 
     Raises:
         MotionError: The file is not valid, or has no skeleton or no such animation.
     """
     with located(MotionError, path):
         gltf = Gltf.read(path)
-        chosen = find_animation(gltf, animation, _turns)  # not a face alone
+        chosen = find_animation(gltf, animation, _turns)  # an animation that moves only a face does not count
         skeleton = GltfSkeleton.of_animation(gltf, chosen)
         if skeleton is None:
             raise MotionError("the file has no skeleton, and the animation turns nothing")
@@ -76,7 +77,7 @@ def read_gltf_motion(path: str | os.PathLike[str], animation: str | None = None)
 
 
 def _with_offsets(gltf: Gltf, skeleton: GltfSkeleton) -> Gltf:
-    """VRM animation with nodes that have no translations, with the proportions of the general skeleton."""
+    """VRM animation with the proportions of the general skeleton, for nodes that have no translations."""
     warn_about(gltf.path, "its bones have no length: the proportions of the general skeleton are taken")
     places: list[Array] = []
     nodes = list(gltf.nodes)
@@ -94,10 +95,11 @@ def _with_offsets(gltf: Gltf, skeleton: GltfSkeleton) -> Gltf:
 
 
 def find_animation(gltf: Gltf, name: str | None, wanted: Callable[[Animation], bool]) -> Animation:
-    """Animation of a name; without one, the first that is ``wanted``, or else the first.
+    """Find an animation by name. If ``name`` is None, the first animation that is ``wanted``, else the first
+    of all.
 
     Raises:
-        MotionError: The file has no animation, or none of this name.
+        MotionError: The file has no animation, or no animation with this name.
     """
     known = gltf.document.animations
     if not known:
@@ -126,7 +128,7 @@ def node_tracks(gltf: Gltf, animation: Animation) -> dict[tuple[int, str], Track
     for number, channel in enumerate(animation.channels):
         node, path = channel.target.node, channel.target.path
         if node is None or path not in _WIDTHS:
-            continue  # weights of morph targets
+            continue  # weights of morph targets are not read here
         if node >= len(gltf.nodes):
             raise MotionError(f"node {node} does not exist", path=gltf.path, key="animations.channels")
         times, values, interpolation = gltf.keys(animation, number)
@@ -166,7 +168,8 @@ def _motion(gltf: Gltf, skeleton: GltfSkeleton, animation: Animation) -> Motion:
 def _to_motion(
     gltf: Gltf, skeleton: GltfSkeleton, rotations: Array, positions: Array, frame_time: float
 ) -> Motion:
-    """Motion of J joints from world rotations (F, J, 3, 3) from the bind pose and positions (F, J, 3)."""
+    """Motion of J joints from world rotations (F, J, 3, 3) relative to the bind pose, and positions (F, J,
+    3)."""
     parents = skeleton.parents
     bound = skeleton.bind[:, :3, 3]
     roots = parents < 0
@@ -199,7 +202,7 @@ def frame_times(gltf: Gltf, tracks: Collection[Track]) -> tuple[Array, float]:
     off = (keys - start) / step
     if step < 1e-3 or np.abs(off - np.rint(off)).max() > 0.02:
         step = 1 / _RATE
-    step /= np.ceil(step * _RATE - 0.01)  # with few keys, frames between them
+    step /= np.ceil(step * _RATE - 0.01)  # if there are few keys, frames are added between them
     count = int(np.rint((end - start) / step)) + 1
     if count > _MAX_FRAMES:
         raise MotionError(f"{count} frames are too many", path=gltf.path, key="animations")
@@ -209,7 +212,8 @@ def frame_times(gltf: Gltf, tracks: Collection[Track]) -> tuple[Array, float]:
 
 
 def sample_track(gltf: Gltf, key: tuple[int, str], track: Track, times: Array) -> Array:
-    """Values (F, width) of a track at times (F,), seconds; constant before the first key and after the last.
+    """Values (F, width) of a track at times (F,), seconds. They are constant before the first key and after
+    the last.
 
     Args:
         gltf: The file.
@@ -218,7 +222,7 @@ def sample_track(gltf: Gltf, key: tuple[int, str], track: Track, times: Array) -
         times: Times, seconds.
 
     Raises:
-        MotionError: A rotation is no unit quaternion.
+        MotionError: A rotation is not a unit quaternion.
     """
     keys, values, interpolation = track
     times = np.clip(times, keys[0], keys[-1])
@@ -226,7 +230,7 @@ def sample_track(gltf: Gltf, key: tuple[int, str], track: Track, times: Array) -
         value = values[:, 1]
         if len(keys) > 1:
             step = np.diff(keys)
-            # a polynomial for each pair of keys: the tangents on both sides of a key differ
+            # a polynomial for each pair of keys, since the tangents on both sides of a key differ
             segment = np.clip(np.searchsorted(keys, times, side="right") - 1, 0, len(keys) - 2)
             out = np.empty((len(times), values.shape[-1]))
             for s in np.unique(segment):

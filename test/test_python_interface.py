@@ -153,9 +153,13 @@ def test_names_of_built_ins_are_read() -> None:
 
 
 def test_an_unknown_name_lists_the_built_ins() -> None:
-    with pytest.raises(MeshError, match=r"no 'anna'; the built-in humans are adult_man, adult_woman"):
+    with pytest.raises(
+        MeshError, match=r"no built-in human and no file 'anna'; there are adult_man, adult_woman"
+    ):
         load_human("anna")
-    with pytest.raises(MotionError, match=r"no 'wlak'; the built-in motions are .*walk"):
+    with pytest.raises(
+        MotionError, match=r"no built-in motion and no file 'wlak'; did you mean 'walk'\? There are .*walk"
+    ):
         read_motion("wlak")
 
 

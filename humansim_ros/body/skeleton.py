@@ -210,7 +210,8 @@ def hanim_skeleton() -> Skeleton:
 
     Example:
         >>> skeleton = hanim_skeleton()
-        >>> len(skeleton), skeleton.names[0] (22, 'HumanoidRoot')
+        >>> len(skeleton), skeleton.names[0]
+        (22, 'HumanoidRoot')
     """
     table = read_table("skeleton")
     names = tuple(row["name"] for row in table)

@@ -223,7 +223,7 @@ def test_a_rational_lens_without_denominator_is_written_as_plumb_bob(tmp_path: P
         ("a.yaml", None, ("a", "b"), "choose the format"),
         ("a.json", None, ("a",), "choose the format"),
         ("a", None, ("a",), "choose the format"),
-        ("a.yaml", "nonsense", ("a",), "unknown calibration format 'nonsense'"),
+        ("a.yaml", "nonsense", ("a",), "no calibration format 'nonsense'; there are"),
         ("a.yaml", "camera_info", ("a", "b"), "give a folder"),
         ("a.yaml", "camera_info", (), "no camera"),
         ("nowhere/a.yaml", "camera_info", ("a",), "No such file"),

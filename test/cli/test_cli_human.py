@@ -80,7 +80,7 @@ def test_build_makes_a_human_of_a_description(figure: Path, tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["show", "nobody", "-o", "x.png"], "the built-in humans are adult_man"),
+        (["show", "nobody", "-o", "x.png"], "no built-in human and no file 'nobody'; there are adult_man"),
         (["show", "adult_man", "-o", "x.jpg"], "the image is a .png file"),
         (["show", "adult_man", "-o", "none/x.png"], "its folder does not exist"),
         (["show", "adult_man", "-o", "x.png", "--outfit", "armour"], "no outfit 'armour'"),

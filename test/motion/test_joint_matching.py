@@ -162,7 +162,7 @@ def test_a_users_table_is_read_from_a_file(tmp_path: Path) -> None:
 
 
 def test_an_unknown_table_is_an_error_that_lists_the_tables() -> None:
-    with pytest.raises(MotionError, match=r"no joint table 'vicon'.*biovision.*cmu.*mixamo"):
+    with pytest.raises(MotionError, match=r"no joint table and no YAML file 'vicon'.*biovision.*cmu.*mixamo"):
         match_names(["Hips"], "vicon")
 
 

@@ -139,7 +139,7 @@ def test_a_camera_in_memory_may_get_another_pose() -> None:
         (
             {"humans": {"anna": {"motion": "wlak"}}},
             "humans.anna.motion.file",
-            "no 'wlak'; the built-in motions",
+            "no built-in motion and no file 'wlak'; did you mean 'walk'?",
         ),
         ({"humans": {"anna": {"body": BALL}}}, "humans.anna.body", "must be a Human, not a Mesh"),
         ({"humans": {"anna": BALL}}, "humans.anna.body", "must be a Human, not a Mesh"),
@@ -202,6 +202,8 @@ def test_a_motion_in_memory_can_be_changed_for_another() -> None:
     simulation.playback.change("anna", file="walk")
     simulation.playback.change("anna", file=scene.config.humans["anna"].motion.file)
     assert simulation.playback.actors["anna"].motion.motion is wave
-    with pytest.raises(SceneError, match=r"^humans\.anna\.motion\.file: no 'gone'"):
+    with pytest.raises(
+        SceneError, match=r"^humans\.anna\.motion\.file: no built-in motion and no file 'gone'"
+    ):
         simulation.playback.change("anna", file="gone")
     simulation.close()

@@ -54,7 +54,6 @@ def read_acclaim(path: str | os.PathLike[str], skeleton: str | None = None) -> M
     with the same name, else with the beginning of the name (``07.asf`` for ``07_01.amc``), else the only .asf
     file of the folder.
 
-
     Each joint is at the start of a bone and has the name of the bone. Lengths stay in the unit of the file.
     The unit is known only for files of CMU: there ``length`` is 0.45, and the unit is 1/0.45 inch. Files
     without a rate have 120 frames/s.

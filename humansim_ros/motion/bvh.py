@@ -347,7 +347,6 @@ def read_bvh(path: str | os.PathLike[str], positions: PositionChannels = "auto")
     they are added to the OFFSET. ``auto`` detects which: added positions stay near 0 although the OFFSETs are
     large.
 
-
     A fault with a clear meaning gives a HumansimWarning. docs/motion.md lists all of these faults. For
     example, the rows decide if the ``Frames:`` count is wrong or missing, and the rate is 30 frames per
     second if ``Frame Time:`` is missing. Up to 1 % of the rows may be bad. Reading needs about twice the

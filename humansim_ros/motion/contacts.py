@@ -268,7 +268,7 @@ ON_SKIN = frozenset({"lie", "fall", "crawl"})
 #: Seconds between the times for which the height of the body is computed, and seconds over which heights are
 #: smoothed.
 _SKIN_STEP, _SETTLED = 1 / 30, 0.1
-#: Largest distance of skin from the bones of thighs and shins, as shares of the lengths of the bones. Surfaces
+#: Largest distance of skin from the bones of thighs and shins, as shares of their lengths. Surfaces
 #: that are lower than ``_CROTCH`` (metres below the hips) and follow both legs do not count: they are hems of
 #: skirts and coats, which hang and do not lie on the floor.
 _SKIN = (("hip", 0.3), ("knee", 0.2))

@@ -58,7 +58,6 @@ def read_gltf_face(path: str | os.PathLike[str], animation: str | None = None) -
     animation. Weights of presets are added. If several meshes (such as face and teeth) have a weight for one
     action, the largest counts.
 
-
     Time 0 is the first key of a node that the animation moves, as in
     :func:`~humansim_ros.motion.gltf_motion.read_gltf_motion`, or else the first key of the face.
 

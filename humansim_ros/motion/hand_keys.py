@@ -1,4 +1,4 @@
-"""Keys of hand poses, and those of built-in motions; imports neither meshes nor motions."""
+"""Keys of hand poses, and the keys of built-in motions. The module imports neither meshes nor motions."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ HandPoseName = Literal[
     "relaxed", "fist", "point", "flat", "grip", "wave", "one", "two", "three", "four", "five"
 ]
 HandSide = Literal["left", "right", "both"]
-#: Most seconds of a key.
+#: Largest time of a key, seconds.
 MAX_SECONDS = 1e6
 
 
@@ -22,8 +22,9 @@ class HandKey:
         pose: Name of the pose.
         time: Seconds of the motion file.
         side: The hand, or both.
-        blend: Seconds of the file over which the hand changes from the pose before, from ``time`` on.
-        over_motion: Also move fingers that the motion moves.
+        blend: From ``time`` on, the hand changes from the pose before to this pose over this time, seconds of
+            the file.
+        over_motion: Whether the key also moves fingers that the motion moves.
     """
 
     pose: HandPoseName
@@ -33,7 +34,7 @@ class HandKey:
     over_motion: bool = False
 
 
-#: Hands of built-in motions that hold something, or lie on the floor.
+#: Hand poses for built-in motions in which hands hold something or lie on the floor.
 BUILT_IN_HANDS: Mapping[str, tuple[HandKey, ...]] = {
     "pick_up": (
         HandKey("relaxed", 0.0, "right"),

@@ -1,4 +1,4 @@
-"""Poses of hands whose fingers no motion drives: by name, by keys over time, and by what the arm does.
+"""Poses of hands with fingers that no motion drives: by name, by keys over time, and by what the arm does.
 
 A pose is the flexion, spread and twist of the joints of a hand (:mod:`humansim_ros.body.hands`). Between two
 poses the angles change linearly, so that a finger bends and never passes through the palm.
@@ -35,24 +35,25 @@ if TYPE_CHECKING:
     from humansim_ros.motion.joint_match import JointMatch
     from humansim_ros.motion.world_motion import WorldMotion
 
-#: Angles (15, 3) of each pose, degrees: flexion, spread and twist of the joints. Counting begins with the
-#: index finger; the thumb is the fifth. Fingers of a fist are as far as they go on all built-in humans
-#: without sinking into the palm.
+#: Angles (15, 3) of each pose, degrees: flexion, spread and twist of the joints. The first finger is the
+#: index finger, the fifth is the thumb. The fingers of a fist bend as far as possible without sinking into
+#: the palm of any built-in human.
 HAND_POSES: Mapping[str, Array] = {
     name: np.concatenate([np.array(hand[finger], dtype=float) for finger in FINGERS])
     for name, hand in read_table("hand_poses").items()
 }
 assert tuple(HAND_POSES) == get_args(HandPoseName)
-#: Heights of the wrist above the shoulder, as shares of the length of the arm, at which the hand begins to
-#: open, and is open.
+#: Heights of the wrist above the shoulder, as shares of the length of the arm: the hand begins to open at the
+#: first, and is fully open at the second.
 _OPENS, _OPEN = 0.1, 0.4
-#: Joints that carry poses of hands in a motion begin with this.
+#: Names of joints that carry poses of hands in a motion begin with this text.
 HAND_JOINT = "hand_pose/"
 HAND_JOINTS = frozenset(HAND_JOINT + bone for bone in FINGER_BONES)
 
 
 def hand_angles(name: str, anatomy: HandAnatomy) -> Array:
-    """Angles (15, 3) radians of a pose, by its name; of a relaxed hand those of the body, if it rests so.
+    """Find the angles (15, 3) of a named pose, radians. If the hand of the body at rest is relaxed,
+    the pose ``relaxed`` is its rest pose.
 
     Raises:
         MotionError: No pose has this name.
@@ -68,12 +69,12 @@ def hand_angles(name: str, anatomy: HandAnatomy) -> Array:
 
 @dataclass(frozen=True)
 class ReachingHand:
-    """A pose that a hand has while it reaches for something.
+    """Pose of a hand while it reaches for something.
 
     Attributes:
         side: The hand.
         pose: Name of the pose.
-        shares: Returns how far (N,) the hand has it at scene times (N,), 0 to 1.
+        shares: Function of scene times (N,). Returns how much (N,) the hand is in this pose, 0 to 1.
     """
 
     side: Literal["left", "right"]
@@ -85,7 +86,7 @@ class ReachingHand:
 class HandKeys:
     """Keys of the hands of a human over its motion.
 
-    Before its first key, a hand is as after its last one if the motion loops, else relaxed.
+    Before its first key, a hand is relaxed. If the motion loops, it has the pose of its last key instead.
 
     Raises:
         MotionError: A time is outside the motion, or a blend is longer than the time to the next key.
@@ -101,16 +102,16 @@ class HandKeys:
     def of(
         cls, keys: Sequence[HandKey], skeleton: Skeleton, motion: WorldMotion, match: JointMatch
     ) -> HandKeys | None:
-        """Keys for a skeleton.
+        """Make keys for a skeleton.
 
         Args:
             keys: The keys, in any order.
             skeleton: The skeleton.
-            motion: Motion that they belong to.
-            match: Joints of the motion that drive its bones.
+            motion: Motion that the keys belong to.
+            match: Joints of the motion that drive the bones of the skeleton.
 
         Returns:
-            None without keys, or if they move no finger.
+            The keys. None if there are no keys, or if they move no finger.
         """
         anatomy = HandAnatomy.of(skeleton)
         if not keys or anatomy is None:
@@ -134,7 +135,7 @@ class HandKeys:
 
     @cached_property
     def bones(self) -> tuple[int, ...]:
-        """Numbers of the moved bones in :data:`FINGER_BONES`."""
+        """Numbers of the bones that move, in :data:`FINGER_BONES`."""
         over = {side for side in "lr" for key in self._of_side(side) if key.over_motion}
         sides = {side for side in "lr" if self._of_side(side)}
         return tuple(
@@ -149,7 +150,7 @@ class HandKeys:
         return [key for key in self.keys if key.side[0] in (side, "b")]
 
     def angles(self, times: Array) -> Array:
-        """Angles (N, 30, 3) radians at times of a cycle (N,), seconds of the file."""
+        """Angles (N, 30, 3) in radians at times (N,) of a cycle, seconds of the file."""
         sides = [self._side_angles(self._of_side(side), times) for side in "lr"]
         return np.concatenate(sides, axis=1)
 
@@ -164,25 +165,27 @@ class HandKeys:
         return out
 
     def reaching_for(self, reaching: Sequence[ReachingHand]) -> HandKeys:
-        """These keys, with other poses while hands reach; a hand without keys is relaxed elsewhere."""
+        """Return these keys, with other poses while hands reach. A hand without keys is relaxed the rest of
+        the time."""
         sides = sorted({each.side for each in reaching if not self._of_side(each.side[0])})
         relaxed = (HandKey("relaxed", self.motion.start, side) for side in sides)
         return replace(self, keys=(*relaxed, *self.keys), reaching=tuple(reaching))
 
     def add(self, poses: JointPoses, seconds: float, file_offset: float, delay: float = 0.0) -> JointPoses:
-        """Poses (N = 1) of a motion at a time, with joints that carry the poses of the hands.
+        """Add joints that carry the poses of the hands to poses (N = 1) of a motion at a time.
 
-        The rotation of such a joint is the rotation of its bone. Its position is the first joint's.
+        The rotation of such a joint is the rotation of its bone. Its position is that of the first joint.
 
         Args:
             poses: Joint poses of the motion.
             seconds: Time of the motion, seconds.
-            file_offset: Seconds of the file that the motion is ahead.
-            delay: Seconds that the time of the motion is ahead of the scene.
+            file_offset: Seconds of the file by which the motion is ahead.
+            delay: Seconds by which the time of the motion is ahead of the scene.
         """
         times = seconds + AROUND
         phases = self.motion.phases(times, file_offset)
-        if np.ptp(phases) > 3 * VELOCITY_STEP * max(self.motion.speed, 1.0):  # a new cycle began
+        # a new cycle began between the times
+        if np.ptp(phases) > 3 * VELOCITY_STEP * max(self.motion.speed, 1.0):
             phases[:] = phases[1]
         angles = self.angles(phases)
         for each in self.reaching:
@@ -195,15 +198,15 @@ class HandKeys:
 
 @dataclass(frozen=True)
 class FreeFingers:
-    """Moves the finger bones of a skeleton that no joint drives: by given rotations, else by the arm.
+    """Moves the finger bones of a skeleton that no joint drives. Given rotations decide, else the arm.
 
-    A hand is relaxed. While its wrist is above the shoulder by more than a tenth of the length of the arm, it
-    opens. It is open, with fingers apart, above four tenths.
+    A hand is relaxed by default. It begins to open when its wrist is above the shoulder by a tenth of the
+    length of the arm. Above four tenths it is open, with fingers apart.
 
     Attributes:
         skeleton: The skeleton.
         anatomy: Its finger bones.
-        free: (30,) whether no joint drives a bone.
+        free: (30,) whether each bone is free: no joint drives it.
     """
 
     skeleton: Skeleton
@@ -212,12 +215,13 @@ class FreeFingers:
 
     @classmethod
     def of(cls, skeleton: Skeleton, match: JointMatch) -> FreeFingers | None:
-        """Free fingers of a skeleton; None if it has no fingers."""
+        """Find the free fingers of a skeleton. None if the skeleton has no fingers."""
         anatomy = HandAnatomy.of(skeleton)
         if anatomy is None:
             return None
         driven = {bone for bone in FINGER_BONES if bone in match.parallel or bone in match.extra}
-        fingers = {bone[:-1] for bone in driven}  # a finger that is driven is so to its end
+        # if one bone of a finger is driven, the whole finger counts as driven
+        fingers = {bone[:-1] for bone in driven}
         return cls(skeleton, anatomy, np.array([bone[:-1] not in fingers for bone in FINGER_BONES]))
 
     def move(self, rotations: Array, heads: Array, hands: Mapping[str, Array]) -> None:
@@ -264,7 +268,8 @@ class FreeFingers:
 
     @cached_property
     def _followers(self) -> tuple[tuple[int, int], ...]:
-        """Other bones that a finger carries, such as tips of figures, and the number of the finger."""
+        """Other bones that a finger carries (such as the tips of some figures), each with the number of the
+        finger."""
         finger_of = {int(bone): number // 3 for number, bone in enumerate(self.anatomy.bones) if bone >= 0}
         fingers = set(finger_of)
         for bone, parent in enumerate(self.skeleton.parents.tolist()):

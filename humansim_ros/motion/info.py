@@ -1,4 +1,5 @@
-"""Summary of a motion file: contents, joints, units, axes, and how well it fits the general skeleton."""
+"""Summary of a motion file: contents, joints, units, axes, and how well the motion fits the general
+skeleton."""
 
 from __future__ import annotations
 
@@ -27,36 +28,37 @@ from humansim_ros.motion.soles import find_stances, slide_distances
 from humansim_ros.motion.world_motion import WorldMotion, floor_height, playing_warnings, posture_warnings
 from humansim_ros.types import Array
 
-#: Most frames, spread over the motion, from which bounds, floor and heading are measured.
+#: Bounds, floor and heading are measured in at most this number of frames, spread over the motion.
 _MAX_SAMPLES = 2000
-#: Most frames, from the first on, that are checked for feet, limits and penetration.
+#: Feet, limits and penetration are checked in at most this number of frames, from the first on.
 _MAX_CHECKED = 4000
-#: Headings have a common direction if their mean is at least this long.
+#: Headings have a common direction if the length of their mean is at least this value.
 _MIN_MEAN_HEADING = 0.3
 
 
 @dataclass(frozen=True)
 class MotionInfo:
-    """Summary of a motion file; ``unknown`` is the reason why values from ``table`` on are None.
+    """Summary of a motion file. If ``unknown`` is set, the values from ``table`` on are None, and it is the
+    reason.
 
     File: ``joints`` (without ``end_sites``); ``channel_layouts``: channels in their order, such as
     ``Zrotation Xrotation Yrotation`` -> number of joints; ``positions``: whether position channels replace
-    the OFFSET or are added to it; ``position_joints``: joints that have some; ``bounds``: lowest and highest
-    joint position in file units and axes.
+    the OFFSET or are added to it; ``position_joints``: joints that have position channels; ``bounds``: lowest
+    and highest joint position in file units and axes.
 
     Person: ``table``, ``found_by``, ``roles`` (role -> joint) and ``missing_bones`` of the joint match;
-    ``confidence``: the lower one of the joint match and of the up axis; ``up``, ``facing``: file axes;
-    ``rest``: rest pose from which they are detected; ``unit``, ``stature``: metres; ``floor``: its height on
-    the up axis, file units; ``root_scale``: scale of the root's movement onto the general skeleton;
-    ``speed``: mean speed over the floor, m/s; ``travel``: x and y from the first frame to the last;
-    ``heading_deg``: mean heading, or None without a common one. Both are relative to the rest pose facing +x,
-    with y to its left.
+    ``confidence``: of the joint match or of the up axis, the lower of the two; ``up``, ``facing``: file axes;
+    ``rest``: rest pose from which the axes are detected; ``unit``, ``stature``: metres; ``floor``: height of
+    the floor on the up axis, file units; ``root_scale``: scale of the root's movement onto the general
+    skeleton; ``speed``: mean speed over the floor, m/s; ``travel``: x and y from the first frame to the last;
+    ``heading_deg``: mean heading, None if there is no common heading. ``travel`` and ``heading_deg`` are
+    relative to the rest pose facing +x, with y to its left.
 
-    ``jumps``: frame to which the person jumps, and distance in metres. ``warnings``: of the reader and of the
-    checks.
+    ``jumps``: frame to which the person jumps, and distance in metres. ``warnings``: warnings of the reader
+    and of the checks.
 
-    First ``checked_frames``: ``stances``; ``slide``: mean slide of a standing foot, mm; ``limits``:
-    violations of joint limits; ``penetration``: the deepest self-penetration.
+    From the first ``checked_frames`` frames: ``stances``; ``slide``: mean slide of a standing foot, mm;
+    ``limits``: violations of joint limits; ``penetration``: the deepest self-penetration.
     """
 
     path: str
@@ -111,7 +113,7 @@ class LoadedMotion:
 
 
 def read_with_warnings(path: Path, positions: PositionChannels = "auto") -> LoadedMotion:
-    """Read a motion file, and collect its warnings."""
+    """Read a motion file and collect the warnings."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         motion = read_motion(path, positions)
@@ -128,7 +130,7 @@ def to_world(
     min_confidence: float | None = None,
     **options: Any,
 ) -> WorldMotion:
-    """Place a motion in ``map``, with joints and file frame detected where they are not given.
+    """Place a motion in ``map``. Joints and file frame are detected where they are not given.
 
     Args:
         motion: Motion of a person.
@@ -136,11 +138,11 @@ def to_world(
         unit: Metres per file unit.
         up: File axis that points up.
         facing: File axis that the person faces at rest.
-        min_confidence: Lowest confidence of the joint match; None for 0.12.
-        options: Other fields of :class:`WorldMotion`; ``loop`` is ``none`` by default.
+        min_confidence: Lowest confidence of the joint match. If None, 0.12.
+        options: Other fields of :class:`WorldMotion`. By default, ``loop`` is ``none``.
 
     Raises:
-        MotionError: The motion is not a person's, or a given value does not fit it.
+        MotionError: The motion is not that of a person, or a given value does not fit the motion.
     """
     match = match_motion(motion, table, min_confidence)
     frame = detect_file_frame(motion, match, unit, up, facing)
@@ -155,7 +157,7 @@ def describe_motion(
     facing: str | None = None,
     min_confidence: float | None = None,
 ) -> MotionInfo:
-    """Summarise a motion; of a motion without a person, only the file.
+    """Summarise a motion. If it has no person, only the file is described.
 
     Args:
         loaded: The motion and its warnings.
@@ -171,7 +173,7 @@ def describe_motion(
         world = to_world(loaded.motion, table, unit, up, facing, min_confidence)
     except MotionError as error:
         if table is not None or _is_person(loaded.motion):
-            raise  # a given value is the reason
+            raise  # a given value is the cause
         return MotionInfo(**_file_summary(loaded), unknown=error.message)
     summary = _person_summary(world, hanim_skeleton())
     found = [f"{loaded.motion.path}: {text}" for text in summary.pop("warnings")]
@@ -179,13 +181,15 @@ def describe_motion(
 
 
 def headings(match: JointMatch, poses: JointPoses) -> Array:
-    """Headings (N, 2) of the hips: x and y in ``map``; their length is 1 for upright hips, else less."""
+    """Headings (N, 2) of the hips: x and y in ``map``. Their length is 1 for upright hips, and smaller for
+    tilted hips."""
     hips = quaternion_to_matrix(poses.rotations[:, match.roles["Hips"]])
     return np.asarray(hips[:, :2, 0])
 
 
 def mean_heading(match: JointMatch, poses: JointPoses) -> float | None:
-    """Direction (radians in ``map``) of the mean of :func:`headings`; None if they have no common one."""
+    """Direction (radians in ``map``) of the mean of :func:`headings`. None if there is no common
+    direction."""
     x, y = headings(match, poses).mean(0)
     return float(np.arctan2(y, x)) if np.hypot(x, y) > _MIN_MEAN_HEADING else None
 
@@ -242,7 +246,7 @@ def _person_summary(world: WorldMotion, skeleton: Skeleton) -> dict[str, Any]:
     poses = world.sample(samples * motion.frame_time)
     hips = poses.positions[:, match.roles["Hips"], :2]
     steps = np.linalg.norm(np.diff(hips, axis=0), axis=-1)
-    # the step from one sample to the next that contains a jump
+    # leave out steps between samples that contain a jump
     steps[np.searchsorted(samples, [jump.frame for jump in world.jumps]) - 1] = 0.0
     distance = steps.sum()
     first, last = np.searchsorted(samples, world.steady_frames[[0, -1]])
@@ -271,7 +275,7 @@ def _person_summary(world: WorldMotion, skeleton: Skeleton) -> dict[str, Any]:
 
 
 def _floor(world: WorldMotion) -> float:
-    """Height of the floor on the file's up axis, file units."""
+    """Height of the floor on the up axis of the file, file units."""
     upward = axis_vector(world.frame.up)
     steady = world.steady_frames
     points = world.motion.world_positions(steady[_sample_frames(len(steady))])
@@ -279,7 +283,7 @@ def _floor(world: WorldMotion) -> float:
 
 
 def _check_summary(world: WorldMotion, retargeter: Retargeter) -> dict[str, Any]:
-    """Feet, joint limits and penetration on a skeleton."""
+    """Check feet, joint limits and penetration on a skeleton."""
     times = world.frame_times[:_MAX_CHECKED]
     poses = world.sample(times)
     posed = retargeter.pose(poses)

@@ -16,7 +16,7 @@ from humansim_ros.motion.joint_tables import FALLBACK_ROLES, REQUIRED_ROLES, Joi
 from humansim_ros.motion.kinematics import Motion
 from humansim_ros.types import Indices
 
-#: Bones that a motion of a person drives.
+#: Bones that the motion of a person must drive.
 REQUIRED_BONES = (
     "HumanoidRoot",
     "l_hip",
@@ -28,11 +28,11 @@ REQUIRED_BONES = (
     "r_shoulder",
     "r_elbow",
 )
-#: Bones that a person may lack if there are no joints for them.
+#: Bones that may lack a driver, if the motion has no joints for them.
 ARM_BONES = ("l_shoulder", "l_elbow", "r_shoulder", "r_elbow")
-#: A motion with a match that has a lower confidence is refused: it is not a person's.
+#: A motion with a lower confidence of its match is refused, since it is not that of a person.
 MIN_CONFIDENCE = 0.12
-#: Below this confidence, scenes and commands state it.
+#: Scenes and commands report a confidence below this value.
 LOW_CONFIDENCE = 0.7
 #: Deeper joints are not indented further.
 _MAX_INDENT = 40
@@ -44,16 +44,17 @@ class JointMatch:
 
     Attributes:
         table: Name of the table.
-        parallel: Bone -> (start joint, end joint) of the link that it is parallel to.
-        difference: Bone -> joint whose rotation it takes.
+        parallel: Bone -> (start joint, end joint) of the link that the bone is parallel to.
+        difference: Bone -> joint. The bone takes the rotation of the joint.
         roles: Role -> joint.
         missing: Bones without a driver, which stay at rest.
         by: Method of the match.
         confidence: 0 to 1.
-        extra: Bone -> joint whose rotation it takes, for bones that the general skeleton lacks.
-        details: Bone of a finger, a toe, the jaw or an eye -> (start joint, end joint) of its link; the same
-            joint twice for a rotation.
-        reasons: Reasons why the motion may not be a person's.
+        extra: The same as ``difference``, for bones that the general skeleton lacks.
+        details: Bone of a finger, a toe, the jaw or an eye -> (start joint, end joint) of its link. The same
+            joint twice means that the bone takes the rotation of the joint.
+
+        reasons: Reasons why the motion may not be that of a person.
     """
 
     table: str
@@ -68,7 +69,7 @@ class JointMatch:
     details: Mapping[str, tuple[int, int]] = field(default_factory=dict)
 
     def with_extra_bones(self, bone_names: Sequence[str], joint_names: Sequence[str]) -> JointMatch:
-        """Match the bones that the general skeleton does not have: by :attr:`details`, and by equal names."""
+        """Match bones that the general skeleton does not have, by :attr:`details` and by equal names."""
         general = set(hanim_skeleton().names)
         joints = {name: number for number, name in enumerate(joint_names)}
         extra = {name: joints[name] for name in bone_names if name in joints and name not in general}
@@ -80,12 +81,13 @@ class JointMatch:
 
     @property
     def held(self) -> tuple[str, ...]:
-        """Bones of the arms without a driver: they hang down."""
+        """Bones of the arms without a driver. These arms hang down."""
         return tuple(bone for bone in REQUIRED_BONES if bone in ARM_BONES and bone in self.missing)
 
     @property
     def warning(self) -> str | None:
-        """What joints a person lacks, or the confidence and its reasons, where it is low."""
+        """Message about joints that the person lacks, or about a low confidence and its reasons. None if all
+        is well."""
         if self.held:
             trunk = () if self.roles.keys() & {"Spine", "Chest", "Neck", "Head"} else ("trunk", "head")
             lacking = ", ".join((*trunk, *self.held))
@@ -108,7 +110,7 @@ class JointMatch:
 
 
 def match_roles(table: JointTable, roles: Mapping[str, int], joint_names: Sequence[str]) -> JointMatch:
-    """Match bones to joints (role -> joint index); a bone without a driver of its own takes a fallback."""
+    """Match bones to joints (role -> joint index). A bone without a driver of its own takes a fallback."""
     parallel, difference = {}, {}
     ends = {name: number for number, name in enumerate(joint_names)}
     for bone, (start, end) in table.parallel.items():
@@ -118,7 +120,7 @@ def match_roles(table: JointTable, roles: Mapping[str, int], joint_names: Sequen
         if tip is not None:
             parallel[bone] = (roles[start], tip)
         else:
-            difference[bone] = roles[start]  # without a link, the rotation of the joint alone
+            difference[bone] = roles[start]  # if there is no link, use only the rotation of the joint
     for bone, role in table.difference.items():
         known = next((r for r in (role, *FALLBACK_ROLES.get(role, ())) if r in roles), None)
         if known is not None:
@@ -130,7 +132,8 @@ def match_roles(table: JointTable, roles: Mapping[str, int], joint_names: Sequen
 
 
 def opposite_joints(names: Sequence[str], roles: Mapping[str, int]) -> Indices:
-    """Index (J,) of the joint on the other side, by name and by role; a joint without one has its own."""
+    """Index (J,) of the joint on the other side, by name and by role. A joint without an opposite joint has
+    its own index."""
     pairs = np.arange(len(names))
     index = {name: number for number, name in enumerate(names)}
     lower = {name.lower(): number for name, number in index.items()}
@@ -141,15 +144,13 @@ def opposite_joints(names: Sequence[str], roles: Mapping[str, int]) -> Indices:
     for role, joint in roles.items():
         if role.startswith("Left") and (right_joint := roles.get(f"Right{role[4:]}")) is not None:
             pairs[joint], pairs[right_joint] = right_joint, joint
-    # a pair counts only if it is one in both directions
+    # a pair counts only if each joint is the opposite of the other
     return np.where(pairs[pairs] == np.arange(len(names)), pairs, np.arange(len(names)))
 
 
 def table_text(match: JointMatch, motion: Motion) -> str:
-    """A match as the YAML text of a joint table, to be edited and passed back.
-
-    Comments give the method of the match, and the joints of the motion with their roles.
-    """
+    """Write a match as the YAML text of a joint table, which can be edited and passed back. Comments give the
+    method of the match, and the joints of the motion with their roles."""
     role_of = {joint: role for role, joint in reversed(list(match.roles.items()))}
 
     def link(start: int, end: int) -> list[str]:
@@ -175,7 +176,7 @@ def write_table(match: JointMatch, motion: Motion, path: str | os.PathLike[str])
 
 
 def _hierarchy_lines(motion: Motion, match: JointMatch) -> Iterator[str]:
-    """A line for each joint with its roles, indented by its depth."""
+    """Make a line for each joint with its roles, indented by its depth."""
     depth: list[int] = []
     for joint, (name, parent) in enumerate(zip(motion.joint_names, motion.parents.tolist(), strict=True)):
         depth.append(depth[parent] + 1 if parent >= 0 else 0)

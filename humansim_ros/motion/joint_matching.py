@@ -1,7 +1,8 @@
-"""Match the joints of a motion to the bones of a skeleton: by names, or else by shape.
+"""Match the joints of a motion to the bones of a skeleton: by names first, and by shape if names fail.
 
 Names are compared in a common spelling: without a common prefix, with left and right found from pairs of
-names. Bodies on four legs are refused: several signs together make an animal, because a person may crawl.
+names. Animals on four legs are refused. Because a person may crawl, several signs of an animal must come
+together.
 """
 
 from __future__ import annotations
@@ -39,21 +40,25 @@ from humansim_ros.motion.kinematics import Motion, refuse_cycle
 from humansim_ros.motion.skeleton_matching import match_shape
 from humansim_ros.types import Array, Indices
 
-#: Most frames, spread over the motion, that are looked at.
+#: Most frames that are examined, spread over the motion.
 _MAX_SAMPLES = 100
-#: The trunk stands on the legs if the angle between hips-shoulders and hips-ankles has at most this cosine.
+#: The trunk stands on the legs if the cosine of the angle between two directions (hips to shoulders, hips to
+#: ankles) is at most this value.
 _STANDING = -0.7
-#: On all fours, the trunk is not opposite to the legs, and arms and legs point to the same side.
+#: A body is on all fours if the trunk is not opposite to the legs, and arms and legs point to the same side.
+#: These are limits of the cosines.
 _TRUNK_TO_LEGS, _ARMS_TO_LEGS = -0.6, 0.3
-#: People have legs of 1.5 to 2.3 times the trunk and arms of 0.54 to 0.68 times the legs; dogs, cats and
-#: horses 0.7, and 0.9 to 1.0.
+#: Legs of an animal are shorter than the first value, as a multiple of the trunk. Its arms are longer than
+#: the second, as a multiple of the legs. People have 1.5 to 2.3 and 0.54 to 0.68; dogs, cats and horses have
+#: 0.7 and 0.9 to 1.0.
 _SHORT_LEGS, _LONG_ARMS = 1.0, 0.8
-#: One sign of the body means an animal if it is on all fours in this share of the frames; two signs, if the
-#: trunk is opposite to the legs in less than the second share.
+#: A body with one sign is an animal if it is on all fours in this share of the frames. A body with two signs
+#: is an animal if the trunk is opposite to the legs in less than the second share.
 _FOURS, _UPRIGHT = 0.9, 0.5
-#: Factor of the confidence for an animal, and for a body that may be one.
+#: The confidence is multiplied by the first value for an animal, and by the second for a body that may be an
+#: animal.
 _ANIMAL, _DOUBTFUL = 0.05, 0.5
-#: Parts, without their side, that a body needs to be looked at.
+#: Parts that a body must have on a side to be examined.
 _PARTS = ("Hip", "Knee", "Shoulder", "Elbow")
 _TAIL = re.compile(r"tail(?!or)", re.IGNORECASE)
 
@@ -80,19 +85,20 @@ class BodySigns:
 
     @property
     def has_animal_proportions(self) -> bool:
-        """Whether legs are as short, and arms as long, as an animal's."""
+        """Whether the legs are as short and the arms as long as those of an animal."""
         return self.legs < _SHORT_LEGS and self.arms > _LONG_ARMS
 
     @property
     def is_animal(self) -> bool:
-        """Whether enough signs come together to say that this is no person."""
+        """Whether enough signs of an animal come together."""
         signs = bool(self.tail) + self.has_animal_proportions
         moves = (signs == 1 and self.fours >= _FOURS) or (signs == 2 and self.upright < _UPRIGHT)
         return moves and not self.stands_in_offsets
 
     @property
     def plausibility(self) -> float:
-        """Factor of the confidence that this is a person: 1, or less with signs of an animal."""
+        """Factor of the confidence that this is a person. It is 1, or less if there are signs of an
+        animal."""
         if self.is_animal:
             return _ANIMAL
         crawls = self.fours >= _FOURS and not self.stands_in_offsets
@@ -100,7 +106,7 @@ class BodySigns:
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """The signs of an animal, in words; nothing where the body is plausible."""
+        """The signs of an animal in words. Empty if the body is plausible."""
         if self.plausibility == 1:
             return ()
         reasons = []
@@ -117,7 +123,8 @@ class BodySigns:
 
 
 def look_at_body(motion: Motion, roles: Mapping[str, int]) -> BodySigns | None:
-    """Signs of an animal in a motion with these joints (role -> joint); None without shoulders or elbows."""
+    """Look for signs of an animal in a motion with these joints (role -> joint). None if shoulders or elbows
+    are unknown."""
     if not all(side + part in roles for side in ("Left", "Right") for part in _PARTS):
         return None
     points = motion.world_positions(np.unique(np.linspace(0, motion.n_frames - 1, _MAX_SAMPLES).astype(int)))
@@ -150,12 +157,12 @@ def _directions(points: Array, roles: Mapping[str, int]) -> tuple[Array, Array, 
 
 
 def _joint(roles: Mapping[str, int], side: str, *parts: str) -> int:
-    """Joint of the first part that a side has."""
+    """Joint of the first part that is known on a side."""
     return next(roles[side + part] for part in parts if side + part in roles)
 
 
 def _length(points: Array, roles: Mapping[str, int], limb: tuple[str, str, str]) -> float:
-    """Mean length of a limb of both sides, median over poses."""
+    """Mean length of a limb over both sides. The median over all poses is taken."""
     lengths = []
     for side in ("Left", "Right"):
         joints = [roles[side + part] for part in limb if side + part in roles]
@@ -170,7 +177,8 @@ def _cosine(a: Array, b: Array) -> Array:
 
 
 def _tail(motion: Motion, roles: Mapping[str, int]) -> tuple[str, ...]:
-    """Names of the joints of a tail: called so, and not hair (a ponytail) or a coat above the shoulders."""
+    """Names of joints of a tail. Names that mean hair (a ponytail) or a coat above the shoulders do not
+    count."""
     upper = {roles[role] for role in ("Neck", "Head", "LeftShoulder", "RightShoulder") if role in roles}
     names = []
     for joint, name in enumerate(motion.joint_names):
@@ -185,8 +193,8 @@ def _tail(motion: Motion, roles: Mapping[str, int]) -> tuple[str, ...]:
 #: Spellings of the sides, at the start or the end of a name.
 _SIDES = (("left", "right"), ("l", "r"))
 _SEPARATORS = " _.-|:"
-#: Left in a name of a joint table, the surest first: as a word or a letter that stands alone; as a letter
-#: before a capital; as the first letter.
+#: Patterns for left in names of a joint table, the most certain first: as a word or letter of its own, as a
+#: letter before a capital, as the first letter.
 _LEFT = (
     re.compile(r"left|(?<![a-z])l(?=[_. -])|(?<=[_. :-])l(?![a-z])", re.IGNORECASE),
     re.compile(r"^l(?=[A-Z])"),
@@ -196,11 +204,9 @@ _LEFT = (
 
 @lru_cache(4)
 def loose_keys(names: tuple[str, ...]) -> list[str]:
-    """Keys of joint names: ``L_UpLeg_x``, ``lUpLeg`` and ``upleg.L`` all become ``left upleg``.
-
-    What all names begin or end with is left out. A letter is a side only if the name of the other side is
-    there, too.
-    """
+    """Keys of joint names: ``L_UpLeg_x``, ``lUpLeg`` and ``upleg.L`` all become ``left upleg``. A beginning
+    or an end that all names share is left out. A letter counts as a side only if the name of the other side
+    also exists."""
     keys = [comparison_key(name) for name in _without_common_parts(names)]
     present = set(keys)
     return [_with_side(key, present) for key in keys]
@@ -208,7 +214,7 @@ def loose_keys(names: tuple[str, ...]) -> list[str]:
 
 @lru_cache(1 << 13)
 def loose_table_key(role: str, name: str) -> str:
-    """Key of a name of a joint table; :func:`loose_keys` gives the same to such a joint."""
+    """Key of a name in a joint table. :func:`loose_keys` gives the same key to a joint with this name."""
     if not role.startswith("Left"):
         return comparison_key(name)
     found = next((match for pattern in _LEFT if (match := pattern.search(name))), None)
@@ -227,7 +233,7 @@ def _with_side(key: str, present: set[str]) -> str:
 
 
 def _without_common_parts(names: Sequence[str]) -> list[str]:
-    """Names without the beginning and the end that all have, up to a separator."""
+    """Names without the beginning and the end that all names share, up to a separator."""
     joints = [name for name in names if not name.endswith("_end")]
     if len(joints) < 2:
         return list(names)
@@ -240,19 +246,19 @@ def _without_common_parts(names: Sequence[str]) -> list[str]:
 
 def _common_start(texts: Sequence[str]) -> str:
     """Longest text that all texts begin with."""
-    first, last = min(texts), max(texts)  # all others are between them
+    first, last = min(texts), max(texts)  # all other texts are between these two in order
     length = next((n for n, (a, b) in enumerate(zip(first, last, strict=False)) if a != b), len(first))
     return first[:length]
 
 
-#: Roles of the parts of limbs, without their side.
+#: Roles of the joints of each limb, without their side.
 LIMBS = (("Hip", "Knee", "Ankle"), ("Shoulder", "Elbow", "Wrist"))
-#: A joint that moves by at most this share of the lower part of a limb is at its end. The part is between
-#: these multiples of the upper one.
+#: A joint counts as the end of a limb if its distance from the end varies by at most this share of the lower
+#: part of the limb. The lower part is between these multiples of the upper part.
 _END_GAP, _LOWER_BY_UPPER = 0.1, (0.4, 2.5)
-#: Table of common names, which is used where no other fits.
+#: Table of common names. It is used if no other table fits.
 _COMMON = "common"
-#: Chains of roles: the joint of each is a descendant of the joint before it.
+#: Chains of roles. The joint of each role is a descendant of the joint before it.
 _CHAINS = (
     ("Hips", "LeftHip", "LeftKnee", "LeftAnkle", "LeftToe"),
     ("Hips", "RightHip", "RightKnee", "RightAnkle", "RightToe"),
@@ -269,12 +275,13 @@ def match_motion(
 ) -> JointMatch:
     """Match the joints of a motion to bones.
 
-    By ``table`` (the name of a built-in table or a YAML file); else by the built-in table whose names and
-    hierarchy fit best; else by the shape of the skeleton. Signs of an animal lower the confidence.
+    If ``table`` is given (name of a built-in table, or a YAML file), this table is used. Otherwise the
+    built-in table is used that best fits names and hierarchy. If none fits, the shape of the skeleton
+    decides. Signs of an animal lower the confidence.
 
     Raises:
-        MotionError: The table does not fit, or the motion is not a person's: its confidence is below
-            ``min_confidence`` (by default 0.12).
+        MotionError: The table does not fit, or the motion is not that of a person. The second is so if the
+            confidence is below ``min_confidence`` (by default 0.12).
     """
     min_confidence = MIN_CONFIDENCE if min_confidence is None else min_confidence
     try:
@@ -289,7 +296,7 @@ def match_motion(
         match = replace(by_shape, details=detail_joints(motion.joint_names, by_shape.roles, motion.parents))
     signs = look_at_body(motion, match.roles)
     if signs is not None and signs.plausibility < 1:
-        # reasons alone refuse nobody
+        # a motion is not refused for reasons alone
         least = 0.0 if signs.is_animal else min(match.confidence, MIN_CONFIDENCE)
         confidence = max(match.confidence * signs.plausibility, least)
         match = replace(match, confidence=confidence, reasons=signs.reasons)
@@ -305,7 +312,7 @@ def match_motion(
 
 
 def is_person(motion: Motion) -> bool:
-    """Whether the joints of a motion are a person's."""
+    """Whether the joints of a motion are those of a person."""
     try:
         match_motion(motion)
     except MotionError:
@@ -314,11 +321,9 @@ def is_person(motion: Motion) -> bool:
 
 
 def _match_names_in_motion(motion: Motion, table: str | os.PathLike[str] | None) -> JointMatch:
-    """Match joints by their names.
-
-    A foot or a hand that is not below its limb, because inverse kinematics moves it, is taken if it is at the
-    end of the limb in all frames.
-    """
+    """Match joints by their names. In some files, inverse kinematics moves a foot or a hand, so that the
+    joint is not below its limb in the hierarchy. Such a joint counts if it is at the end of the limb in all
+    frames."""
     names, parents = motion.joint_names, np.array(motion.parents)
     found: JointMatch | None = None
     with suppress(MotionError):
@@ -339,7 +344,8 @@ def _match_names_in_motion(motion: Motion, table: str | os.PathLike[str] | None)
 
 
 def _is_limb(frames: Array) -> bool:
-    """Whether the third of three joints (F, 3, 4, 4) stays at the end of the second, as a foot of a shin."""
+    """Whether the third of three joints (F, 3, 4, 4) stays at the end of the second, as a foot does on a
+    shin."""
     upper, lower, end = (frames[:, joint, :3, 3] for joint in range(3))
     inside = rotate(np.swapaxes(frames[:, 1, :3, :3], -1, -2), end - lower)
     middle = np.median(inside, axis=0)
@@ -360,10 +366,11 @@ def match_names(
         joint_names: Names of J joints.
         table: Name of a built-in joint table, or a YAML file. If None, the built-in table that fits best.
         path: File of the motion, for messages.
-        parents: (J,) parent of each joint, where known. Joints that contradict the hierarchy do not match.
+        parents: (J,) parent of each joint. Joints that contradict this hierarchy do not match. None if
+            unknown.
 
     Raises:
-        MotionError: No table fits, or the parents have a cycle; the message names the bones and roles without
+        MotionError: No table fits, or the parents have a cycle. The message names the bones and roles without
             joints, or the joints of the cycle.
     """
     if parents is not None:
@@ -390,12 +397,12 @@ def match_names(
     return best if table is None else replace(best, by="given")
 
 
-#: Roles from which arms may branch off.
+#: Roles of joints from which arms may branch off.
 _ABOVE_ARMS = ("Hips", "Spine", "Chest", "Neck", "Head", "Collar", "Shoulder")
 
 
 def _may_have_arms(match: JointMatch, names: Sequence[str], parents: Indices | None) -> bool:
-    """Whether there may be arms without a match: two unknown joints branch off, or a wrist ends an arm."""
+    """Whether there may be arms that did not match: two unknown joints branch off, or a wrist ends an arm."""
     sides = {"l": "Left", "r": "Right"}
     if parents is None or any(f"{sides[bone[0]]}Wrist" in match.roles for bone in match.held):
         return True
@@ -416,7 +423,8 @@ def _may_have_arms(match: JointMatch, names: Sequence[str], parents: Indices | N
 def _best_match(
     tables: Sequence[JointTable], joint_names: Sequence[str], parents: Indices | None, loose: bool = False
 ) -> JointMatch:
-    """Match by the table that fits best. If several are complete, the table of common names comes last."""
+    """Match by the table that fits best. If several tables are complete, the table of common names has the
+    lowest rank."""
     matches = [match_table(candidate, joint_names, parents, loose) for candidate in tables]
     present = {comparison_key(name) for name in joint_names}
 
@@ -444,8 +452,9 @@ def match_table(
     Args:
         table: Joint table.
         joint_names: Names of J joints.
-        parents: (J,) parent of each joint, where known; joints that contradict their role are left out.
-        loose: Compare names without the prefix and suffix of all joints, and in any spelling of the sides.
+        parents: (J,) parent of each joint. Joints that contradict their role are left out. None if unknown.
+        loose: Whether to ignore the prefix and suffix that all joints share, and to accept any spelling of
+            the sides.
     """
     roles = _loose_roles(table, joint_names) if loose else _named_roles(table, joint_names)
     if parents is not None:
@@ -460,14 +469,14 @@ def match_table(
 
 @lru_cache(4)
 def _numbers_by_name(names: tuple[str, ...]) -> tuple[dict[str, int], dict[str, int]]:
-    """Number of the first joint of each name, by its plain name and by its key."""
+    """Number of the first joint with each name. By plain name, and by comparison key."""
     numbered = list(reversed(list(enumerate(names))))
     exact = {plain_name(name): number for number, name in numbered}
     return exact, {comparison_key(name): number for number, name in numbered}
 
 
 def _named_roles(table: JointTable, joint_names: Sequence[str]) -> dict[str, int]:
-    """Joint of each role of a table: the first of its names that is there, exactly or nearly so."""
+    """Joint of each role of a table. The first name of the role that exists is used, exact or nearly so."""
     exact, similar = _numbers_by_name(tuple(joint_names))
     roles = {}
     for role, names in table.joints.items():
@@ -477,7 +486,8 @@ def _named_roles(table: JointTable, joint_names: Sequence[str]) -> dict[str, int
 
 
 def _loose_roles(table: JointTable, joint_names: Sequence[str]) -> dict[str, int]:
-    """As :func:`_named_roles`, in any spelling of the sides. Right sides are spelt as the left ones."""
+    """Do the same as :func:`_named_roles`, in any spelling of the sides. Right sides are spelt as the left
+    ones are."""
     joint_of = {key: number for number, key in reversed(list(enumerate(loose_keys(tuple(joint_names)))))}
     roles = {}
     for role, names in table.joints.items():
@@ -490,14 +500,15 @@ def _loose_roles(table: JointTable, joint_names: Sequence[str]) -> dict[str, int
 
 
 def _consistent_roles(roles: Mapping[str, int], parents: Indices) -> dict[str, int]:
-    """Roles, except where the joint does not descend from the joint before it in a chain."""
+    """Return the roles, without those that have a joint which does not descend from the joint before it in a
+    chain."""
     consistent = dict(roles)
     legs = [roles[role] for role in ("LeftHip", "RightHip") if role in roles]
     pelvis = roles.get("Hips", -1)
     while pelvis >= 0 and not all(_is_descendant(leg, pelvis, parents) for leg in legs):
         pelvis = int(parents[pelvis])
     if pelvis >= 0 and len(legs) == 2:
-        consistent["Hips"] = pelvis  # a joint called hips may carry the trunk alone
+        consistent["Hips"] = pelvis  # the joint called hips may carry only the trunk
     for chain in _CHAINS:
         above: str | None = None
         for role in chain:
@@ -517,7 +528,7 @@ def _consistent_roles(roles: Mapping[str, int], parents: Indices) -> dict[str, i
 
 def _is_descendant(joint: int, ancestor: int, parents: Indices) -> bool:
     above = joint
-    for _ in parents:  # no longer path exists, and a cycle has no end
+    for _ in parents:  # no path is longer than the number of joints, and a cycle would not end
         above = int(parents[above])
         if above < 0 or above == ancestor:
             return above == ancestor

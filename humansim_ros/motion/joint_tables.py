@@ -19,11 +19,11 @@ from humansim_ros.io.schema import Section
 from humansim_ros.io.schema_errors import validated
 from humansim_ros.io.yaml import MAX_BYTES, read_yaml
 
-#: Roles without which height, facing and place of a person are unknown.
+#: Required roles. Without them, height, facing and place of a person are unknown.
 REQUIRED_ROLES = ("Hips", "LeftHip", "LeftKnee", "RightHip", "RightKnee")
-#: Roles that replace a role for which a file has no joint, best first.
+#: Role -> roles that replace it if the file has no joint for it, best first.
 FALLBACK_ROLES = {"Spine": ("Chest", "Hips"), "Chest": ("Spine", "Hips"), "Head": ("Neck", "Chest", "Spine")}
-#: Default links of the bones: roles of the joints at which a link starts and ends, without the side.
+#: Default links of the bones: roles of the joints at the start and the end of a link, without the side.
 _LINKS = {
     "sternoclavicular": ("Collar", "Shoulder"),
     "shoulder": ("Shoulder", "Elbow"),
@@ -32,7 +32,7 @@ _LINKS = {
     "hip": ("Hip", "Knee"),
     "knee": ("Knee", "Ankle"),
 }
-#: Default roles of the joints whose rotation a bone takes.
+#: Bone -> role of the joint with the rotation that the bone takes by default.
 _DRIVERS = {
     "HumanoidRoot": "Hips",
     "HumanoidRoot_to_l_hip": "Hips",
@@ -47,7 +47,7 @@ _DRIVERS = {
 }
 #: Prefixes that programs put before the joint names of a character.
 _PREFIX = re.compile(r"^(.*:|mixamorig\d*|character\d*_|robot_|bip\d+[ _]?)", re.IGNORECASE)
-#: Patterns for left in joint names, and the text for right at the same place.
+#: Patterns for left in joint names, each with the text for right in the same place.
 _SIDES = (
     (r"left", "right"),
     (r"(?<![a-zA-Z])l(?=[_. -])", "r"),
@@ -119,19 +119,20 @@ class JointTable(Section):
 
 
 def load_table(path: str | os.PathLike[str]) -> JointTable:
-    """Read a joint table (YAML); MotionError with file and key if it is not valid."""
+    """Read a joint table (YAML). Raises MotionError, which names file and key, if the table is not valid."""
     data, tree = read_yaml(path, MotionError, "joint table")
     return validated(JointTable, data, MotionError, path, tree)
 
 
-#: Names with keys that are held: the names of all tables and of some motions.
+#: Most names with cached keys: the names of all tables and of some motions.
 _MAX_KEYS = 1 << 13
 
 
 @functools.cache
 def built_in_tables() -> tuple[JointTable, ...]:
-    """Tables of the package (config/joint_names), whose keys a test checks as :func:`load_table` does."""
-    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # seven times faster than the checking loader
+    """Tables of the package (config/joint_names). They are not checked here: a test checks their keys as
+    :func:`load_table` does."""
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # seven times faster than the loader that checks
     files = sorted(resource_path("config/joint_names").glob("*.yaml"))
     contents = (read_bytes(file, MotionError, "joint table", MAX_BYTES) for file in files)
     return tuple(JointTable.model_validate(yaml.load(content, loader)) for content in contents)
@@ -150,7 +151,7 @@ def comparison_key(joint: str) -> str:
 
 
 def right_name(joint: str) -> str | None:
-    """Name of a left joint's counterpart on the right; None if the name does not contain left."""
+    """Name of the counterpart of a left joint on the right. None if the name has no word for left."""
     for left, right in _SIDES:
         flags = 0 if "[A-Z])" in left else re.IGNORECASE
 

@@ -27,12 +27,13 @@ from humansim_ros.types import Array
 
 KeyframeLoop = Literal["none", "repeat"]
 
-#: Names of two joints at the end of a message that show the keyframed space of a motion: its origin, and the
-#: end of its unit vector along x, which is as long as the size of the person.
+#: Names of two joints at the end of a message that show the keyframed space of a motion. The first joint is
+#: at the origin of the space. The second is at the end of its unit vector along x, so their distance is the
+#: size of the person.
 SPACE_JOINTS = ("keyframes", "keyframes_end")
-#: Frames per second of an animation that gives none.
+#: Frames per second of an animation that does not state its rate.
 DEFAULT_RATE = 30.0
-#: Smallest factor of a size.
+#: Smallest factor by which something is scaled.
 SMALLEST_SIZE = 1e-6
 
 
@@ -57,10 +58,8 @@ class KeyframePose:
 
 @dataclass(frozen=True)
 class KeyframeTimeline:
-    """Frames ``start`` to ``end`` at ``rate`` per second; ``start`` is at second 0 of the scene.
-
-    ``loop``: ``none`` holds the ends, ``repeat`` starts again at ``end``.
-    """
+    """Timeline with the frames ``start`` to ``end`` at ``rate`` per second. ``start`` is at second 0 of the
+    scene. ``loop``: ``none`` holds the first and the last frame, ``repeat`` starts again at ``end``."""
 
     start: int
     end: int
@@ -73,7 +72,7 @@ class KeyframeTimeline:
         return (self.end - self.start) / self.rate
 
     def cycles(self, seconds: Array) -> Array:
-        """Number of the cycle of the loop at each time; 0 without a loop."""
+        """Number of the cycle of the loop at each time. 0 if there is no loop."""
         if self.loop == "none" or self.end == self.start:
             return np.zeros_like(seconds)
         return np.floor(seconds / self.duration + 1e-9)
@@ -86,12 +85,12 @@ class KeyframeTimeline:
 
 @dataclass(frozen=True)
 class KeyframeTrack:
-    """The keys of one object, linear in position, angles and size between them.
+    """Keys of one object. Between keys, position, angles and size change linearly.
 
     Attributes:
         timeline: Timeline of the animation.
         frames: (K,) increasing whole numbers.
-        positions: (K, 3) as in :class:`KeyframePose`.
+        positions: (K, 3) the same as in :class:`KeyframePose`.
         rotations: (K, 3) as in :class:`KeyframePose`.
         sizes: (K, 3) as in :class:`KeyframePose`.
 
@@ -119,7 +118,8 @@ class KeyframeTrack:
             raise MotionError("a size must be above 0")
 
     def at(self, seconds: ArrayLike) -> KeyframePose:
-        """Pose at times (...), seconds of the scene; constant before the first and after the last key."""
+        """Pose at times (...), seconds of the scene. It is constant before the first key and after the last
+        one."""
         times = np.asarray(seconds, dtype=float)
         return self._interpolate(self.timeline.frames(times, self.timeline.cycles(times)))
 
@@ -136,10 +136,8 @@ class KeyframeTrack:
         return times, self._interpolate(self.timeline.frames(times, np.full(3, cycle)))
 
     def apply(self, poses: JointPoses, seconds: float) -> JointPoses:
-        """Move, rotate and scale joints (N = 1) with their space, velocities included.
-
-        :data:`SPACE_JOINTS` follow the joints. ``sizes`` must be the same along all axes.
-        """
+        """Move, rotate and scale joints (N = 1) with their space, velocities included. :data:`SPACE_JOINTS`
+        are added after the joints. ``sizes`` must be the same along all axes."""
         times, key = self.around(seconds)
         moving = poses if poses.linear is None else poses.extrapolate(times - seconds)
         n = len(times)
@@ -174,17 +172,16 @@ class KeyframeTrack:
 
 @dataclass(frozen=True)
 class KeyframeSpace:
-    """Space of a motion in ``map`` at N times, as keyframes move it: ``x' = position + size rotation x``.
-
-    ``position``: (N, 3). ``rotation``: (N, 3, 3). ``size``: (N,).
-    """
+    """Space of a motion in ``map`` at N times, moved by keyframes: ``x' = position + size rotation x``.
+    ``position``: (N, 3). ``rotation``: (N, 3, 3). ``size``: (N,)."""
 
     position: Array
     rotation: Array
     size: Array
 
     def to_map(self, frames: Array) -> Array:
-        """Frames (N, J, 4, 4) of that space in ``map``: moved and rotated; their positions scaled."""
+        """Frames (N, J, 4, 4) of that space, moved and rotated into ``map``. Their positions are also
+        scaled."""
         moved = np.array(frames)
         moved[..., :3, :3] = self.rotation[:, None] @ frames[..., :3, :3]
         positions = self.size[:, None, None] * frames[..., :3, 3]
@@ -200,10 +197,10 @@ def undo_keyframes(poses: JointPoses, space: JointPoses) -> tuple[JointPoses, Ke
         space: Poses of the two :data:`SPACE_JOINTS`.
 
     Returns:
-        Joint poses without keyframes and without velocities, and the space that the keyframes moved.
+        Joint poses without keyframes and without velocities, and the space as the keyframes had moved it.
 
     Raises:
-        MotionError: :data:`SPACE_JOINTS` are at one place.
+        MotionError: Both :data:`SPACE_JOINTS` are at the same place.
     """
     origin, end = space.positions[:, 0], space.positions[:, 1]
     size = np.linalg.norm(end - origin, axis=-1)
@@ -217,15 +214,15 @@ def undo_keyframes(poses: JointPoses, space: JointPoses) -> tuple[JointPoses, Ke
     return original, KeyframeSpace(origin, rotation, size)
 
 
-#: Larger files are not read.
+#: Largest file that is read, bytes.
 _MAX_BYTES = 64 * 2**20
-#: Frame numbers beyond this are mistakes.
+#: Larger frame numbers are mistakes.
 _MAX_FRAMES = 10**9
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 #: Characters that XML 1.0 cannot hold, escaped or not.
 _NO_XML = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
 
-#: Values of a key, and the defaults before the first.
+#: Values of a key, and their defaults before the first key.
 _PARTS = {"position": 0.0, "rotation": 0.0, "size": 1.0}
 #: Path of an element from the root -> its attributes and child elements.
 _SCHEMA: dict[tuple[str, ...], tuple[tuple[str, ...], tuple[str, ...]]] = {
@@ -250,7 +247,8 @@ class Keyframes:
     path: str = ""
 
     def track(self, name: str) -> KeyframeTrack:
-        """Track of an object; MotionError, with the known names, if it has none."""
+        """Return the track of an object. Raises MotionError, which lists the known names, if the object has
+        no track."""
         if name not in self.tracks:
             raise MotionError(unknown("object", name, self.tracks, "the file"), path=self.path)
         return self.tracks[name]
@@ -264,7 +262,7 @@ def read_keyframes(path: str | os.PathLike[str]) -> Keyframes:
     """Read a keyframe animation file (docs/keyframes.md).
 
     Raises:
-        MotionError: The file is not valid, or has a DOCTYPE or entities; with file and line.
+        MotionError: The file is not valid, or has a DOCTYPE or entities. The error names file and line.
     """
     data, reader = read_bytes(path, MotionError, "keyframe", _MAX_BYTES), _Reader()
     with located(MotionError, path):
@@ -275,13 +273,13 @@ def read_keyframes(path: str | os.PathLike[str]) -> Keyframes:
         except DefusedXmlException:
             message = "a keyframe file has no DOCTYPE and no entities: remove them"
             raise MotionError(message, line=reader.line) from None
-        except (ValueError, LookupError) as reason:  # an encoding that the parser does not know
+        except (ValueError, LookupError) as reason:  # the parser does not know the encoding
             raise MotionError(f"the XML cannot be decoded: {reason}") from None
         return reader.keyframes(os.fspath(path))
 
 
 def write_keyframes(path: str | os.PathLike[str], keyframes: Keyframes) -> None:
-    """Write a keyframe animation file that :func:`read_keyframes` reads back exactly.
+    """Write a keyframe animation file. :func:`read_keyframes` reads it back exactly.
 
     Raises:
         MotionError: XML cannot hold a name.
@@ -306,11 +304,9 @@ def write_keyframes(path: str | os.PathLike[str], keyframes: Keyframes) -> None:
 
 @dataclass
 class _Element:
-    """An open element: its names from the root on, its line, attributes and text so far.
-
-    ``parts``: values, of a key. ``keys``: of an object its keys by frame number, of a frame its keys by
-    object name; each with its line.
-    """
+    """An open element: its names from the root on, its line, attributes and text so far. ``parts``: values,
+    if the element is a key. ``keys``: for an object, its keys by frame number; for a frame, its keys by
+    object name. Each key has the number of its line."""
 
     where: tuple[str, ...]
     line: int
@@ -325,9 +321,9 @@ class _Element:
 
 
 class _Reader(ContentHandler):
-    """Reads elements one by one; an element outside the schema is an error at its line."""
+    """Reads elements one by one. An element outside the schema gives an error that names its line."""
 
-    _locator: Any  # set by the parser
+    _locator: Any  # the parser sets it
 
     def __init__(self) -> None:
         super().__init__()
@@ -386,7 +382,7 @@ class _Reader(ContentHandler):
             parent.keys.append((self._label(element), element.line, element.parts))
 
     def keyframes(self, path: str) -> Keyframes:
-        """The animation, with its keys checked against startframe and endframe."""
+        """Return the animation. The keys are checked against startframe and endframe."""
         timeline = self._timeline
         assert timeline is not None
         if not self._keys:
@@ -405,7 +401,7 @@ class _Reader(ContentHandler):
         return Keyframes(timeline, {name: _track(timeline, keys) for name, keys in self._keys.items()}, path)
 
     def _add_keys(self, element: _Element) -> None:
-        """Keys of an object with its frames, or of a frame with its objects."""
+        """Add the keys of an object in its frames, or those of a frame with its objects."""
         label = self._label(element)
         if element.name == "frame":
             for name, line, parts in element.keys:
@@ -474,7 +470,7 @@ class _Reader(ContentHandler):
 
 
 def _track(timeline: KeyframeTimeline, keys: list[tuple[int, int, _KeyValues]]) -> KeyframeTrack:
-    """Track of an object; a key that omits a value keeps the value of the key before."""
+    """Make the track of an object. If a key omits a value, the value of the key before stays."""
     last = {part: [default] * 3 for part, default in _PARTS.items()}
     rows = []
     for _, _, parts in keys:

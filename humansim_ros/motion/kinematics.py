@@ -1,7 +1,8 @@
-"""Motions as files have them, forward kinematics, and poses of joints.
+"""Motions as files store them, forward kinematics, and poses of joints.
 
 Conventions, as in Blender's importer: the rotation of a joint is ``R_channel1 R_channel2 R_channel3`` in the
-order of its channels, on column vectors. The translation is outermost, wherever its channels are.
+order of its channels, on column vectors. The translation always comes after the rotation, wherever its
+channels are in the order.
 """
 
 from __future__ import annotations
@@ -50,8 +51,9 @@ class Motion(Pictured):
     """A joint hierarchy and the values of its channels in each frame, as in the file.
 
     Attributes:
-        joint_names: J names, parents before children; an end site is a joint without channels named
+        joint_names: J names, parents before children. An end site is a joint without channels, with the name
             ``<parent>_end``.
+
         parents: (J,) index of the parent, -1 for a root.
         offsets: (J, 3) OFFSETs in file units.
         channels: Names of the channels of each joint.
@@ -59,12 +61,13 @@ class Motion(Pictured):
         frame_time: Seconds from frame to frame.
         path: File of the motion.
         positions: Whether position channels replace the OFFSET or are added to it.
-        unit: Metres per file unit, where the file format defines it.
-        up: File axis that points up (``y``, ``-z``), where it is known.
-        is_rest_made: Whether the reader made the OFFSETs, because the file has none: they do not show which
-            axis of the file points up.
-        screen_up: Axis (``z``) that points up or down on the screen of the program that wrote the file, as
-            far as it is known.
+        unit: Metres per file unit. None if the file format does not define the unit.
+        up: File axis that points up (``y``, ``-z``). None if unknown.
+        is_rest_made: Whether the reader made the OFFSETs because the file has none. Such OFFSETs do not show
+            which axis of the file points up.
+
+        screen_up: Axis (``z``) that points up or down on the screen of the program that wrote the file. Empty
+            if unknown.
 
     Raises:
         MotionError: The parents have a cycle, or a joint is before its parent.
@@ -93,7 +96,7 @@ class Motion(Pictured):
 
     def __post_init__(self) -> None:
         late = np.flatnonzero(self.parents >= np.arange(len(self.parents)))
-        if len(late):  # as in each cycle
+        if len(late):  # a cycle always has such a joint
             refuse_cycle(self.joint_names, self.parents, self.path)
             joint, parent = (self.joint_names[n] for n in (late[0], self.parents[late[0]]))
             raise MotionError(
@@ -120,14 +123,15 @@ class Motion(Pictured):
         return (self.n_frames - 1) * self.frame_time
 
     def joint(self, name: str) -> int:
-        """Index of a joint; MotionError if no joint has that name."""
+        """Index of a joint. Raises MotionError if no joint has the name."""
         try:
             return self.joint_names.index(name)
         except ValueError:
             raise MotionError(unknown("joint", name, self.joint_names), path=self.path) from None
 
     def only(self, joints: Sequence[int]) -> Motion:
-        """The motion of some joints, in increasing order. A joint without its parent becomes a root."""
+        """Return the motion of some joints, in increasing order. A joint without its parent becomes a
+        root."""
         number = {joint: place for place, joint in enumerate(joints)}
         return replace(
             self,
@@ -144,12 +148,12 @@ class Motion(Pictured):
 
     @cached_property
     def _columns(self) -> tuple[int, ...]:
-        """First column of each joint's channels in ``values``."""
+        """First column of the channels of each joint in ``values``."""
         counts = [len(names) for names in self.channels]
         return tuple(int(n) for n in np.concatenate(([0], np.cumsum(counts)))[:-1])
 
     def columns(self, joint: int) -> range:
-        """Columns of a joint's channels in ``values``."""
+        """Columns of the channels of a joint in ``values``."""
         return range(self._columns[joint], self._columns[joint] + len(self.channels[joint]))
 
     @cached_property
@@ -163,7 +167,7 @@ class Motion(Pictured):
         )
 
     def local_translations(self, frames: FrameIndex = _ALL) -> Array:
-        """Translation of each joint in its parent (..., J, 3), file units; see :attr:`positions`."""
+        """Translation of each joint relative to its parent (..., J, 3), file units. See :attr:`positions`."""
         values = self.values[frames]
         out = np.broadcast_to(self.offsets, (*values.shape[:-1], *self.offsets.shape)).copy()
         for joint, axis, column in self.position_columns:
@@ -172,7 +176,7 @@ class Motion(Pictured):
         return out
 
     def local_rotations(self, frames: FrameIndex = _ALL) -> Array:
-        """Rotation of each joint in its parent (..., J, 4), quaternions xyzw."""
+        """Rotation of each joint relative to its parent (..., J, 4), quaternions xyzw."""
         values = self.values[frames]
         out = np.zeros((*values.shape[:-1], self.n_joints, 4))
         out[..., 3] = 1.0
@@ -189,12 +193,13 @@ class Motion(Pictured):
         return out
 
     def world_transforms(self, frames: FrameIndex = _ALL) -> Array:
-        """Joint frames (..., J, 4, 4) in file units and axes; (J, 4, 4) for one frame number."""
+        """Joint frames (..., J, 4, 4) in file units and axes. For a single frame number, (J, 4, 4)."""
         rotations = quaternion_to_matrix(self.local_rotations(frames))
         return self.compose_world(self.local_translations(frames), rotations)
 
     def compose_world(self, translations: Array, rotations: Array) -> Array:
-        """Joint frames (..., J, 4, 4) of local translations (..., J, 3) and rotations (..., J, 3, 3)."""
+        """Compose joint frames (..., J, 4, 4) from local translations (..., J, 3) and rotations (..., J, 3,
+        3)."""
         world_r, world_t = self._world(translations, rotations)
         return transform(world_r, world_t)
 
@@ -211,12 +216,13 @@ class Motion(Pictured):
         return world_r, world_t
 
     def world_positions(self, frames: FrameIndex = _ALL) -> Array:
-        """Joint positions (..., J, 3) in file units and axes; (J, 3) for one frame number."""
+        """Joint positions (..., J, 3) in file units and axes. For a single frame number, (J, 3)."""
         rotations = quaternion_to_matrix(self.local_rotations(frames))
         return self._world(self.local_translations(frames), rotations)[1]
 
     def rest_positions(self) -> Array:
-        """Joint positions (J, 3) with zero rotations and joints at their OFFSETs, in file units and axes."""
+        """Joint positions (J, 3) in file units and axes, if all rotations are zero and joints are at their
+        OFFSETs."""
         return self._world(self.offsets, np.broadcast_to(np.eye(3), (self.n_joints, 3, 3)))[1]
 
 
@@ -234,25 +240,27 @@ def motion_of_rotations(
     path: str = "",
     unit: float | None = None,
 ) -> Motion:
-    """A motion from rotations.
+    """Make a motion from rotations.
 
     Args:
         names: J names, parents before children.
         parents: (J,) index of the parent, -1 for a root.
         offsets: (J, 3) OFFSETs.
-        rotations: (F, R, 3, 3) rotation of the first R joints in their parents. Others are end sites.
-        positions: Joint -> (F, 3) positions in its parent, for joints with position channels.
+        rotations: (F, R, 3, 3) rotations of the first R joints relative to their parents. The other joints
+            are end sites.
+        positions: Joint -> (F, 3) positions relative to its parent, for joints with position channels.
         frame_time: Seconds from frame to frame.
         path: File of the motion.
-        unit: Metres per unit, where known.
+        unit: Metres per unit. None if unknown.
     """
-    # imported on use: it takes as long as all other imports of this module
+    # imported here, since the import takes as long as all other imports of this module
     from scipy.spatial.transform import Rotation
 
     channels: list[tuple[str, ...]] = []
     values: list[Array] = []
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # gimbal lock: any of the angles will do
+        # SciPy warns about gimbal lock, but any of the possible angles is fine
+        warnings.simplefilter("ignore", UserWarning)
         for joint in range(len(names)):
             own: tuple[str, ...] = ()
             if joint in positions:
@@ -267,7 +275,8 @@ def motion_of_rotations(
 
 
 def _compose(sine: Array, cosine: Array, axes: Sequence[int]) -> Array:
-    """Quaternions (..., N, 4) of rotations about axes, by sines and cosines of half angles (..., N, axes)."""
+    """Quaternions (..., N, 4) of rotations about ``axes``, from sines and cosines of half angles (..., N,
+    axes)."""
     total = np.zeros((*sine.shape[:-1], 4))
     total[..., 3] = 1.0
     for k, axis in enumerate(axes):
@@ -289,10 +298,11 @@ class JointPoses:
     Attributes:
         names: J names.
         positions: (N, J, 3) metres.
-        rotations: (N, J, 4) xyzw, from the rest pose of the motion with the person facing +x; at rest every
-            rotation is the identity.
-        linear: (N, J, 3) velocities in m/s; None if the source has none.
-        angular: (N, J, 3) angular velocities in rad/s; None if the source has none.
+        rotations: (N, J, 4) xyzw, relative to the rest pose of the motion with the person facing +x. At rest,
+            every rotation is the identity.
+
+        linear: (N, J, 3) velocities in m/s. None if the source has no velocities.
+        angular: (N, J, 3) angular velocities in rad/s. None if the source has no velocities.
     """
 
     names: tuple[str, ...]
@@ -310,12 +320,12 @@ class JointPoses:
         seconds: float | Array = 2 * VELOCITY_STEP,
         speed: float = 1.0,
     ) -> JointPoses:
-        """Poses at N times, and their velocities as :func:`central_difference` computes them.
+        """Make poses at N times with velocities, as :func:`central_difference` computes them.
 
         Args:
             names: J names.
             positions: (3, N, J, 3) just before, at, and just after the times.
-            rotations: (3, N, J, 4) as ``positions``.
+            rotations: (3, N, J, 4) at the same times as ``positions``.
             seconds: Time between the first and the last of the three.
             speed: Factor of the velocities.
         """
@@ -328,11 +338,11 @@ class JointPoses:
         return [part for part in parts if part is not None]
 
     def _changed(self, names: tuple[str, ...], change: Callable[[Array], Array]) -> JointPoses:
-        """Poses with a change of each array."""
+        """Apply a change to each array."""
         return JointPoses(names, *map(change, self._arrays))
 
     def contiguous(self) -> JointPoses:
-        """The same poses with contiguous arrays: sums of NumPy depend on the order in memory."""
+        """Return the same poses with contiguous arrays, since sums of NumPy depend on the order in memory."""
         return self._changed(self.names, np.ascontiguousarray)
 
     def first(self, count: int) -> JointPoses:
@@ -348,8 +358,8 @@ class JointPoses:
         return self._changed(names, lambda part: part[:, order])
 
     def split(self, is_added: Callable[[str], bool]) -> tuple[JointPoses, JointPoses]:
-        """Split off joints at the end with certain names. Returns the poses without these joints, and their
-        poses. ``is_added``: whether a joint of this name is one of those."""
+        """Split off joints at the end that have certain names. Returns the poses without these joints, and
+        the poses of these joints. ``is_added``: tells for a name whether the joint is one to split off."""
         own = len(self.names)
         while own and is_added(self.names[own - 1]):
             own -= 1
@@ -363,13 +373,13 @@ class JointPoses:
         positions: Array | None = None,
         linear: Array | None = None,
     ) -> JointPoses:
-        """A single pose (N = 1) with K more joints at the end.
+        """Add K joints at the end of a single pose (N = 1).
 
         Args:
             names: K names.
             rotations: (K, 4) xyzw.
-            angular: Angular velocities (K, 3). Velocities are not used if the pose has none.
-            positions: (K, 3). If None, all are at the first joint, and have its velocity.
+            angular: Angular velocities (K, 3). They are not used if the pose has no velocities.
+            positions: (K, 3). If None, all K joints are at the first joint and have its velocity.
             linear: Velocities (K, 3) of ``positions``.
         """
         if positions is None or linear is None:
@@ -381,15 +391,17 @@ class JointPoses:
         return JointPoses((*self.names, *names), *parts)
 
     def at_first_joint(self, count: int) -> tuple[Array, Array]:
-        """Positions and velocities (count, 3) of joints at the first joint of a single pose (N = 1)."""
+        """Positions and velocities (count, 3) for joints that are placed at the first joint of a single pose
+        (N = 1)."""
         linear = np.zeros_like(self.positions) if self.linear is None else self.linear
         return np.repeat(self.positions[0, :1], count, axis=0), np.repeat(linear[0, :1], count, axis=0)
 
     def extrapolate(self, seconds: ArrayLike) -> JointPoses:
-        """Poses (M, J) at times (M,) relative to a single pose (N = 1), at its constant velocity.
+        """Poses (M, J) at times (M,) relative to a single pose (N = 1), which moves on with constant
+        velocity.
 
         Raises:
-            MotionError: There are no velocities.
+            MotionError: The pose has no velocities.
         """
         if self.linear is None or self.angular is None:
             raise MotionError("these joints have no velocities")

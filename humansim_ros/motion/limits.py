@@ -1,10 +1,11 @@
-"""Joint limits of a skeleton: measure poses by a table of ranges, report violations, clamp.
+"""Joint limits of a skeleton: measure poses with a table of ranges, report violations, and clamp.
 
-Angles are anatomical: from the neutral standing position (arms hanging, palms to the thighs). They depend
-neither on the rest pose of the skeleton nor on its rolls. Those of fingers and toes count from the axes of
-their bones at rest. Hinges and the spine have three axes, one after the other [Grood 1983]: an axis of the
-bone above, a floating axis, and an axis of the bone itself. Shoulders and hips have a direction of the bone
-within a cone [Wilhelms 2001], and a twist from the shortest rotation out of the middle of the cone.
+Angles are anatomical: they count from the neutral standing position (arms hanging, palms to the thighs). They
+depend neither on the rest pose of the skeleton nor on the rolls of its bones. Only angles of fingers and toes
+count from the axes of their bones at rest. Hinges and the spine rotate about three axes, one after the other
+[Grood 1983]: an axis of the bone above, a floating axis, and an axis of the bone itself. For shoulders and
+hips, the direction of the bone must be within a cone [Wilhelms 2001]. Their twist counts from the shortest
+rotation out of the middle of the cone.
 """
 
 from __future__ import annotations
@@ -30,9 +31,9 @@ from humansim_ros.io.schema_errors import validated
 from humansim_ros.io.yaml import read_yaml
 from humansim_ros.types import Array
 
-#: Anatomical directions; ``out`` is away from the middle of the body, so that both sides share a range.
+#: Anatomical directions. ``out`` is away from the middle of the body, so that both sides can share a range.
 AnatomicalDirection = Literal["up", "down", "front", "back", "left", "right", "out", "in"]
-#: In body space: +x is the person's left, y is up, +z is the front.
+#: Directions in body space: +x is the left of the person, y is up, +z is the front.
 _DIRECTIONS: dict[str, tuple[float, float, float]] = {
     "up": (0.0, 1.0, 0.0),
     "down": (0.0, -1.0, 0.0),
@@ -182,7 +183,8 @@ class LimitTable(Section):
 
 @dataclass(frozen=True)
 class JointAngles:
-    """Coordinates (N, 3) of a joint, degrees; ``offset`` (N,) is the share of another joint in the third."""
+    """Coordinates (N, 3) of a joint, degrees. ``offset`` (N,) is the part of the third coordinate that comes
+    from another joint."""
 
     values: Array
     offset: Array
@@ -190,11 +192,9 @@ class JointAngles:
 
 @dataclass(frozen=True)
 class JointCoordinates(ABC):
-    """Coordinates of a joint of a skeleton.
-
-    ``bone``: index of its bone. ``chain``: bones between that bone and the bone of reference. ``before``,
-    ``after``: (3, 3) rotations that take the rotation of the joint into anatomical axes.
-    """
+    """Coordinates of a joint of a skeleton. ``bone``: index of the bone of the joint. ``chain``: bones
+    between this bone and the bone of reference. ``before``, ``after``: (3, 3) rotations that convert the
+    rotation of the joint to anatomical axes."""
 
     range: JointRange
     side: int
@@ -205,13 +205,13 @@ class JointCoordinates(ABC):
     after: Array
 
     def measure(self, rotations: Array, offset: Array) -> JointAngles:
-        """Coordinates of the joint in bone rotations (N, B, 3, 3)."""
+        """Measure the coordinates of the joint from bone rotations (N, B, 3, 3)."""
         values = self.split(self.before @ self._inherited(rotations) @ rotations[:, self.bone] @ self.after)
         values[:, 2] = np.where(offset == 0, values[:, 2], values[:, 2] + offset)
         return JointAngles(values, offset)
 
     def bone_rotation(self, relative: Array, rotations: Array) -> Array:
-        """Rotation (N, 3, 3) of the bone, from the joint's rotation (N, 3, 3) in anatomical axes."""
+        """Rotation (N, 3, 3) of the bone, from the rotation (N, 3, 3) of the joint in anatomical axes."""
         inherited = np.swapaxes(self._inherited(rotations), -1, -2)
         return np.asarray(inherited @ self.before.T @ relative @ self.after.T)
 
@@ -236,11 +236,12 @@ class JointCoordinates(ABC):
 
     @abstractmethod
     def compose(self, values: Array, offset: Array) -> Array:
-        """Rotations (N, 3, 3) in anatomical axes that :meth:`measure` gives these coordinates for."""
+        """Rotations (N, 3, 3) in anatomical axes. For these rotations, :meth:`measure` gives the coordinates
+        back."""
 
     @abstractmethod
     def clamp(self, measured: JointAngles) -> Array:
-        """Coordinates (N, 3) within the limits."""
+        """Clamp coordinates (N, 3) to the limits."""
 
     @abstractmethod
     def named_angles(self, measured: JointAngles) -> dict[str, Array]:
@@ -252,7 +253,7 @@ class JointCoordinates(ABC):
 
 
 class HingeCoordinates(JointCoordinates):
-    """Rotations about three axes, one after the other."""
+    """Coordinates of rotations about three axes, one after the other."""
 
     @cached_property
     def pairs(self) -> tuple[tuple[Limit, Limit], ...]:
@@ -293,7 +294,8 @@ class HingeCoordinates(JointCoordinates):
 
 
 class ConeCoordinates(JointCoordinates):
-    """Distance of the bone from the middle of the cone, azimuth about it, and twist."""
+    """Coordinates of a cone: distance of the bone from the middle of the cone, azimuth about the middle, and
+    twist."""
 
     @cached_property
     def middle(self) -> Array:
@@ -303,7 +305,7 @@ class ConeCoordinates(JointCoordinates):
 
     @cached_property
     def azimuth_axes(self) -> tuple[Array, Array]:
-        """Directions (3,) perpendicular to the middle, with azimuth 0 and 90 degrees."""
+        """Two directions (3,) perpendicular to the middle, at azimuth 0 and 90 degrees."""
         first = self.range.twist[0]
         return direction_vector(first.start, self.side), direction_vector(first.towards, self.side)
 
@@ -336,7 +338,8 @@ class ConeCoordinates(JointCoordinates):
 
     def split(self, relative: Array) -> Array:
         azimuth, distance = self._polar(relative @ self.middle)
-        # from azimuth and distance, not from the direction itself, so that compose() is the exact inverse
+        # computed from azimuth and distance, not from the direction itself, so that compose() is the exact
+        # inverse
         swing = _rotations_from_axis(self.middle, self._direction(azimuth, distance))
         u, v = self.azimuth_axes
         across = np.swapaxes(swing, -1, -2) @ relative @ u
@@ -379,28 +382,29 @@ class ConeCoordinates(JointCoordinates):
 
 
 def _rotations_from_axis(start: Array, ends: Array) -> Array:
-    """Shortest rotations (..., 3, 3) of a unit vector (3,) along an axis onto others (..., 3)."""
+    """Shortest rotations (..., 3, 3) of the unit vector ``start`` (3,), which is along an axis, onto ``ends``
+    (..., 3)."""
     second = np.roll(start, 1)
     axes = np.stack([second, start, np.cross(second, start)], axis=-1)
     return np.asarray(axes @ quaternion_to_matrix(from_y_axis(ends @ axes)) @ axes.T)
 
 
 def _about_axis(axis: Array, angles: NDArray[np.floating]) -> Array:
-    """Rotations (N, 3, 3) about a unit vector (3,) by radians (N,)."""
+    """Rotations (N, 3, 3) about a unit vector (3,) by angles (N,) in radians."""
     half = angles[:, None] / 2
     return quaternion_to_matrix(np.concatenate([np.sin(half) * axis, np.cos(half)], axis=-1))
 
 
 _BUILT_IN = "config/joint_limits/normal.yaml"
-#: Degrees by which rounding may put a clamped angle beyond its limit.
+#: Rounding may put a clamped angle beyond its limit by this number of degrees.
 _ROUNDING = 1e-6
 
 
 @dataclass(frozen=True)
 class LimitViolation:
-    """An angle beyond its limit, over some frames; ``dataclasses.asdict`` makes JSON of it.
+    """An angle that is beyond its limit in some frames. ``dataclasses.asdict`` makes JSON types of it.
 
-    Of a cone, ``angle`` is the nearest direction that the table names, and a value is the limit plus the
+    For a cone, ``angle`` is the nearest direction that the table names. Its values are the limit plus the
     distance of the bone from the cone.
 
     Attributes:
@@ -408,7 +412,7 @@ class LimitViolation:
         angle: Anatomical name.
         limit: Degrees, with the margin of the table.
         worst: Largest value, degrees.
-        frame: Frame of that value.
+        frame: Frame with the worst value.
         share: Share of the frames beyond the limit.
     """
 
@@ -422,27 +426,24 @@ class LimitViolation:
 
 @dataclass(frozen=True)
 class JointLimits:
-    """A table of ranges applied to a skeleton in any rest pose; bones that it lacks are left out.
-
-    Rotations are (N, B, 4) quaternions xyzw in bone space, as from ``Retargeter.apply``.
-    """
+    """A table of ranges, applied to a skeleton in any rest pose. Bones that the skeleton lacks are left out.
+    Rotations are (N, B, 4) quaternions xyzw in bone space, as from ``Retargeter.apply``."""
 
     table: LimitTable
     skeleton: Skeleton
 
     def for_skeleton(self, skeleton: Skeleton) -> JointLimits:
-        """The same ranges for another skeleton; MotionError if it has none of the bones."""
+        """Apply the same ranges to another skeleton. Raises MotionError if the skeleton has none of the
+        bones."""
         limits = replace(self, skeleton=skeleton)
         if not limits._joints:
             raise MotionError(f"joint limits {self.table.name!r} know no bone of this skeleton")
         return limits
 
     def angles(self, rotations: Array) -> dict[str, Array]:
-        """Anatomical angles (N,) in degrees, by ``<bone>.<angle>``.
-
-        The angle is the first name of a range: ``l_elbow.flexion`` is negative in extension. Of shoulders and
-        hips, flexion and abduction share the angle of the straight way from hanging down.
-        """
+        """Anatomical angles (N,) in degrees, by ``<bone>.<angle>``. The angle is the first name of a range:
+        ``l_elbow.flexion`` is negative in extension. For shoulders and hips, the angle from hanging down to
+        the present direction is divided between flexion and abduction."""
         out: dict[str, Array] = {}
         for joint, measured in self._measure(rotations):
             name = self.skeleton.names[joint.bone]
@@ -450,7 +451,8 @@ class JointLimits:
         return out
 
     def report(self, rotations: Array) -> list[LimitViolation]:
-        """Angles that are beyond their limits in a frame or more, bone by bone, with the worst value."""
+        """Report angles that are beyond their limits in any frame, bone by bone, each with its worst
+        value."""
         violations = []
         for joint, measured in self._measure(rotations):
             for angle, limit, values in joint.against_limits(measured):
@@ -470,10 +472,12 @@ class JointLimits:
         return violations
 
     def clamp(self, rotations: Array) -> Array:
-        """Rotations (N, B, 4) with angles beyond a limit set to it; joints within their limits are unchanged.
+        """Set angles beyond a limit to the limit, in rotations (N, B, 4). Joints within their limits do not
+        change.
 
-        The result is continuous but where no clamping can be: with a bone opposite to the middle of its cone,
-        a hinge half a turn from the middle of its range, or at a right angle to its plane.
+        The result is continuous, except in three cases where no clamping can be: a bone is opposite to the
+        middle of its cone; a hinge is half a turn from the middle of its range; a hinge is at a right angle
+        to its plane.
         """
         body_rotations = self._body_rotations(rotations)
         out = np.array(rotations, dtype=float)
@@ -495,10 +499,8 @@ class JointLimits:
     def _measure(
         self, rotations: Array, body_rotations: Array | None = None
     ) -> Iterator[tuple[JointCoordinates, JointAngles]]:
-        """Joints with their angles, parents first.
-
-        A change of ``body_rotations`` while this runs (a clamped joint) counts for all joints after it.
-        """
+        """Joints with their angles, parents first. If the caller changes ``body_rotations`` meanwhile (to
+        clamp a joint), the change counts for all later joints."""
         body_rotations = self._body_rotations(rotations) if body_rotations is None else body_rotations
         for joint, partner in self._joints:
             offset: Array = np.zeros(len(body_rotations))
@@ -517,7 +519,7 @@ class JointLimits:
 
     @cached_property
     def _joints(self) -> tuple[tuple[JointCoordinates, JointCoordinates | None], ...]:
-        """Joints, parents first, each with the joint with a twist that is added to its own."""
+        """Joints, parents first. Each comes with the joint that adds its twist, or None."""
         names = self.skeleton.names
         joints: dict[str, JointCoordinates] = {}
         rows = {bone: row for row in self.table.joints for bone in row.sides}
@@ -542,7 +544,8 @@ class JointLimits:
         )
 
     def _bones_between(self, bone: int, above: str) -> tuple[int, ...] | None:
-        """Bones between a bone and an ancestor, from the ancestor down; None if it is not an ancestor."""
+        """Bones between a bone and its ancestor ``above``, from the ancestor down. None if ``above`` is not
+        an ancestor."""
         chain: list[int] = []
         parent = int(self.skeleton.parents[bone])
         while parent >= 0 and self.skeleton.names[parent] != above:
@@ -551,7 +554,8 @@ class JointLimits:
         return None if parent < 0 else tuple(chain)
 
     def _rest_axes(self, bone: str, row: JointRange | None) -> Array:
-        """Anatomical axes (3, 3) of a bone at rest; the axes of a limb follow the bone, as from a T pose."""
+        """Anatomical axes (3, 3) of a bone at rest. The axes of a limb follow the bone, starting from a T
+        pose."""
         if row is None or (row.along is None and not row.hinge):
             return np.eye(3)
         rest, side = self.skeleton.rest[self.skeleton.bone(bone), :3, :3], side_of(bone)
@@ -564,7 +568,8 @@ class JointLimits:
 
 
 def _as_hinge(joint: JointCoordinates) -> JointCoordinates:
-    """Coordinates of a joint in the axes of its bone: at rest it is bent, but not sideways or twisted."""
+    """Coordinates of a joint in the axes of its bone. At rest, the joint is bent, but not turned sideways or
+    twisted."""
     bend: Array = np.zeros((1, 3))
     if joint.range.along is not None:
         bend[0, 0] = joint.split((joint.before @ joint.after)[None])[0, 0]
@@ -572,10 +577,11 @@ def _as_hinge(joint: JointCoordinates) -> JointCoordinates:
 
 
 def load_limits(path: str | os.PathLike[str] | None = None, skeleton: Skeleton | None = None) -> JointLimits:
-    """Read a table of joint limits (YAML); by default of healthy adults and for the general skeleton.
+    """Read a table of joint limits (YAML). By default, the limits are those of healthy adults, for the
+    general skeleton.
 
     Raises:
-        MotionError: The file is not a valid table; with file, line and key.
+        MotionError: The file is not a valid table. The error names file, line and key.
     """
     table = _built_in_table() if path is None else _read_table(path)
     return JointLimits(table, hanim_skeleton()).for_skeleton(skeleton or hanim_skeleton())

@@ -1,7 +1,8 @@
 """Swing of loose cloth and hair: each end is a damped spring that the body carries along.
 
-The swing at a time is a convolution of the path of the end in the time before, sampled at fixed times, with
-the response of the spring. It has no state: it depends on the motion and the time alone, in any order.
+The swing at a time is a convolution of two functions: the earlier path of the end, sampled at fixed times,
+and the response of the spring. The swing has no state. It depends only on the motion and the time, so times
+may come in any order.
 """
 
 from __future__ import annotations
@@ -19,25 +20,25 @@ from humansim_ros.errors import MotionError
 from humansim_ros.motion.kinematics import JointPoses
 from humansim_ros.types import Array
 
-#: Names of the joints that carry the swing begin so.
+#: Names of joints that carry the swing begin with this text.
 LOOSE_JOINT = "loose/"
 #: Largest swing that a message may carry, metres.
 _LARGEST = 2.0
-#: Seconds between samples of the path, and the number of samples before a time that the swing depends on.
+#: Seconds between samples of the path, and the number of earlier samples on which the swing depends.
 _STEP, _TAPS = 1 / 30, 30
-#: Samples that are computed together, always the same ones: rounding does not depend on what was asked for.
+#: Number of samples that are computed together. The blocks are always the same, so that rounding does not
+#: depend on the times that are requested.
 _BLOCK, _MOST_BLOCKS = 8, 64
-#: A person has no end that is faster, m/s: a longer step of the path is a jump.
+#: No part of a person is faster than this, m/s, so a longer step of the path is a jump.
 _FASTEST = 20.0
-#: Ends do not swing farther into the body, metres.
+#: Ends swing at most this far into the body, metres.
 _INWARDS = 0.01
 
 
 @dataclass(frozen=True)
 class _Spring:
-    """Frequency in hertz, damping ratio, seconds of lag at constant speed, largest swing as a share of the
-    length.
-    """
+    """A spring: frequency in hertz, damping ratio, seconds of lag at constant speed, largest swing as a share
+    of the length."""
 
     frequency: float
     damping: float
@@ -45,11 +46,9 @@ class _Spring:
     largest: float
 
     def response(self) -> Array:
-        """Weights (TAPS,) of the past positions relative to the present one, the last sample first.
-
-        Of a spring on an anchor that is at x(t), the end is at u - x with u'' + 2 d w u' + w^2 u = -x''. By
-        parts, u = -integral of h''(s) (x(t - s) - x(t)), with the impulse response h.
-        """
+        """Weights (TAPS,) of the past positions relative to the present one. The latest sample comes first.
+        For an anchor at x(t), the swing u of the end of the spring follows u'' + 2 d w u' + w^2 u = -x''.
+        Integration by parts gives u = -integral of h''(s) (x(t - s) - x(t)), with the impulse response h."""
         times = _STEP * np.arange(1, _TAPS + 1)
         omega = 2 * math.pi * self.frequency
         decay, turn = self.damping * omega, omega * math.sqrt(1 - self.damping**2)
@@ -58,7 +57,7 @@ class _Spring:
         fade = np.clip(3 * (1 - times / (times[-1] + _STEP)), 0.0, 1.0)
         window = np.exp(-decay * times) * fade
         weights = -second * window * _STEP
-        # at constant speed, the end lags by the drag, whatever the window and the sums have lost
+        # at constant speed, the end lags by the drag. This corrects what the window and the sums have lost
         correction = times * window
         lost = self.drag - float(weights @ times)
         return np.asarray(weights + lost / float(correction @ times) * correction)
@@ -66,7 +65,8 @@ class _Spring:
 
 _SPRINGS = {CLOTH: _Spring(1.7, 0.45, 0.03, 0.3), HAIR: _Spring(1.6, 0.42, 0.02, 0.35)}
 
-#: Positions (N, K, 3) of upper ends, of lower ends, and directions (N, K, 3) outwards, at N scene times.
+#: Function of N scene times. Returns positions (N, K, 3) of upper ends and of lower ends, and directions (N,
+#: K, 3) outwards.
 EndsAt = Callable[[Array], tuple[Array, Array, Array]]
 
 
@@ -76,7 +76,7 @@ class LooseSwing:
 
     Attributes:
         kinds: Kinds of the ends.
-        ends_at: Where the ends are without any swing.
+        ends_at: Returns where the ends are without swing.
     """
 
     kinds: Sequence[int]
@@ -88,7 +88,7 @@ class LooseSwing:
         return swing_at_rest(len(self.kinds))
 
     def at(self, seconds: float) -> Rated:
-        """Swing at a scene time, between the samples around it by a cubic curve with their slopes."""
+        """Swing at a scene time. A cubic curve connects the samples around the time, with their slopes."""
         place = seconds / _STEP
         number = math.floor(place + 1e-9)
         t = place - number
@@ -100,7 +100,7 @@ class LooseSwing:
         return replace(self._rest, values=offsets, rates=rates)
 
     def add(self, poses: JointPoses, seconds: float) -> JointPoses:
-        """Poses (N = 1) of a motion at a scene time, with the joints that carry the swing."""
+        """Add the joints that carry the swing to poses (N = 1) of a motion at a scene time."""
         swing, names = self.at(seconds), swing_joints(len(self.kinds))
         positions, linear = poses.at_first_joint(len(names))
         positions[1:] += swing.values
@@ -109,10 +109,10 @@ class LooseSwing:
         return poses.with_joints(names, identity, np.zeros_like(linear), positions, linear)
 
     def _swings(self, first: int) -> Array:
-        """Swing (4, K, 3) at four samples from a number on."""
+        """Swing (4, K, 3) at four samples from number ``first`` on."""
         uppers, lowers, outwards = self._samples(first - _TAPS, first + 4)
         steps = np.diff(lowers, axis=0)
-        steps[np.linalg.norm(steps, axis=-1) > _FASTEST * _STEP] = 0.0  # jumps
+        steps[np.linalg.norm(steps, axis=-1) > _FASTEST * _STEP] = 0.0  # jumps of the motion
         paths = np.concatenate([np.zeros_like(lowers[:1]), np.cumsum(steps, axis=0)])
         swings = np.empty((4, *lowers.shape[1:]))
         for kind, spring in _SPRINGS.items():
@@ -129,7 +129,7 @@ class LooseSwing:
         return swings
 
     def _samples(self, first: int, last: int) -> tuple[Array, Array, Array]:
-        """Ends at the samples from one number to another, without the last."""
+        """Ends at the samples from number ``first`` to ``last``; ``last`` itself is left out."""
         start = first // _BLOCK
         blocks = [self._block(number) for number in range(start, (last - 1) // _BLOCK + 1)]
         some = slice(first - start * _BLOCK, last - start * _BLOCK)
@@ -141,18 +141,18 @@ class LooseSwing:
         if found is None:
             numbers = np.arange(number * _BLOCK, (number + 1) * _BLOCK)
             found = self.ends_at(_STEP * numbers.astype(float))
-        self._kept[number] = found  # the last one of the dictionary is the one that was used last
+        self._kept[number] = found  # the last one in the dictionary is the one with the latest use
         while len(self._kept) > _MOST_BLOCKS:
             del self._kept[next(iter(self._kept))]
         return found
 
 
 def _limited(swing: Array, hanging: Array, outwards: Array, largest: float) -> Array:
-    """Swing (K, 3) that keeps the length of each part, and stays outside the body.
+    """Limit a swing (K, 3), so that each part keeps its length and stays outside the body.
 
     Args:
-        swing: Swing of a spring without limits, (K, 3).
-        hanging: From the upper ends to the lower ends, (K, 3).
+        swing: Swing of the spring, without limits, (K, 3).
+        hanging: Vectors from the upper ends to the lower ends, (K, 3).
         outwards: Directions away from the body, (K, 3).
         largest: Largest swing as a share of the length.
     """
@@ -167,7 +167,8 @@ def _limited(swing: Array, hanging: Array, outwards: Array, largest: float) -> A
 
 
 def swing_joints(count: int) -> tuple[str, ...]:
-    """Names of the joints that carry the swing of some ends: the origin of the offsets, then the ends."""
+    """Names of the joints that carry the swing of some ends: first the origin of the offsets, then the
+    ends."""
     return (f"{LOOSE_JOINT}origin", *(f"{LOOSE_JOINT}{number}" for number in range(count))) if count else ()
 
 
@@ -176,7 +177,7 @@ def check_swing(poses: JointPoses, names: Sequence[str], count: int) -> None:
 
     Args:
         poses: Joints of a message.
-        names: Names among them that begin as :data:`LOOSE_JOINT`.
+        names: Names of joints that begin with :data:`LOOSE_JOINT`.
         count: Number of loose ends of the human.
     """
     expected = swing_joints(count)

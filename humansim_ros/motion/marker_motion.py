@@ -1,9 +1,10 @@
-"""Motions of labelled points in TRC and C3D files: joints, or markers on the skin, from which joints follow.
+"""Motions of labelled points in TRC and C3D files. The points are joints, or markers on the skin that give
+the joints.
 
-Hip centres follow the regression of [Harrington 2007]. A knee, an ankle or an elbow is midway between its
-markers, or half its width next to the lateral one. The shoulder is below the acromion. Limbs get the shortest
-rotation from their parent; their joints keep the places of the file. Without markers of arms or trunk, these
-are held at rest.
+Hip centres follow the regression of [Harrington 2007]. A knee, an ankle or an elbow is midway between its two
+markers. If there is only the lateral marker, the joint is half its width inwards from it. The shoulder is
+below the acromion. Limbs get the shortest rotation from their parent, and their joints keep their places in
+the file. Arms or a trunk without markers stay at rest.
 """
 
 from __future__ import annotations
@@ -30,30 +31,32 @@ from humansim_ros.motion.kinematics import Motion, motion_of_rotations
 from humansim_ros.motion.marker_names import NEEDED, NEEDED_MARKERS, SIDES, Marks, is_seen, people_of
 from humansim_ros.types import Array, Indices
 
-#: Largest file, and most labels and points of a file.
+#: Largest file (bytes), and most labels and points of a file.
 _MAX_BYTES, _MAX_LABELS, _MAX_POINTS = 1 << 29, 2000, 50_000_000
-#: Distance from a lateral marker to the centre of the joint, and from the acromion's to the shoulder's: half
-#: the width of an adult's joint and the radius of a marker, metres.
+#: Distance from the lateral marker of a joint to its centre, and from the marker of the acromion to the
+#: shoulder, metres: half the width of an adult joint, plus the radius of a marker.
 _KNEE, _ANKLE, _ELBOW, _SHOULDER = 0.057, 0.042, 0.047, 0.05
-#: Shares of the stature [Winter 2009]: leg from hip to ankle, neck above the hips, head above the neck, half
-#: the width of the shoulders, upper arm and forearm.
+#: Lengths as shares of the stature [Winter 2009]: leg from hip to ankle, neck above the hips, head above the
+#: neck, half the width of the shoulders, upper arm and forearm.
 _LEG, _TRUNK, _HEAD, _HALF_WIDTH, _UPPER_ARM, _FOREARM = 0.491, 0.30, 0.10, 0.11, 0.186, 0.146
-#: Arms that hang lean outwards by this angle.
+#: Arms that hang down lean outwards by this angle.
 _HANGING = np.radians(10.0)
-#: Most degrees between the mean direction of legs and an axis of the file, which is up.
+#: An axis of the file is up if the mean direction of the legs differs from it by at most this angle, degrees.
 _MOST_LEAN = 35.0
-#: Degrees by which the way from the neck to a point of the head leans forwards in a person who looks ahead.
+#: When a person looks ahead, the line from the neck to a point of the head leans forwards by this angle,
+#: degrees.
 _HEAD_LEAN = {"Nose": 37.0, "Ear": 10.0}
-#: Least share of frames in which a point is seen to be used; and a needed point that is seen before and after
-#: its gaps.
+#: A point is used if it is seen in at least the first share of the frames. For a needed point that is seen
+#: before and after its gaps, the second share is enough.
 _LEAST_SEEN, _LEAST_NEEDED = 0.5, 0.2
-#: Most frames in which a person is out of sight between two frames that are played.
+#: A person may be out of sight for at most this number of frames between two played frames.
 _MOST_ABSENT = 25
-#: Factors by which a wrong unit makes a person larger or smaller.
+#: Factors by which a wrong unit changes the size of a person.
 _UNIT_ERRORS = (1.0, 0.001, 0.01, 0.1, 10.0, 100.0, 1000.0)
-#: A person is mirrored if this share of the signs of their handedness, by size, is the wrong one.
+#: A person is mirrored if this share of the signs for left and right is wrong. Larger signs have more weight.
 _MIRRORED = 0.8
-#: Hierarchy of the joints, and direction of each from its parent in the rest pose: y up, facing +z.
+#: Hierarchy of the joints. In the rest pose, each joint is in this direction from its parent: y up, facing
+#: +z.
 _TREE = {
     "Hips": ("", (0.0, 0.0, 0.0)),
     "Chest": ("Hips", (0.0, 1.0, 0.0)),
@@ -74,14 +77,14 @@ Points = Mapping[str, Array]
 def read_marker_motion(path: str | os.PathLike[str], person: str | None = None) -> Motion:
     """Read a person from the points of a .trc or .c3d file, in metres.
 
-    ``person``: name before the labels (``anna:LKNE``) where the file has several people.
+    ``person``: name before the labels (``anna:LKNE``), if the file has several people.
 
-    Gaps are filled linearly. Frames before the first and after the last sight of all points are left out;
-    if the person leaves and comes back, the longest stay is used. Other points that are seen in less than
-    half of the frames are not used. A mirrored person is mirrored back. Each has a warning.
+    Gaps are filled linearly. The first and the last used frame show all points. If the person leaves and
+    comes back, only the longest stay is used. Points that are not required are left out if less than half of
+    the frames show them. A mirrored person is mirrored back. Each of these changes gives a warning.
 
     Raises:
-        MotionError: The file is not valid, or its labels are not a person's; the message says what was
+        MotionError: The file is not valid, or its labels are not those of a person. The message says what was
             found and what is missing.
     """
     read = read_c3d_points if Path(path).suffix.lower() == ".c3d" else read_trc_points
@@ -89,7 +92,7 @@ def read_marker_motion(path: str | os.PathLike[str], person: str | None = None) 
 
 
 def motion_of_points(path: str | os.PathLike[str], found: MarkerFile, person: str | None = None) -> Motion:
-    """:func:`read_marker_motion` of points that are read already."""
+    """Do the same as :func:`read_marker_motion` with points that were already read."""
     file = Path(path)
     if len(found.labels) > _MAX_LABELS or found.points.size > _MAX_POINTS:
         message = f"{len(found.points)} frames of {len(found.labels)} points are too many"
@@ -146,8 +149,8 @@ def motion_of_points(path: str | os.PathLike[str], found: MarkerFile, person: st
 
 
 def _mirrored_axis(points: Points, kind: str) -> int | None:
-    """Number of the axis to negate so that a mirrored person is right; None if the person is not mirrored.
-    Toes, the front of the pelvis and the nose are ahead. They must agree."""
+    """Number of the axis to negate, so that a mirrored person becomes right. None if the person is not
+    mirrored. Toes, the front of the pelvis and the nose show where ahead is. They must agree."""
     hip, knee, ankle, shoulder = (
         ("ASIS", "KneeLateral", "AnkleLateral", "Acromion")
         if kind == "markers"
@@ -173,7 +176,8 @@ def _mirrored_axis(points: Points, kind: str) -> int | None:
 
 
 def _filled(path: Path, file: MarkerFile, marks: Marks) -> tuple[dict[str, Array], Indices]:
-    """Points (F, 3) of the landmarks without gaps, and the numbers (F) of their frames."""
+    """Fill the gaps of the landmarks. Returns points (F, 3) by landmark, and the numbers (F) of their
+    frames."""
     count = len(file.points)
     known = {landmark: is_seen(file.points[:, number]) for landmark, number in marks.numbers.items()}
     present = np.flatnonzero(np.mean([*known.values()], axis=0) >= _LEAST_SEEN)
@@ -208,7 +212,7 @@ def _filled(path: Path, file: MarkerFile, marks: Marks) -> tuple[dict[str, Array
     start = max(first + int(np.argmax(seen[first:last])) for seen in known.values())
     end = min(last - int(np.argmax(seen[first:last][::-1])) for seen in known.values())
     if end - start < _LEAST_SEEN * (last - first):
-        start, end = first, last  # hold points at the ends instead
+        start, end = first, last  # fill the gaps at both ends with the nearest point instead
     if end - start < count:
         warn_about(path, f"frames {start} to {end - 1} of {count} are used: in others points are missing")
     frames = np.arange(start, end, dtype=np.intp)
@@ -251,7 +255,7 @@ def _back(points: Points) -> Array:
 
 
 def _known_joints(points: Points) -> dict[str, Array]:
-    """Joints of a file of joints; hips, neck and head from their neighbours where they lack."""
+    """Joints of a file of joints. If hips, neck or head are missing, their neighbours give them."""
     joints = {name: place for name, place in points.items() if name in _ALL_JOINTS}
     joints.setdefault("Hips", _middle(points, "Hip"))
     if not {"LeftShoulder", "RightShoulder"} <= joints.keys():
@@ -273,7 +277,7 @@ def _raised(vectors: Array, left: Array, degrees: float) -> Array:
 
 
 def _hold(path: Path, joints: Mapping[str, Array], held: Sequence[str]) -> dict[str, Array]:
-    """Joints with a trunk that stands upright over the hips and arms that hang down, as ``held`` says."""
+    """Add the parts in ``held``: a trunk upright over the hips, and arms that hang down."""
     links = [
         float(np.median(np.linalg.norm(joints[side + above] - joints[side + below], axis=1)))
         for side in SIDES
@@ -298,7 +302,7 @@ def _hold(path: Path, joints: Mapping[str, Array], held: Sequence[str]) -> dict[
 
 
 def _up_of_legs(path: Path, joints: Points) -> Array:
-    """Axis (3,) of the file along which people stand: along their legs."""
+    """Axis (3,) of the file along which the legs of people stand."""
     legs = (joints["Hips"] - _middle(joints, "Ankle")).mean(axis=0)
     axis = np.zeros(3)
     axis[np.argmax(np.abs(legs))] = np.sign(legs[np.argmax(np.abs(legs))])
@@ -313,7 +317,7 @@ def _up_of_legs(path: Path, joints: Points) -> Array:
 
 
 def _joint_centres(points: Points) -> tuple[dict[str, Array], Array]:
-    """Joints (F, 3) of markers on the skin, and axes (F, 3, 3) of the pelvis: left, up, forward."""
+    """Joints (F, 3) from markers on the skin, and axes (F, 3, 3) of the pelvis: left, up, forward."""
     front, back = _middle(points, "ASIS"), _back(points)
     left = unit_vectors(points["LeftASIS"] - points["RightASIS"])
     forward = unit_vectors(perpendicular(front - back, left))
@@ -338,7 +342,7 @@ def _joint_centres(points: Points) -> tuple[dict[str, Array], Array]:
         if toe is None and {f"{side}Toe1", f"{side}Toe5"} <= points.keys():
             toe = (points[f"{side}Toe1"] + points[f"{side}Toe5"]) / 2
         if (lateral := at("AnkleLateral")) is not None:
-            if heel is not None and toe is not None:  # the foot tells where inwards is
+            if heel is not None and toe is not None:  # the foot shows which side is inwards
                 inwards = sign * np.cross(unit_vectors(toe - heel), unit_vectors(knee - lateral))
             ankle = _centre(lateral, at("AnkleMedial"), knee, inwards, _ANKLE)
             joints[f"{side}Ankle"] = ankle
@@ -378,7 +382,8 @@ def _joint_centres(points: Points) -> tuple[dict[str, Array], Array]:
 
 
 def _centre(lateral: Array, medial: Array | None, above: Array, inwards: Array, distance: float) -> Array:
-    """Centre (F, 3) of a joint below another: between two markers, or next to the lateral one."""
+    """Centre (F, 3) of a joint below the joint ``above``: between two markers, or inwards from the lateral
+    one."""
     if medial is not None:
         return (lateral + medial) / 2
     limb = unit_vectors(lateral - above)
@@ -386,7 +391,7 @@ def _centre(lateral: Array, medial: Array | None, above: Array, inwards: Array, 
 
 
 def _hinge(lateral: Array, shoulder: Array, wrist: Array, sign: float) -> Array:
-    """Centre (F, 3) of an elbow: the marker is next to the plane in which shoulder, elbow and wrist are.
+    """Centre (F, 3) of an elbow, where the marker is next to the plane of shoulder, elbow and wrist.
     ``sign``: 1 for the left elbow, -1 for the right one."""
     way = unit_vectors(wrist - shoulder)
     aside = perpendicular(lateral - shoulder, way)
@@ -406,8 +411,8 @@ _ALL_JOINTS = {name.replace("Left", side) for name in _TREE for side in SIDES}
 
 
 def _motion(path: Path, joints: dict[str, Array], pelvis: Array | None, frame_time: float) -> Motion:
-    """Motion of joints (F, 3) with the rest pose of :data:`_TREE`. ``pelvis``: axes (F, 3, 3) of the pelvis
-    by its markers: left, up, forward. None if there are none."""
+    """Make the motion of joints (F, 3) with the rest pose of :data:`_TREE`. ``pelvis``: axes (F, 3, 3) of the
+    pelvis from its markers: left, up, forward. None if there are no such markers."""
     joints = {**joints, "Chest": (joints["Hips"] + joints["Neck"]) / 2}
     names, parents, offsets = [], [], []
     trunk = joints["Neck"] - joints["Hips"]
@@ -428,7 +433,7 @@ def _motion(path: Path, joints: dict[str, Array], pelvis: Array | None, frame_ti
                 continue
             way = np.array(direction) * ((-1.0 if side == "Right" else 1.0), 1.0, 1.0)
             link = joints[name] - joints[parent] if parent else np.zeros((len(trunk), 3))
-            if parent and not way.any():  # hips and shoulders: their median place in the parent
+            if parent and not way.any():  # hips and shoulders have their median place in the parent
                 way = np.median(rotate(np.swapaxes(done[parent], -1, -2), link), axis=0)
             else:
                 way = way * float(np.median(np.linalg.norm(link, axis=1)))
@@ -436,7 +441,7 @@ def _motion(path: Path, joints: dict[str, Array], pelvis: Array | None, frame_ti
             parents.append(names.index(parent) if parent else -1)
             offsets.append(way)
             done[name] = own[name] if name in own else done[parent]
-    # a limb turns with its link: the shortest rotation from its parent
+    # a limb turns with its link, by the shortest rotation from its parent
     for name in names:
         below = [n for n in names if parents[names.index(n)] == names.index(name)]
         if name in own:
@@ -473,10 +478,8 @@ def _motion(path: Path, joints: dict[str, Array], pelvis: Array | None, frame_ti
 
 
 def _standing_tilt(joints: Points, pelvis: Array) -> Array:
-    """Rotation (3, 3) from the axes of the pelvis to the trunk of a person who stands.
-
-    It is the median over the quarter of the frames in which trunk and thighs are straightest.
-    """
+    """Rotation (3, 3) from the axes of the pelvis to the axes of the trunk, for a person who stands. The
+    rotation is the median over a quarter of the frames: those where trunk and thighs are straightest."""
     trunk = unit_vectors(joints["Neck"] - joints["Hips"])
     thighs = unit_vectors(_middle(joints, "Hip") - _middle(joints, "Knee"))
     straight = (trunk * thighs).sum(axis=1)
@@ -486,7 +489,7 @@ def _standing_tilt(joints: Points, pelvis: Array) -> Array:
 
 
 def _axes(left: Array, up: Array) -> Array:
-    """Rotations (F, 3, 3) from the rest pose: x along left (F, 3), y nearly along up (F, 3)."""
+    """Rotations (F, 3, 3) from the rest pose: x along ``left`` (F, 3), and y nearly along ``up`` (F, 3)."""
     x = unit_vectors(left)
     z = unit_vectors(np.cross(x, up))
     return np.stack([x, np.cross(z, x), z], axis=-1)

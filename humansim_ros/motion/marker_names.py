@@ -1,4 +1,4 @@
-"""Which points of TRC and C3D files are joints or markers of a person, by their names."""
+"""Find by their names which points of TRC and C3D files are joints or markers of a person."""
 
 from __future__ import annotations
 
@@ -18,14 +18,15 @@ from humansim_ros.motion.joint_tables import right_name
 from humansim_ros.types import Array
 
 SIDES = ("Left", "Right")
-#: A point that is farther away was not seen, metres.
+#: A point that is farther from the origin (metres) was not seen.
 _MAX_DISTANCE = 1e4
-#: Least and most metres between the acromions, and between their middle and that of both ASIS.
+#: Shortest and longest distance between the acromions, and from their middle to the middle of both ASIS;
+#: metres.
 _SHOULDER_WIDTH, _TRUNK_LENGTH = (0.2, 0.55), (0.25, 0.75)
-#: Parts that a person needs, of both sides.
+#: Parts that a person needs on both sides.
 NEEDED = ("Hip", "Knee", "Shoulder", "Elbow")
 NEEDED_MARKERS = ("ASIS", "KneeLateral", "Acromion", "ElbowLateral")
-#: Letter before the names of points of Xsens: ``pLeftASI``.
+#: Letter that Xsens writes before the names of points: ``pLeftASI``.
 _XSENS = re.compile(r"^p(?=(Left|Right|C7|IJ|Sacrum|TopOf|BackOf))")
 #: A side within a name: ``WaistLFront``.
 _INNER_SIDE = re.compile(r"(?<![A-Za-z])([A-Z][a-z]+)([LR])(?=[A-Z][a-z])")
@@ -39,8 +40,8 @@ class Marks:
         labels: Labels of the file.
         kind: ``joints`` or ``markers``.
         numbers: Landmark -> number of its point.
-        missing: Landmarks that a person needs.
-        held: Parts without points, which are held at rest.
+        missing: Landmarks that a person needs, but that have no point.
+        held: Parts without points. They stay at rest.
     """
 
     labels: tuple[str, ...]
@@ -51,7 +52,8 @@ class Marks:
 
 
 def people_of(file: MarkerFile) -> dict[str, Marks]:
-    """Points of each person of a file that are seen at all, by the name before the labels."""
+    """Find the points of each person in a file, by the name before the labels. Points that are never seen are
+    left out."""
     groups: dict[str, list[int]] = {}
     seen = is_seen(file.points).any(axis=0)
     for number in np.flatnonzero(seen | ~seen.any()).tolist():
@@ -60,16 +62,17 @@ def people_of(file: MarkerFile) -> dict[str, Marks]:
 
 
 def is_seen(points: Array) -> NDArray[np.bool_]:
-    """Whether points (..., 3) were seen; a point that was not may be zeros."""
+    """Whether points (..., 3) were seen. Some files write zeros for points that were not seen."""
     return np.asarray((np.abs(points) < _MAX_DISTANCE).all(axis=-1) & points.any(axis=-1))
 
 
 def _marks(file: MarkerFile, numbers: Sequence[int]) -> Marks:
     labels = [label_parts(file.labels[number])[1] for number in numbers]
-    # a letter is a side only if the other side is there: so that one missing point is no reason, it is added
+    # A letter counts as a side only if the other side exists. The other side is added here, so that one
+    # missing point does no harm
     spelt = [_INNER_SIDE.sub(r"\2\1", _XSENS.sub("", label)) for label in labels]
     keys = loose_keys((*spelt, *_other_sides(spelt)))[: len(labels)]
-    by_key = dict(reversed(list(zip(keys, numbers, strict=True))))  # of equal ones the first
+    by_key = dict(reversed(list(zip(keys, numbers, strict=True))))  # of equal keys, the first counts
     markers, joints = _named("markers", by_key), _named("joints", by_key)
     markers |= _spare(file, markers, by_key)
     held_markers = _held(markers, ("Acromion", "ElbowLateral", "AnkleLateral"))
@@ -78,14 +81,14 @@ def _marks(file: MarkerFile, numbers: Sequence[int]) -> Marks:
         held_joints = ()
 
     def missing(found: Mapping[str, int], parts: Sequence[str], held: Sequence[str]) -> list[str]:
-        parts = parts[: len(parts) - len(held)]  # from below
+        parts = parts[: len(parts) - len(held)]  # parts are removed from the lower end
         return [side + part for part in parts for side in SIDES if side + part not in found]
 
     lacking_markers = missing(markers, NEEDED_MARKERS, held_markers)
     if "Sacrum" not in markers and not {"LeftPSIS", "RightPSIS"} <= markers.keys():
         lacking_markers.append("Sacrum or both PSIS")
     lacking_joints = missing(joints, NEEDED, held_joints)
-    # joints that the file itself has computed come first; markers of the pelvis tell which kind it is
+    # joints that the file itself has computed come first. Markers of the pelvis show the kind of the file
     has_pelvis = {"LeftASIS", "RightASIS"} <= markers.keys()
     centres = any(key.endswith("hjc") for key in by_key)
     if not lacking_joints and (centres or not has_pelvis):
@@ -96,7 +99,7 @@ def _marks(file: MarkerFile, numbers: Sequence[int]) -> Marks:
 
 
 def _spare(file: MarkerFile, markers: Mapping[str, int], by_key: Mapping[str, int]) -> dict[str, int]:
-    """Landmarks with names of the table of spare markers, which ``markers`` lack."""
+    """Landmarks that ``markers`` lacks, with names in the table of spare markers."""
     free = {key: number for key, number in by_key.items() if number not in markers.values()}
     spare = {name: number for name, number in _named("spare_markers", free).items() if name not in markers}
     if {"LeftPSIS", "RightPSIS"} <= markers.keys():
@@ -114,10 +117,8 @@ def _spare(file: MarkerFile, markers: Mapping[str, int], by_key: Mapping[str, in
 
 
 def _held(found: Mapping[str, int], parts: tuple[str, str, str]) -> tuple[str, ...]:
-    """Parts of the upper body that a file of legs has left out on both sides, from below.
-
-    ``parts``: names of shoulder, elbow and ankle.
-    """
+    """Parts of the upper body that a file of legs has left out on both sides, the lowest first. ``parts``:
+    names of shoulder, elbow and ankle."""
     shoulder, elbow, ankle = (sum(side + part in found for side in SIDES) for part in parts)
     if ankle < 2 or elbow or shoulder == 1:
         return ()
@@ -142,7 +143,7 @@ def _tables() -> Mapping[str, Mapping[str, Sequence[str]]]:
 
 
 def _named(table: str, by_key: Mapping[str, int]) -> dict[str, int]:
-    """Number of each landmark of a table; a point is only one landmark."""
+    """Number of the point of each landmark of a table. A point can be only one landmark."""
     found: dict[str, int] = {}
     for landmark, words in _tables()[table].items():
         for side in SIDES if landmark.startswith("Left") else ("",):

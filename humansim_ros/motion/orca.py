@@ -1,9 +1,9 @@
-"""Optimal reciprocal collision avoidance, ORCA, of many people at once [van den Berg 2011].
+"""Optimal reciprocal collision avoidance (ORCA) for many people at once [van den Berg 2011].
 
-Each person takes the velocity that is nearest to the preferred one, among the velocities that lead to no
-collision within a time horizon if the others do the same. A person who walks does not see people behind: they
-make way alone. Each neighbour and each obstacle forbids a half-plane of velocities: a half-plane is a unit
-normal n and an offset c, and a velocity v is allowed if n . v >= c.
+Some velocities lead to no collision within a time horizon, if all people choose so. Among these, each person
+takes the velocity nearest to the preferred one. A person who walks does not see people behind, so the people
+behind must make way alone. Each neighbour and each obstacle forbids a half-plane of velocities. A half-plane
+is a unit normal n and an offset c: a velocity v is allowed if n . v >= c.
 """
 
 from __future__ import annotations
@@ -15,13 +15,15 @@ from numpy.typing import NDArray
 
 from humansim_ros.types import Array, Indices
 
-#: Most neighbours that a person avoids, and the distance in metres at which it begins.
+#: Most neighbours that a person avoids, and the distance (metres) at which this begins.
 _NEIGHBOURS, _SIGHT = 8, 6.0
-#: Cosine of the angle to the direction of a walk beyond which somebody is behind; speed that is none, m/s.
+#: Somebody is behind a walking person if the cosine of the angle to the direction of the walk is below the
+#: first value. A person who is slower than the second value (m/s) stands.
 _BEHIND, _STANDS = -0.3, 0.2
 #: Tolerance of a half-plane, m/s.
 _EXACT = 1e-9
-#: Rounds in which a person who cannot keep all half-planes leaves the most violated one, and step of each.
+#: A person who cannot obey all half-planes moves out of the most violated one in this number of rounds. The
+#: last value is the share of each step.
 _ROUNDS, _RELAXED = 24, 0.7
 
 
@@ -34,7 +36,7 @@ class Walkers:
         velocities: (N, 2) m/s.
         radii: (N,) metres.
         speeds: (N,) largest speeds, m/s.
-        waiting: (N,) whether a person keeps its place: the others make way alone.
+        waiting: (N,) whether a person keeps its place, so that the others must make way alone.
     """
 
     positions: Array
@@ -46,13 +48,13 @@ class Walkers:
     def avoiding(
         self, preferred: Array, obstacles: Array, margin: float, horizon: float, step: float
     ) -> Array:
-        """Velocities (N, 2) that avoid the others and the obstacles.
+        """Find velocities (N, 2) that avoid the others and the obstacles.
 
         Args:
-            preferred: (N, 2) velocities that they would have alone, m/s.
-            obstacles: (N, M, 2) points that each of them keeps away from, metres.
-            margin: Distance that they keep from such a point beyond their radius, metres.
-            horizon: Seconds in which people do not collide; half of it for obstacles.
+            preferred: (N, 2) velocities that the people would have if alone, m/s.
+            obstacles: (N, M, 2) points that each person keeps away from, metres.
+            margin: Distance that people keep from such a point in addition to their radius, metres.
+            horizon: Seconds within which people must not collide. For obstacles, half of it.
             step: Seconds until the next velocities.
         """
         fixed = _obstacle_planes(self, obstacles, margin, horizon / 2)
@@ -63,7 +65,8 @@ class Walkers:
 
 
 def _obstacle_planes(walkers: Walkers, points: Array, margin: float, horizon: float) -> tuple[Array, Array]:
-    """Normals (N, M, 2) and offsets (N, M) with which nobody reaches a point within the horizon."""
+    """Half-planes in which nobody reaches a point within the horizon: normals (N, M, 2) and offsets (N,
+    M)."""
     away = walkers.positions[:, None] - points
     distance = np.maximum(np.linalg.norm(away, axis=-1), 1e-9)
     room = distance - walkers.radii[:, None] - margin
@@ -71,14 +74,16 @@ def _obstacle_planes(walkers: Walkers, points: Array, margin: float, horizon: fl
 
 
 def _neighbour_planes(walkers: Walkers, horizon: float, step: float) -> tuple[Array, Array]:
-    """Normals (N, K, 2) and offsets (N, K) of the nearest others [van den Berg 2011, section 4]."""
+    """Half-planes of the nearest other people [van den Berg 2011, section 4]: normals (N, K, 2) and offsets
+    (N, K)."""
     near = _nearest(walkers.positions)
     own = np.arange(len(near))[:, None]
     position = walkers.positions[near] - walkers.positions[own]
     velocity = walkers.velocities[own] - walkers.velocities[near]
     radius = walkers.radii[near] + walkers.radii[own]
     squared = (position**2).sum(-1)
-    # the part of velocities that the disc of a collision at the horizon cuts off; now, if they touch already
+    # the part of the cone that is cut off by the disc of a collision at the horizon. If people touch already,
+    # the horizon is one step
     time = np.where(squared > radius**2, horizon, step)
     w = velocity - position / time[..., None]
     length = np.maximum(np.linalg.norm(w, axis=-1), 1e-9)
@@ -87,7 +92,7 @@ def _neighbour_planes(walkers: Walkers, horizon: float, step: float) -> tuple[Ar
     change = (radius / time - length)[..., None] * normal
     leg = np.sqrt(np.maximum(squared - radius**2, 0.0))
     side = np.where(_det(position, w) > 0, 1.0, -1.0)
-    # the legs of the cone: the direction turns away from the other person to the side where w is
+    # the legs of the cone: the direction turns away from the other person, to the side where w is
     x, y = position[..., 0], position[..., 1]
     direction = np.stack([x * leg - side * y * radius, side * x * radius + y * leg], axis=-1)
     direction /= np.maximum(squared, 1e-12)[..., None]
@@ -100,7 +105,7 @@ def _neighbour_planes(walkers: Walkers, horizon: float, step: float) -> tuple[Ar
         _in_view(place, walkers.velocities[who])
         for place, who in ((position, np.broadcast_to(own, near.shape)), (-position, near))
     )
-    # who comes from behind, or meets somebody who keeps the place, makes way alone
+    # a person who comes from behind, or who meets somebody who keeps the place, makes way alone
     share = np.where((seen & ~sees) | walkers.waiting[near], 1.0, 0.5)[..., None]
     offset = (normal * (walkers.velocities[own] + share * change)).sum(-1)
     far = (squared > _SIGHT**2) | (near == own) | (sees & ~seen & ~walkers.waiting[near])
@@ -108,14 +113,15 @@ def _neighbour_planes(walkers: Walkers, horizon: float, step: float) -> tuple[Ar
 
 
 def _in_view(positions: Array, velocities: Array) -> NDArray[np.bool_]:
-    """Whether people who walk with (..., 2) see (..., 2) relative to them; who stands sees all around."""
+    """Whether people with velocities (..., 2) see relative positions (..., 2). A person who stands sees
+    everybody."""
     ahead = (positions * velocities).sum(-1)
     speed = np.linalg.norm(velocities, axis=-1)
     return np.asarray((ahead > _BEHIND * speed * np.linalg.norm(positions, axis=-1)) | (speed < _STANDS))
 
 
 def _nearest(positions: Array) -> Indices:
-    """Numbers (N, K) of the nearest others; of a person itself if there are fewer."""
+    """Numbers (N, K) of the nearest others. If there are too few, the number of the person itself."""
     count = len(positions)
     apart = ((positions[:, None] - positions) ** 2).sum(-1)
     np.fill_diagonal(apart, np.inf)
@@ -126,17 +132,18 @@ def _nearest(positions: Array) -> Indices:
 
 
 def nearest_allowed(preferred: Array, normals: Array, offsets: Array, speeds: Array, fixed: int) -> Array:
-    """Velocities (N, 2) that are nearest to the preferred ones in the intersection of half-planes and a disc.
+    """Velocities (N, 2) in all half-planes and in a disc that are nearest to the preferred ones.
 
-    The linear program of [van den Berg 2011, section 5.3], for all people together. Where the intersection is
-    empty, the largest violation of a half-plane of other people becomes small, and of the first ones smaller.
+    Solves the linear program of [van den Berg 2011, section 5.3] for all people together. If no velocity is
+    in all half-planes, the largest violation is made small. For the ``fixed`` half-planes, it is made smaller
+    than for those of other people.
 
     Args:
         preferred: (N, 2) m/s.
         normals: (N, M, 2) unit normals.
-        offsets: (N, M) m/s; -inf for no half-plane.
+        offsets: (N, M) m/s. An offset of -inf means that there is no half-plane.
         speeds: (N,) radii of the discs, m/s.
-        fixed: Number of the half-planes, first ones, that belong to obstacles.
+        fixed: This number of half-planes, from the first on, belong to obstacles.
     """
     speed = np.linalg.norm(preferred, axis=-1, keepdims=True)
     goal = preferred * np.minimum(1.0, speeds[:, None] / np.maximum(speed, 1e-9))
@@ -158,7 +165,7 @@ def nearest_allowed(preferred: Array, normals: Array, offsets: Array, speeds: Ar
 
 
 def _on_line(goal: Array, normals: Array, offsets: Array, speeds: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Best velocities on the edge of the last half-plane within the others, and whether there is one."""
+    """Best velocities on the edge of the last half-plane and within the others, and whether there are any."""
     n, c = normals[:, -1], offsets[:, -1]
     along = np.stack([-n[:, 1], n[:, 0]], axis=-1)
     half = speeds**2 - c**2
@@ -177,7 +184,7 @@ def _on_line(goal: Array, normals: Array, offsets: Array, speeds: Array) -> tupl
 
 
 def _least_violation(velocity: Array, normals: Array, offsets: Array, speeds: Array, fixed: int) -> Array:
-    """Velocities (N, 2) that violate no half-plane much: those of obstacles least."""
+    """Velocities (N, 2) that violate no half-plane much. Half-planes of obstacles are violated least."""
     rows = np.arange(len(velocity))
     for number in range(_ROUNDS):
         used = slice(0, fixed) if number % 3 == 2 and fixed else slice(None)

@@ -1,4 +1,5 @@
-"""One texture of a person from several photographs: blended, with aligned colours and filled gaps."""
+"""One texture of a person from several photographs. The photographs are blended, their colours are aligned,
+and gaps are filled."""
 
 from __future__ import annotations
 
@@ -31,37 +32,39 @@ from humansim_ros.photographs.surface import (
 from humansim_ros.render.gl import GLRenderer
 from humansim_ros.types import Array, Float32Array, Image, Indices
 
-#: Values below which noise is too much of a ratio.
+#: Pixel values below this are too dark for ratios of colours: noise is too large a share of them.
 _DARKEST = 8.0
 #: Least number of places that two views have to share.
 LEAST_SHARED = 30
-#: Standard deviations of samples and biases (of 255), and of gains about their first guess.
+#: Standard deviations of samples and of biases (both of 255), and of gains about their first guess.
 _NOISE, _BIAS, _GAIN = 4.0, 0.5, 0.005
 #: Number of independent samples in a view.
 _SAMPLES = 20
-#: Greatest logarithms of the ratio of two colours of one place to the ratio of the gains, in turns.
+#: Greatest logarithm of the ratio of two colours of one place to the ratio of the gains, one number per
+#: round.
 _FARTHEST = (0.5, 0.25, 0.15, 0.12, 0.12)
 _ROUNDS = 20
 #: Name of the outfit from photographs.
 OUTFIT = "photographs"
-#: Sides of textures that are chosen, texels, and texels for each pixel of the photographs along a line.
+#: Smallest and largest side of a texture that is chosen, texels. Texels for each pixel of the photographs
+#: along a line.
 SMALLEST, LARGEST, _DENSITY = 256, 8192, 2.0
 #: Bands of spatial frequency: radius of the low-pass filter in metres, and sharpness of the choice of views.
 #: The finest details come from one view, shades from all of them [Burt 1983].
 _BANDS = ((0.0, 8.0), (0.012, 3.0), (0.05, 1.0))
-#: sRGB values from which on colours may be clipped, and by how much less such pixels count.
+#: Below and above these sRGB values colours may be clipped. The share by which such pixels count less.
 _CLIPPED, _DOUBT = (3, 252), 0.98
-#: Longest usual edge, as a share of the height, and most triangles of a mesh that is divided.
+#: Longest usual edge, as a share of the height; and most triangles of a mesh that is divided.
 _EDGE, _MOST_TRIANGLES = 0.03, 400_000
-#: Weight at which a texel is as much as possible as it is seen.
+#: Sum of weights at which a texel is regarded as seen as well as possible.
 _CERTAIN = 0.02
-#: Share of a texel below which a view is left out; and texels that are blended at once.
+#: A view with a smaller share of a texel is left out. Number of texels that are blended at once.
 _LEAST_SHARE, _CHUNK = 1e-3, 1 << 20
 
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """Colours of C views: a view sees gain times true colour plus bias, in sRGB values of 0 to 255.
+    """Colours of C views. A view sees gain times true colour plus bias, in sRGB values of 0 to 255.
 
     Attributes:
         gains: (C, 3); their geometric mean is 1.
@@ -77,12 +80,15 @@ class Alignment:
 def align_colours(colours: Array, weights: Array) -> Alignment:
     """Find gains and biases of C views from N places on a surface that reflects evenly in all directions.
 
-    Gains follow from the means of what pairs of views share, biases from robust least squares, in turns with
-    the true colours. Views that share too few places with the others keep gain 1.
+    Gains follow from the mean colours of the places that two views share. Biases follow from robust least
+    squares, which alternates with estimates of the true colours. Views that share too few places with the
+    others keep gain 1.
+
 
     Args:
         colours: (C, N, 3) sRGB values, 0 to 255.
-        weights: (C, N) how well the view sees the place; 0 where it does not, or its colour is clipped.
+        weights: (C, N) how well the view sees the place. The weight is 0 if the view does not see the place
+            or the colour is clipped.
     """
     usable = (colours > _DARKEST).all(axis=2) & (weights > 0)
     shared = usable.astype(float) @ usable.T.astype(float)
@@ -107,7 +113,7 @@ def _solve(seen: Array, weights: Array) -> tuple[Array, Array]:
     guess = gains = _gains(seen, weights)
     biases = np.zeros(len(seen))
     for _ in range(_ROUNDS):
-        # true colours, then a line through the samples of each view, near the guess of its gain
+        # first the true colours, then for each view a line through its samples, with a gain near its guess
         robust = weights
         for _ in range(2):
             true = (robust * gains[:, None] * (seen - biases[:, None])).sum(0) / np.maximum(
@@ -115,7 +121,7 @@ def _solve(seen: Array, weights: Array) -> tuple[Array, Array]:
             )
             errors = (seen - gains[:, None] * true - biases[:, None]) / _NOISE
             robust = weights / (1 + errors**2)
-        # errors of neighbours are alike: they do not count as that many samples
+        # errors of neighbouring samples are alike, so a view counts as _SAMPLES independent samples at most
         scale = _SAMPLES * robust / np.maximum(robust.sum(1), 1e-9)[:, None] / _NOISE**2
         a = (scale * true**2).sum(1) + 1 / _GAIN**2
         b = (scale * true).sum(1)
@@ -173,22 +179,23 @@ def texture_atlas(
 ) -> TexturedPerson:
     """Texture a person from photographs.
 
-    Each texel takes its colour from the views that see it, those with more pixels for it counting more. Gains
-    and biases between the cameras are removed first. Three bands of spatial frequency are blended with
-    different sharpness, so that neither seams nor blur appear. Hidden parts continue the colours next to
-    them, or on the other side of the body.
+    Each texel takes its colour from the views that see it. A view with more pixels for the texel counts more.
+    Gains and biases between the cameras are removed first. Three bands of spatial frequency are blended with
+    different sharpness, so that neither seams nor blur appear. Hidden parts take the colours next to them, or
+    those of the other side of the body.
+
 
     Args:
         human: The person, with texture coordinates, or with the package xatlas installed.
         views: Photographs with the pose of the person in each.
-        size: Side of the texture, texels; as fine as the photographs if None.
+        size: Side of the texture, texels. If None, the texture is as fine as the photographs.
         outfit: Name of the new outfit.
-        symmetry: Hidden parts look like the other side of the body.
-        renderer: Renderer of an empty scene; a new one if None.
+        symmetry: Make hidden parts look like the other side of the body.
+        renderer: Renderer of an empty scene. If None, a new renderer is made.
 
     Raises:
-        PhotographError: No view shows anything of the person, a view does not fit it, or it has no texture
-            coordinates.
+        PhotographError: No view shows anything of the person, a view does not fit the person, or the person
+            has no texture coordinates.
         RenderError: OpenGL is missing or failed.
     """
     check_views(human, views)
@@ -215,10 +222,11 @@ def texture_atlas(
 
 
 def with_coordinates(human: Human) -> Human:
-    """The human with texture coordinates that do not overlap: its own, or new ones by the package xatlas.
+    """Return the human with texture coordinates that do not overlap. They are its own, or new ones by the
+    package xatlas.
 
     Raises:
-        PhotographError: It has none, and xatlas is not installed.
+        PhotographError: The human has no such coordinates, and xatlas is not installed.
     """
     mesh = human.mesh
     if mesh.uv is not None and mesh.uv_triangles is not None and not _overlaps(mesh):
@@ -239,7 +247,7 @@ def with_coordinates(human: Human) -> Human:
 
 
 def _overlaps(mesh: Mesh) -> bool:
-    """Whether much of the texture belongs to several triangles, or lies outside of it."""
+    """Whether much of the texture belongs to several triangles, or lies outside of the image."""
     assert mesh.uv is not None and mesh.uv_triangles is not None
     a, b, c = (mesh.uv[mesh.uv_triangles[:, corner]] for corner in range(3))
     area = np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]).sum() / 2
@@ -274,7 +282,7 @@ def _side(mesh: Mesh, resolution: float) -> int:
 
 
 def _align(sights: Sequence[SurfaceSight], notes: dict[str, str]) -> Alignment:
-    """Gains and biases of the views, from the places that two of them see well."""
+    """Find gains and biases of the views, from the places that two views see well."""
     colours = [lookup(_low_pass(sight, _BANDS[1][0]), sight.pixels) for sight in sights]
     weights = [np.where(lookup(_clipped(sight), sight.pixels) > 1e-3, 0.0, sight.weights) for sight in sights]
     alignment = align_colours(np.stack(colours).astype(float), np.stack(weights))
@@ -292,7 +300,7 @@ def _align(sights: Sequence[SurfaceSight], notes: dict[str, str]) -> Alignment:
 
 
 def _clipped(sight: SurfaceSight) -> Float32Array:
-    """Share (H, W) of pixels nearby with colour that may be clipped."""
+    """Share (H, W) of the pixels near each pixel that may be clipped."""
     image = sight.view.image
     clipped = ((image >= _CLIPPED[1]) | (image <= _CLIPPED[0])).any(axis=2).astype(np.float32)
     sigma = max(_BANDS[1][0] * sight.resolution, 0.5)
@@ -300,7 +308,8 @@ def _clipped(sight: SurfaceSight) -> Float32Array:
 
 
 def _low_pass(sight: SurfaceSight, radius: float) -> Float32Array:
-    """Image (H, W, 3) without details smaller than ``radius`` metres; only the person counts."""
+    """Image (H, W, 3) without details smaller than ``radius`` metres. Only pixels of the person are
+    averaged."""
     image = sight.view.image.astype(np.float32)
     sigma = radius * sight.resolution
     if sigma < 0.3:
@@ -313,7 +322,8 @@ def _low_pass(sight: SurfaceSight, radius: float) -> Float32Array:
 
 @dataclass(frozen=True, eq=False)
 class _Blended:
-    """Colours of texels (M, 3) and places (P, 3), and how certain they are: (M,) and (P,), 0 where hidden."""
+    """Colours of texels (M, 3) and places (P, 3), and their certainty (M,) and (P,), which is 0 where they
+    are hidden."""
 
     colours: Float32Array
     certainty: Float32Array
@@ -372,7 +382,7 @@ def _blend_texels(
 def _filled_image(
     surface: Surface, texels: SurfaceTexels, blended: _Blended, side: int, symmetry: bool
 ) -> Image:
-    """Texture (side, side, 3) with filled gaps, continued beyond the islands."""
+    """Texture (side, side, 3) with filled gaps. Its colours continue beyond the borders of the islands."""
     places = fill_colours(surface, blended.places, blended.places_seen, symmetry)
     certainty = blended.certainty[:, None]
     hidden = blended.certainty < 1
@@ -396,7 +406,8 @@ def _mirrored_details(
     hidden: NDArray[np.bool_],
     side: int,
 ) -> Float32Array:
-    """Details (M', 3) of hidden texels: differences of the other side of the body from its smooth colours."""
+    """Details (M', 3) of hidden texels, taken from the other side of the body: its colours minus its smooth
+    colours."""
     mesh = surface.mesh
     assert mesh.uv is not None and mesh.uv_triangles is not None
     smooth = texels.mix(places.astype(np.float32), surface.triangles)
@@ -415,9 +426,8 @@ def _mirrored_details(
 
 
 def _rounds(mesh: Mesh) -> int:
-    """Divisions of the triangles after which few edges are longer than _EDGE of the height: what the views
-    show is found at vertices.
-    """
+    """Number of times that triangles are divided, so that few edges are longer than _EDGE of the height.
+    Colours are computed at vertices, so vertices must be dense."""
     corners = mesh.vertices[mesh.triangles]
     edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     longest = float(np.quantile(edges, 0.9)) / max(float(np.ptp(mesh.vertices[:, 1])), 1e-9)
@@ -429,10 +439,8 @@ def _rounds(mesh: Mesh) -> int:
 def _chosen(
     surface: Surface, owner: Indices, sights: Sequence[SurfaceSight], numbers: Sequence[int]
 ) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
-    """View (N,) that each triangle takes most of its colour from, and whether any sees it.
-
-    ``owner``: triangle of the human of each triangle of the surface.
-    """
+    """View (N,) that each triangle takes most of its colour from, and whether any view sees the triangle.
+    ``owner``: for each triangle of the surface, the triangle of the human that it is part of."""
     fine = [sight.weights[surface.triangles].mean(axis=1) for sight in sights]
     weights = np.stack([np.bincount(owner, own) for own in fine])
     seen = weights.max(axis=0) > 0
@@ -445,6 +453,6 @@ def _dressed(human: Human, image: Image, outfit: str) -> Human:
     skin = human.mesh.skin
     if skin is not None:
         skin = np.asarray(cv2.resize(skin, image.shape[1::-1], interpolation=cv2.INTER_AREA), np.uint8)
-    # the person in the photographs wears something else
+    # the clothes of the photographs replace the clothes of the human
     mesh = replace(human.mesh, texture=image, colors=None, skin=skin, materials=None, hair=None)
     return replace(human, mesh=mesh, looks=looks, outfit=outfit)

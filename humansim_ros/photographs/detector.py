@@ -1,4 +1,4 @@
-"""Run a detector of somebody else on photographs: a command that writes the 2D points of one image."""
+"""Run an external detector on photographs: a command that writes the 2D points of one image."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from humansim_ros.io.files import temporary_folder
 from humansim_ros.photographs.views import PhotoSet, default_points, read_points, read_views, write_points
 from humansim_ros.types import Array
 
-#: Words of the command that stand for files.
+#: Placeholders in the command, which are replaced by paths of files.
 IMAGE, POINTS = "{image}", "{points}"
 #: Most seconds for one image.
 TIMEOUT = 300.0
@@ -28,15 +28,17 @@ def detect_points(
     """Find the 2D points of all images with a command, and keep them in ``<name>_points`` next to the views.
 
     The command runs once for each image. ``{image}`` stands for the image, ``{points}`` for the JSON file
-    that it has to write: COCO, OpenPose or our own form. Views keep points that the views file names.
+    that it has to write, in the form of COCO, of OpenPose or of this package. If the views file names the
+    points of a view, the view keeps these points.
+
 
     Args:
         photos: Photographs.
         command: Command line. It does not go through a shell.
-        report: Called with the number of finished images, and of all.
+        report: Function that is called with the number of finished images and the number of all images.
 
     Returns:
-        The photographs with the points found. An image with a file that has no person has no points.
+        The photographs with the points found. If the file of an image has no person, the image has no points.
 
     Raises:
         PhotographError: The command is wrong, fails, takes too long, or writes something else.

@@ -1,4 +1,5 @@
-"""Fit a human to calibrated photographs: pose, place, stature and proportions, in one frame or in many."""
+"""Fit a human to calibrated photographs: pose, place, stature and proportions, in one frame or in many
+frames."""
 
 from __future__ import annotations
 
@@ -47,11 +48,13 @@ SHAPE_FRAMES = 12
 SILHOUETTE_FRAMES = 4
 #: Weight of points that no other view confirms.
 _UNCONFIRMED = 0.3
-#: Least and greatest stature of people, metres; and size of the points relative to the start that fits reach.
+#: Least and greatest stature of people, metres. Least and greatest size of the points relative to the start
+#: that a fit can reach.
 _STATURES, _SIZES = (0.5, 2.3), (0.3, 3.0)
-#: Median distance of points from the body, as a share of the longer side of the images, that is told.
+#: A median distance of points from the body above this share of the longer side of the images causes a
+#: warning.
 _FAR = 0.03
-#: Outlier: a point farther away than 6 standard deviations of the noise, and than 4 pixels.
+#: Outlier: a point farther away than 6 standard deviations of the noise, and farther than 4 pixels.
 _FARTHEST, _LEAST_FARTHEST = 6.0, 4.0
 
 FitProgress = Callable[[str, int, int], None]
@@ -66,17 +69,20 @@ def fit_person(
 ) -> PersonFit:
     """Fit a human to photographs of one person.
 
-    Keypoints are triangulated (wrong points are found by the other views), then poses, stature and lengths of
-    bones minimise the distances in the photographs. Joints stay within their limits. All frames have the
-    same proportions. Silhouettes of some frames then determine the girths, and refine the lengths. An SMPL
-    model then takes the betas that are most like this body, and is fitted again.
+    Keypoints are triangulated, and wrong points are found by comparison with the other views. Then poses,
+    stature and lengths of bones are found that minimise the distances in the photographs. Joints stay within
+    their limits. All frames have the same proportions. Then the silhouettes of some frames determine the
+    girths and refine the lengths. If the human is an SMPL model, the betas are found that make the model most
+    similar to this body, and the model is fitted again.
+
 
     Args:
         photos: Photographs with points.
         human: Name or file of the human to start from; if None, the human of ``start`` or of the views file.
-        start: Fit of the same human to start from, such as one that points were corrected in.
-        silhouettes: Use the masks, if there are any.
-        progress: Called with the name of a step, finished and all frames.
+        start: Fit of the same human to start from, such as the fit before some points were corrected.
+        silhouettes: Use masks if the photographs have some.
+        progress: Function that is called with the name of a step, the number of finished frames and the
+            number of all frames.
 
     Raises:
         PhotographError: The photographs do not determine the person; the message says why.
@@ -94,12 +100,12 @@ def fit_person(
 
 
 def find_doubts(fit: PersonFit, photos: PhotoSet, silhouettes: bool = True) -> list[str]:
-    """What is guessed or implausible in a fit: sentences for people, with what to do.
+    """Sentences about what is guessed or implausible in a fit, and what the user can do about it.
 
     Args:
         fit: Fit of the photographs.
         photos: Photographs.
-        silhouettes: The masks were used.
+        silhouettes: Whether the masks were used.
     """
     model = PoseModel(shaped_human(fit.human, fit.proportions), photos.keypoints)
     found = []
@@ -202,7 +208,7 @@ def _check_size(photos: PhotoSet, model: PoseModel, body: Human, found: Sequence
 
 
 def _stored_name(human: str) -> str:
-    """Name of a built-in human, or the absolute path of a file: a fit is read in any folder."""
+    """Name of a built-in human, or the absolute path of a file, since a fit may be read from any folder."""
     return human if human in built_in_names("humans") else str(find_asset(human, "humans").absolute())
 
 
@@ -219,7 +225,7 @@ def _noise(found: Sequence[Triangulation]) -> float:
     errors = np.concatenate([each.errors[each.inliers] for each in found])
     if not len(errors):
         return LEAST_NOISE
-    # a position takes up three of the 2 V numbers of V views; the lengths have a Rayleigh distribution
+    # a position uses up three of the 2 V coordinates of V views; the distances have a Rayleigh distribution
     views = np.concatenate(
         [np.broadcast_to(each.inliers.sum(0), each.inliers.shape)[each.inliers] for each in found]
     )
@@ -250,7 +256,8 @@ def _initial(
 
 
 def _spread(counts: Array, most: int) -> list[int]:
-    """Numbers of at most ``most`` frames over the whole sequence, each the one with most points near it."""
+    """Numbers of at most ``most`` frames, spread over the sequence. Each is the frame with most points near
+    its place."""
     edges = np.linspace(0, len(counts), min(most, len(counts)) + 1).astype(int)
     return [int(low + np.argmax(counts[low:high])) for low, high in itertools.pairwise(edges)]
 
@@ -264,7 +271,8 @@ def _result(
     found: Sequence[Triangulation],
     noise: float,
 ) -> PersonFit:
-    """Fit of a human that has not yet taken proportions. ``noise``: of the points, pixels."""
+    """Fit of a human before its proportions are applied. ``noise``: standard deviation of the points,
+    pixels."""
     proportions = model.proportions(states[0])
     skeleton = with_proportions(human, proportions).skeleton
     residuals = np.array(

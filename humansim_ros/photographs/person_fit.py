@@ -1,4 +1,4 @@
-"""A person in photographs: its proportions and its fitted poses."""
+"""A person in photographs: proportions and fitted poses."""
 
 from __future__ import annotations
 
@@ -25,17 +25,19 @@ from humansim_ros.motion.kinematics import Motion
 from humansim_ros.motion.posed_bones import PosedBones
 from humansim_ros.types import Array, Float32Array, Indices
 
-#: Range of each factor.
+#: Smallest and largest factor of the proportions.
 SMALLEST, LARGEST = 0.2, 5.0
 #: Greatest offset of the surface, metres.
 GREATEST_OFFSET = 0.08
 #: Most betas that are fitted: the first ones of a model matter most.
 MOST = 10
-#: Standard deviation of a vertex about its place in the model, metres; and number of independent vertices.
+#: Standard deviation of a vertex about its place in the model, metres; and number of vertices that count as
+#: independent.
 _NOISE, _INDEPENDENT = 0.01, 200
-#: Offsets of the surface are alike within this share of the height, and this difference of unit normals.
+#: Offsets of the surface are alike for points within this share of the height, and within this difference of
+#: unit normals.
 _REACH, _TURN = 0.02, 1.0
-#: Most controls of the offsets of a surface, and vertices that are computed at once.
+#: Most controls of the offsets of a surface; and number of vertices that are computed at once.
 MOST_CONTROLS, _CHUNK = 1000, 20_000
 
 
@@ -45,11 +47,12 @@ class Proportions:
 
     Attributes:
         stature: Factor of the whole body.
-        lengths: Factor along each bone, by name of the bone; 1 if absent.
-        girths: Factor across each bone, by name of the bone; 1 if absent.
-        shape: Betas of the human, if it is an SMPL model.
-        offsets: Metres that the surface of the human is moved out at the controls of :class:`SurfaceOffsets`,
-            before it takes the factors: clothes, hair, and what factors cannot do. Empty: no offsets.
+        lengths: Factor along each bone, by name of the bone. The factor of an absent bone is 1.
+        girths: Factor across each bone, by name of the bone. The factor of an absent bone is 1.
+        shape: Betas of the human if the human is an SMPL model.
+        offsets: Metres by which the surface moves outwards at the controls of :class:`SurfaceOffsets`, before
+            the factors are applied. Offsets describe clothes, hair and what factors cannot. If empty, there
+            are no offsets.
     """
 
     stature: float = 1.0
@@ -59,10 +62,10 @@ class Proportions:
     offsets: tuple[float, ...] = ()
 
     def scales(self, skeleton: Skeleton) -> Array:
-        """Factors (B, 3) along the axes of the frames of the bones; y is along the bone.
+        """Factors (B, 3) along the axes of the bone frames. The y axis is along the bone.
 
         Raises:
-            MeshError: A name is not a bone, or a factor is beyond SMALLEST and LARGEST.
+            MeshError: A name is not a bone, or a factor is not between SMALLEST and LARGEST.
         """
         scales = np.ones((len(skeleton), 3))
         for factors, axes in ((self.lengths, [1]), (self.girths, [0, 2])):
@@ -75,9 +78,10 @@ class Proportions:
 
 
 def with_proportions(human: Human, proportions: Proportions) -> Human:
-    """Return a human, which has betas and offsets, in other proportions. Its soles stay where they are.
+    """Return a human in other proportions. The human already has betas and offsets. Its soles stay where they
+    are.
 
-    A bone scales the vertices near it about its head, v' = sum_b w_b (h'_b + R_b S_b R_b^T (v - h_b)): the
+    A bone scales the vertices near it about its head: v' = sum_b w_b (h'_b + R_b S_b R_b^T (v - h_b)). So the
     skin stays smooth where it stretches.
 
     Raises:
@@ -112,15 +116,17 @@ def with_proportions(human: Human, proportions: Proportions) -> Human:
 
 @dataclass(frozen=True, eq=False)
 class SurfaceOffsets:
-    """A smooth field of offsets along the normals of a mesh at rest.
+    """A smooth field of offsets along the normals of a mesh in the rest pose.
 
-    Offsets are a Gaussian process over places and normals, by its values at controls, which are spread
-    evenly: what is near and faces the same way moves alike.
+    Offsets are a Gaussian process over places and normals. Points that are near each other and face the same
+    way have similar offsets. The process is given by its values at the controls, vertices that are spread
+    evenly.
+
 
     Attributes:
-        controls: (K,) vertices.
+        controls: (K,) numbers of the vertices that are controls.
         factor: (K, K) lower Cholesky factor of the covariances of the controls; their variance is 1.
-        shares: (V, K) offset of each vertex by the offsets of the controls.
+        shares: (V, K) matrix that turns offsets of the controls into offsets of the vertices.
         normals: (V, 3) unit normals of the vertices.
     """
 
@@ -131,7 +137,7 @@ class SurfaceOffsets:
 
     @classmethod
     def of(cls, mesh: Mesh) -> SurfaceOffsets:
-        """Controls of a mesh, and the shares of its vertices."""
+        """Choose the controls of a mesh, and compute the shares of its vertices."""
         a, b, c = (mesh.vertices[mesh.triangles[:, corner]] for corner in range(3))
         _, place = np.unique(mesh.vertices, axis=0, return_inverse=True)
         place = place.reshape(-1)
@@ -148,7 +154,8 @@ class SurfaceOffsets:
         return cls(controls, factor, np.concatenate(shares), normals)
 
     def moved(self, human: Human, offsets: Sequence[float] | Array) -> Human:
-        """The human with another surface. Raises MeshError if these are not as many offsets as controls."""
+        """Move the surface of a human by offsets. Raises MeshError if there is not one offset for each
+        control."""
         if len(offsets) != len(self.controls):
             raise MeshError(
                 f"{len(offsets)} offsets of the surface do not fit {human.name}, which has "
@@ -159,12 +166,13 @@ class SurfaceOffsets:
 
 
 def _likeness(one: Array, other: Array) -> Array:
-    """Covariances (N, M) of points (N, D), (M, D) at unit reach."""
+    """Covariances (N, M) of points (N, D) and (M, D), for a reach of 1."""
     return np.asarray(np.exp(-0.5 * cdist(one, other, "sqeuclidean")))
 
 
 def _spread(points: Array, most: int) -> Indices:
-    """Numbers of points (N, D), each the farthest from those before; until they are nearer than 1."""
+    """Numbers of points (N, D). Each point is the farthest from those before, until all points are nearer
+    than 1."""
     chosen = [0]
     gaps = np.square(points - points[0]).sum(axis=1)
     while len(chosen) < most and gaps.max() > 1:
@@ -175,17 +183,17 @@ def _spread(points: Array, most: int) -> Indices:
 
 @lru_cache(maxsize=2)
 def surface_offsets(name: str, shape: tuple[float, ...] = ()) -> SurfaceOffsets:
-    """Offsets of the surface of a human with these betas, by its name or file."""
+    """Offsets of the surface of a human with given betas. ``name``: name or file of the human."""
     return SurfaceOffsets.of(shaped_human(name, Proportions(shape=shape)).mesh)
 
 
 def shaped_human(name: str, proportions: Proportions) -> Human:
-    """A human by its name or file, with betas and offsets of the surface, before it takes the factors.
+    """Load a human by its name or file, with betas and offsets of the surface, before factors are applied.
 
-    It has no bones of fingers, toes, jaw and eyes: photographs do not show their rotations.
+    The human has no bones of fingers, toes, jaw and eyes, since photographs do not show their rotations.
 
     Raises:
-        MeshError: It cannot be loaded, or has no such betas or offsets.
+        MeshError: The human cannot be loaded, or the betas or offsets do not fit it.
     """
     path, shape = find_asset(name, "humans"), proportions.shape
     human = (make_human(path, MeshHuman(betas=shape)) if shape else load_human(path)).without_details()
@@ -201,14 +209,14 @@ def can_be_shaped(name: str) -> bool:
 
 
 def fit_shape(name: str, vertices: Array) -> tuple[float, ...]:
-    """Betas that make the body in the rest pose most similar to another body of the model at rest, by least
+    """Find the betas that make the body in the rest pose most similar to another body of the model, by least
     squares.
 
-    Betas of people are about as large as 1; that is the prior.
+    The prior is that betas of people have a standard deviation of 1.
 
     Args:
         name: Name or file of an SMPL model.
-        vertices: (V, 3) of the other body.
+        vertices: Vertices (V, 3) of the other body in the rest pose.
     """
     mean, directions = _directions(str(find_asset(name, "humans")))
     goal = vertices - vertices.mean(axis=0) - mean
@@ -246,9 +254,9 @@ class PersonFit:
         period: Nanoseconds between frames.
         keypoints: Name of the set of the points.
         views: Names of the V views.
-        residuals: (F, V, K) pixels between the given and the fitted points; NaN where there is none.
-        outliers: (F, V, K) the given point is wrong and was left out.
-        swapped: (F, V) left and right of the points were exchanged.
+        residuals: (F, V, K) pixels between the given and the fitted points. NaN where no point is given.
+        outliers: (F, V, K) whether the given point is wrong and was left out.
+        swapped: (F, V) whether left and right of the points were exchanged.
     """
 
     human: str

@@ -1,9 +1,9 @@
 """Fit poses and proportions of a body to 2D points: robust nonlinear least squares over all frames at once.
 
-The unknowns are the numbers of :class:`~humansim_ros.photographs.pose_model.PoseModel`: pose numbers of
-each frame, and one set of proportions. Frames are coupled by a prior of small accelerations, so that the
-normal equations are a band, bordered by the proportions: each step of Levenberg-Marquardt takes time linear
-in the frames.
+The unknowns are the numbers of :class:`~humansim_ros.photographs.pose_model.PoseModel`: pose numbers of each
+frame, and one set of proportions. A prior of small accelerations couples the frames, so the normal equations
+are a band matrix with a border for the proportions. Therefore the time of a step of Levenberg-Marquardt is
+linear in the number of frames.
 """
 
 from __future__ import annotations
@@ -22,11 +22,12 @@ from humansim_ros.photographs.person_fit import PersonFit
 from humansim_ros.photographs.pose_model import Attachments, BodyState, PoseModel, plain_name
 from humansim_ros.types import Array, Indices
 
-#: Points count less and less beyond this number of standard deviations of their noise.
+#: Points that are farther away than this number of standard deviations of their noise count less and less.
 _ROBUST = 2.5
 #: Least standard deviation of points, pixels.
 LEAST_NOISE = 0.5
-#: Standard deviation of rotations from the rest pose, radians, by bone without its side. Others have _USUAL.
+#: Standard deviation of rotations from the rest pose, radians, by bone name without its side. Other bones
+#: have _USUAL.
 _STIFFNESS = {
     "HumanoidRoot_to_hip": 0.03,
     "sacroiliac": 0.15,
@@ -41,35 +42,36 @@ _USUAL = 1.5
 _TRUNK = frozenset(_STIFFNESS) - {"wrist", "ankle"} | {"HumanoidRoot", "vt3"}
 #: Standard deviation of the proportions: logarithms of stature and of lengths relative to it.
 _STATURE_SPREAD, _LENGTH_SPREAD = 0.3, 0.1
-#: Standard deviation of logarithms of girths. Only outlines tell them.
+#: Standard deviation of logarithms of girths. Only outlines determine girths.
 _GIRTH_SPREAD = 0.2
-#: Greatest logarithms of statures, lengths and girths of people relative to others, children and clothes
-#: included; and their standard deviation beyond.
+#: Greatest logarithms of statures, lengths and girths of people relative to other people, with children and
+#: clothes; and the standard deviation of what is beyond.
 STATURE_LIMIT, LENGTH_LIMIT, GIRTH_LIMIT, _BEYOND_SHAPE = 0.9, 0.35, 0.55, 0.02
-#: Standard deviations where no point shows the part: logarithm of its length, rotation in radians.
+#: Standard deviations for a part that no point shows: logarithm of its length, and its rotation in radians.
 _HELD_LENGTH, _HELD_TURN = 0.03, 0.3
 #: Standard deviation of a joint beyond its limit, radians.
 _BEYOND = 0.02
-#: Standard deviations of accelerations: metres per second squared of the place; radians per second squared
-#: of trunk and limbs.
+#: Standard deviations of accelerations: of the place, metres per second squared; of trunk and limbs, radians
+#: per second squared.
 _ACCELERATION, _TURN, _SWING = 3.0, 8.0, 30.0
-#: Most steps of least squares, and rounds in which joints beyond their limits are pulled back.
+#: Most steps of least squares, and most rounds in which joints beyond their limits are pulled back.
 _STEPS, _LIMIT_ROUNDS = 40, 4
-#: Longest step of a number of a pose, metres or radians: a wild step ends in another minimum.
+#: Longest step of one pose number, metres or radians, since a larger step can end in another minimum.
 _LONGEST_STEP = 0.5
-#: Factors of the standard deviations of accelerations in the first solutions of a sequence. Others follow if
-#: these end in a wrong minimum: at a cost above this multiple of the cost of the frames at the start.
+#: Factors of the standard deviations of accelerations in the first solutions of a sequence. The next factors
+#: are tried if the solution is a wrong minimum: its cost is above this multiple of the cost of the frames at
+#: the start.
 _SLACKS = ((30.0, 5.0), (300.0, 100.0, 30.0, 10.0, 3.0), ())
 _WRONG = 5.0
-#: Limbs with a joint that is a hinge, with the limb above; turns of that limb that are tried; and the angle
-#: beyond limits, radians, that a turn has to save.
+#: Limbs below a hinge joint, each with the limb above; turns of the limb above that are tried; and the angle
+#: beyond limits, radians, that a turn must save.
 _HINGES = tuple(
     (f"{s}_{upper}", f"{s}_{lower}")
     for s in "lr"
     for upper, lower in (("shoulder", "elbow"), ("hip", "knee"))
 )
 _TURNS, _BETTER = 24, 0.1
-#: Cosine of half an angle, from 1, by which a joint is beyond its limit.
+#: A joint is beyond its limit if the cosine of half the angle beyond it differs from 1 by more than this.
 _SLIGHTLY = 1e-5
 
 
@@ -79,9 +81,9 @@ class Sight:
 
     Attributes:
         cameras: V cameras.
-        pixels: (V, K, 2).
+        pixels: (V, K, 2) given points.
         weights: (V, K) confidence; 0 for points that do not count.
-        places: (K, 3) triangulated positions in ``map``; NaN where there is none.
+        places: (K, 3) triangulated positions in ``map``. NaN where there is none.
         edges: Points of the skin that should move to the outlines of masks, if there are any.
     """
 
@@ -94,11 +96,11 @@ class Sight:
 
 @dataclass(frozen=True, eq=False)
 class EdgePoints:
-    """Points of the skin with images that should reach lines.
+    """Points of the skin that should reach lines in the images.
 
     Attributes:
         points: N points.
-        views: (N,) number of the view of each.
+        views: (N,) number of the view of each point.
         normals: (N, 2) unit vectors across the lines.
         offsets: (N,) places of the lines: ``normals @ pixel``.
         noise: (N,) their standard deviation, pixels.
@@ -117,10 +119,10 @@ class Settings:
 
     Attributes:
         noise: Standard deviation of the points, pixels.
-        free_shape: The proportions are fitted, too.
-        period: Seconds between frames; 0 without a prior of small accelerations.
-        limited: Joints stay within their limits.
-        tolerance: Relative change of the cost at which the steps end.
+        free_shape: Whether the proportions are fitted as well.
+        period: Seconds between frames. If 0, there is no prior of small accelerations.
+        limited: Whether joints stay within their limits.
+        tolerance: The steps end when the relative change of the cost is below this.
     """
 
     noise: float
@@ -132,10 +134,8 @@ class Settings:
 
 
 def first_state(model: PoseModel, places: Array) -> BodyState:
-    """Rest pose that is turned, moved and scaled onto triangulated keypoints (K, 3) [Umeyama 1991].
-
-    The trunk counts most, because the limbs are not in the rest pose. NaN stands for absent keypoints.
-    """
+    """Turn, move and scale the rest pose onto triangulated keypoints (K, 3) [Umeyama 1991]. The trunk counts
+    most, because the limbs are not in the rest pose. NaN stands for absent keypoints."""
     rest = model.keypoints(model.neutral())
     known = np.isfinite(places[:, 0])
     weights = np.where(model.on_trunk, 1.0, 0.05) * known
@@ -154,10 +154,8 @@ def first_state(model: PoseModel, places: Array) -> BodyState:
 
 
 def relative_size(model: PoseModel, places: Array) -> float:
-    """Size of a person with triangulated keypoints (K, 3) relative to the model; NaN below three keypoints.
-
-    Lengths of the trunk count most: they are robust against limbs in another pose.
-    """
+    """Size of a person with triangulated keypoints (K, 3) relative to the model. NaN if there are fewer than
+    three keypoints. Lengths of the trunk count most, because they depend least on the pose of the limbs."""
     known = np.isfinite(places[:, 0])
     if known.sum() < 3:
         return float("nan")
@@ -172,7 +170,8 @@ def relative_size(model: PoseModel, places: Array) -> float:
 def fit_poses(
     model: PoseModel, states: Sequence[BodyState], sights: Sequence[Sight], settings: Settings
 ) -> list[BodyState]:
-    """Fit the states of F frames to the points of their views; all have the proportions of the first.
+    """Fit the states of F frames to the points of their views. All frames get the proportions of the first
+    state.
 
     Joints beyond their limits (:mod:`humansim_ros.motion.limits`) are pulled back to them.
 
@@ -200,8 +199,8 @@ def _fitted(
     slacks: Sequence[float] = (),
 ) -> list[BodyState]:
     problem, found = _Problem(model, sights, settings), list(states)
-    # neighbouring frames with the same pose may have different twists: align them in steps, with loose limits
-    # of acceleration at first
+    # frames next to each other may have the same pose, but different twists; align them in steps, with loose
+    # limits of acceleration at first
     for problem.slack in slacks:
         found = problem.solve(found, 1e-3)
     problem.slack = 1.0
@@ -214,10 +213,8 @@ def _fitted(
 
 
 def fit_places(model: PoseModel, state: BodyState, places: Array) -> BodyState:
-    """Fit a state of one frame, and its proportions, to triangulated keypoints: a first guess.
-
-    ``places``: positions (K, 3) of the keypoints, NaN where there is none.
-    """
+    """Fit a state of one frame, and its proportions, to triangulated keypoints. The result is a first guess.
+    ``places``: positions (K, 3) of the keypoints, NaN where there is none."""
     sight = Sight((), np.zeros((0, len(places), 2)), np.zeros((0, len(places))), places)
     return fit_poses(model, [state], [sight], Settings(0.0, limited=False, tolerance=1e-2))[0]
 
@@ -242,14 +239,15 @@ class _Problem:
             np.full(len(model.groups), LENGTH_LIMIT),
             np.full(len(model.girths), GIRTH_LIMIT),
         ]
-        # cost of the rotation vectors v of a frame and bone: v^T P v - 2 h^T v + c, with P, h, c:
+        # the cost of the rotation vectors v of a frame and bone is v^T P v - 2 h^T v + c, with P, h, c:
         frames, bones = len(sights), len(spreads)
         self._pulls = np.tile(np.eye(3) / spreads[:, None, None] ** 2, (frames, 1, 1, 1))
         self._heads = np.zeros((frames, bones, 3))
         self._constants = np.zeros(frames)
 
     def hold_limits(self, states: Sequence[BodyState]) -> bool:
-        """Pull joints that are beyond their limits back, in the direction of the limit; False if none is."""
+        """Pull joints that are beyond their limits back along the direction of the limit. Returns False if no
+        joint is."""
         assert self.model.limits is not None
         rotations = np.array([self.model.rotations(state) for state in states])
         clamped = self.model.limits.clamp(rotations)
@@ -265,7 +263,8 @@ class _Problem:
         return bool(beyond.any())
 
     def solve(self, states: list[BodyState], tolerance: float | None = None) -> list[BodyState]:
-        """Levenberg-Marquardt from the states; ``tolerance``: the tolerance of the settings if None."""
+        """Minimise the cost from the states by Levenberg-Marquardt. If ``tolerance`` is None, that of the
+        settings is used."""
         tolerance = self.settings.tolerance if tolerance is None else tolerance
         cost, damping = self.cost(states), 1e-3
         for _ in range(self.settings.steps):
@@ -274,7 +273,7 @@ class _Problem:
                 try:
                     tried = self._moved(states, equations.solve(damping))
                     new = self.cost(tried)
-                except np.linalg.LinAlgError:  # too little damping for the precision of numbers
+                except np.linalg.LinAlgError:  # the damping is too small for the precision of numbers
                     new = np.inf
                 if new < cost:
                     break
@@ -289,7 +288,7 @@ class _Problem:
 
     def _moved(self, states: Sequence[BodyState], step: Array) -> list[BodyState]:
         size, count = self.model.pose_size, len(states)
-        # no person is a tenth of another one: a wild step must not overflow
+        # no person is a tenth of another one, so steps are clipped, and a wild step cannot overflow
         steps = np.clip(step[: size * count].reshape(count, size), -_LONGEST_STEP, _LONGEST_STEP)
         shape = np.clip(step[size * count :], -0.3, 0.3)
         return [
@@ -305,7 +304,7 @@ class _Problem:
         seen = np.stack([camera.project(positions)[0] for camera in sight.cameras])
         used = sight.weights > 0
         residuals = (seen - sight.pixels)[used] / max(self.settings.noise, LEAST_NOISE)
-        # a point that has no image is far away from its place
+        # a point without an image counts as far away from its place
         return np.nan_to_num(residuals, nan=1e3), sight.weights[used]
 
     def _slopes(self, sight: Sight, positions: Array, slopes: Array) -> Array:
@@ -345,14 +344,13 @@ class _Problem:
         return cost
 
     def _beyond_limits(self, shape: Array) -> Array:
-        """What numbers of the proportions have beyond their limits, with its sign."""
+        """By how much numbers of the proportions are beyond their limits, with sign."""
         return np.asarray(shape - np.clip(shape, -self._shape_limits, self._shape_limits))
 
     @staticmethod
     def _edge_distances(sight: Sight, positions: Array) -> tuple[Array, Array]:
-        """Distances (N,) of points from their lines in standard deviations, and their derivatives (N, 3) by
-        the positions; 0 for points without an image.
-        """
+        """Distances (N,) of points from their lines in standard deviations, and derivatives (N, 3) of the
+        distances by the positions. Both are 0 for points without an image."""
         edges = sight.edges
         assert edges is not None
         distances, slopes = np.zeros(len(positions)), np.zeros((len(positions), 3))
@@ -440,7 +438,7 @@ class _Equations:
     """Symmetric equations of F blocks of pose numbers in a band, bordered by the proportions."""
 
     def __init__(self, count: int, size: int, free: NDArray[np.bool_], coupled: bool) -> None:
-        """``free``: (E,) the number of the proportions is unknown."""
+        """Make empty equations. ``free``: (E,) whether each number of the proportions is unknown."""
         self._count, self._size, self._free = count, size, free
         extra = len(free)
         width = 3 * size if coupled else size
@@ -479,7 +477,7 @@ class _Equations:
             self._right.reshape(-1, size)[first : first + self._count - 2] += coefficients[first] * slopes
 
     def solve(self, damping: float) -> Array:
-        """Step of all numbers. ``damping`` of the diagonal, relative to it."""
+        """Step of all numbers. ``damping``: added to the diagonal, relative to the diagonal."""
         band = self._band.copy()
         band[0] += damping * band[0] + 1e-9
         factor = cholesky_banded(band, lower=True)
@@ -497,7 +495,7 @@ class _Equations:
 
 
 def _nearest(vector: Array, other: Array) -> Array:
-    """Of the rotation vectors (3,) of one rotation, that nearest to another vector."""
+    """Among the rotation vectors (3,) of one rotation, the vector that is nearest to another vector."""
     angle = float(np.linalg.norm(vector))
     if angle < 1e-9:
         return vector
@@ -521,11 +519,11 @@ def fitted_states(model: PoseModel, fit: PersonFit) -> list[BodyState]:
 def point_errors(model: PoseModel, state: BodyState, cameras: Sequence[Camera], points: Array) -> Array:
     """Distances (V, K) in pixels between given points and the keypoints of a body.
 
-    NaN where no point is given, and a great distance where the keypoint has no image.
+    The distance is NaN where no point is given, and very large where the keypoint has no image.
 
     Args:
         model: The body.
-        state: Its state.
+        state: State of the body.
         cameras: V cameras.
         points: (V, K, 3) x, y and confidence.
     """
@@ -542,13 +540,9 @@ def unwound(state: BodyState) -> BodyState:
 
 
 def with_possible_hinges(model: PoseModel, state: BodyState) -> BodyState:
-    """The same directions of limbs, with upper arms and thighs turned about themselves.
-
-    Elbows and knees then bend as they can.
-
-    Points do not show this turn where the limb below is nearly straight, and least squares does not find it
-    where the elbow would have to bend backwards on the way.
-    """
+    """Turn upper arms and thighs about themselves so that elbows and knees bend in the directions that they
+    can. The directions of the limbs stay the same. Points do not show this turn if the arm or leg is nearly
+    straight. Least squares does not find the turn if the elbow would have to bend backwards on the way."""
     if model.limits is None:
         return state
     for upper, lower in _HINGES:

@@ -24,7 +24,7 @@ from humansim_ros.motion.limits import JointLimits, load_limits
 from humansim_ros.photographs.person_fit import Proportions
 from humansim_ros.types import Array, Indices
 
-#: Bones that have one factor of length together, by their names without the side.
+#: Bones that share one factor of length, by bone names without the side.
 _GROUPS = {
     "HumanoidRoot": "pelvis",
     "HumanoidRoot_to_hip": "pelvis",
@@ -34,7 +34,8 @@ _GROUPS = {
     "sternoclavicular": "collar",
 }
 
-#: Share that points of the skin count: bodies differ there by more than the usual noise of points.
+#: Weight of points of the skin. It is small because bodies differ there by more than the usual noise of
+#: points.
 _SKIN = 0.25
 
 
@@ -45,7 +46,7 @@ class BodyState:
     Attributes:
         position: (3,) place of the head of the first bone in ``map``, metres.
         root: (3, 3) rotation of body space in ``map``.
-        vectors: (B, 3) rotation vectors of the bones; zero for the first one.
+        vectors: (B, 3) rotation vectors of the bones. The vector of the first bone is zero.
         stature: Logarithm of the factor of the whole body.
         lengths: (G,) logarithms of the factors along the bones, by length group.
         girths: (D,) logarithms of the factors across the bones, by girth group.
@@ -66,11 +67,8 @@ class BodyState:
 
 @dataclass(frozen=True, eq=False)
 class Attachments:
-    """N points that bones carry.
-
-    ``shares``: (N, B), rows sum to one. ``local``: (N, B, 3), points times their share, in the frames of the
-    bones at rest.
-    """
+    """N points that move with the bones. ``shares``: (N, B) weights of the bones; each row sums to one.
+    ``local``: (N, B, 3) points times their weights, in the frames of the bones in the rest pose."""
 
     shares: Array
     local: Array
@@ -92,15 +90,15 @@ class PoseModel:
 
     Attributes:
         skeleton: Skeleton of the human.
-        groups: Names of the G groups of bones that have one factor of length.
+        groups: Names of the G groups of bones. Bones of a group share one factor of length.
         group_of: (B,) number of the group of each bone.
-        girths: Names of the D groups of bones that have one factor of girth: left and right.
+        girths: Names of the D girth groups. The left and the right bone of a group share one factor of girth.
         girth_of: (B,) number of the girth group of each bone.
-        trust: (K,) how much each keypoint counts; keypoints of the skin count less.
+        trust: (K,) how much each keypoint counts. Keypoints on the skin count less.
     """
 
     def __init__(self, human: Human, keypoints: KeypointSet, base: Proportions | None = None) -> None:
-        """``base``: betas and offsets of the human."""
+        """Make a model. ``base``: betas and offsets of the human."""
         self.base = base or Proportions()
         self.keypoint_set = keypoints
         self.skeleton = human.skeleton
@@ -124,16 +122,18 @@ class PoseModel:
 
     @cached_property
     def on_trunk(self) -> NDArray[np.bool_]:
-        """(K,) the keypoint keeps its place on the trunk when limbs move; all keypoints if there are none."""
+        """(K,) whether the keypoint stays in place on the trunk when limbs move. If no keypoint does, all are
+        True."""
         names, parents = self.skeleton.names, self.skeleton.parents
         trunk = np.array([side_of(name) == 0 or _group(name) in _GROUPS.values() for name in names])
-        # the head of a limb is a point of the trunk
+        # the head of the first bone of a limb is a point of the trunk
         fixed = trunk | (trunk[np.maximum(parents, 0)] & (np.abs(self._points.local).max(axis=2) < 1e-9))
         found = (fixed | (np.abs(self._points.shares) < 1e-9)).all(axis=1)
         return found if found.sum() >= 3 else np.ones(len(found), bool)
 
     def shown(self, keypoints: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Bones (B,) with a rotation, and length groups (G,) with a length, that keypoints (K,) show."""
+        """Find the bones (B,) with a rotation that the keypoints (K,) determine, and the length groups (G,)
+        with such a length."""
         slopes = np.abs(self.derivatives(self.neutral())[1][keypoints]).max(axis=(0, 1), initial=0.0) > 1e-6
         turns = slopes[3 : self.pose_size].reshape(-1, 3).any(axis=1)
         return turns, slopes[self.pose_size + 1 :][: len(self.groups)]
@@ -184,16 +184,15 @@ class PoseModel:
         return self._evaluate(state, points).positions
 
     def derivatives(self, state: BodyState, points: Attachments | None = None) -> tuple[Array, Array]:
-        """Positions (N, 3) of points, and their derivatives (N, 3, size) by a step of the numbers.
-
-        ``points``: the keypoints if None.
-        """
+        """Positions (N, 3) of points, and derivatives (N, 3, size) of the positions by a step of the numbers.
+        If ``points`` is None, the keypoints are used."""
         points = self._points if points is None else points
         body = self._evaluate(state, points)
         count = len(body.positions)
         slopes = np.zeros((count, 3, self.size))
         slopes[:, :, :3] = np.eye(3)
-        # sums over the bones of the subtree of each bone, of the parts of the keypoints that they carry
+        # for each bone: sums over the bones of its subtree of the parts of the keypoints that these bones
+        # carry
         mass, moment = points.shares.copy(), body.parts.copy()
         stretched = body.parts - mass[..., None] * body.origins
         along = points.local[..., 1, None] * (body.axes[:, :, 1] * body.scales[:, 1, None])
@@ -228,7 +227,7 @@ class PoseModel:
         """State of a body in a pose.
 
         Args:
-            proportions: Proportions of the body; lengths and girths of a group are averaged.
+            proportions: Proportions of the body. Lengths and girths of a group are averaged.
             root: (4, 4) transform from body space to ``map``.
             rotations: (B, 4) quaternions xyzw of the bones.
             body: Skeleton in these proportions.
@@ -262,7 +261,7 @@ class PoseModel:
         return matrix_to_quaternion(rotation_vector_to_matrix(state.vectors))
 
     def root(self, state: BodyState, body: Skeleton) -> Array:
-        """Transform (4, 4) from the space of ``body``, the skeleton in these proportions, to ``map``."""
+        """Transform (4, 4) from body space to ``map``. ``body``: the skeleton in these proportions."""
         return transform(state.root, state.position - state.root @ body.heads[0])
 
     def _evaluate(self, state: BodyState, points: Attachments) -> _Body:
@@ -311,19 +310,18 @@ def plain_name(bone: str) -> str:
 
 
 def _group(bone: str) -> str:
-    """Group of a bone: left and right together."""
     return _GROUPS.get(plain_name(bone), plain_name(bone))
 
 
 def _attachments(human: Human, keypoints: KeypointSet) -> Attachments:
-    """Keypoints (K) as points that bones carry."""
+    """Express the K keypoints as points that move with the bones."""
     skeleton = human.skeleton
     locator = KeypointLocator.of(human, keypoints)
     bones, joints = len(skeleton), len(skeleton.joint_names)
     vertices = len(human.mesh.vertices)
     rest = skeleton.rest_inverse
     mass, local = np.zeros((len(keypoints), bones)), np.zeros((len(keypoints), bones, 3))
-    # positions are linear in joints and vertices: their shares follow from unit vectors
+    # positions depend linearly on joints and vertices, so the shares follow from unit vectors
     joint_shares = np.stack(
         [
             locator.positions(np.tile(unit[:, None], 3), np.zeros((vertices, 3)))[:, 0]

@@ -31,7 +31,7 @@ from humansim_ros.photographs.surface import TexturedPerson
 from humansim_ros.photographs.views import Photo, PhotoSet
 from humansim_ros.types import Array, Color, Image
 
-#: Colours of the body before and after, of given points, and of points that are left out.
+#: Colours of the body before and after the step, of given points, and of points that are left out.
 _BEFORE: Color = (255, 150, 40)
 _AFTER: Color = (0, 225, 255)
 _POINT: Color = (255, 255, 255)
@@ -45,19 +45,19 @@ _TILE, _GAP = (318, 470), 8
 _COLUMNS, _FRAMES = 5, 3
 #: Margin around the person, as a share of its size.
 _MARGIN = 0.08
-#: Share of the colour and of the brightness of a photograph that is drawn over.
+#: How much of the colour and of the brightness of a photograph remains below the drawing.
 _COLOUR, _BRIGHTNESS = 0.5, 0.8
-#: Height of the row of a keypoint; rows of one column.
+#: Height of the row of a keypoint, pixels; and number of rows in one column.
 _ROW, _ROWS = 21, 13
 _CAPTION = 28
-#: Pixels by which keypoints are worse than before, so that a reader asks why.
+#: If keypoints are worse than before by more than this, pixels, the picture says why.
 _WORSE = 0.2
-#: Least width of the picture, so that titles and two columns of bars have room, pixels.
+#: Least width of the picture, pixels, so that titles and two columns of bars have room.
 _LEAST_WIDTH = 1080
 _AZIMUTHS = range(0, 360, 45)
 #: Height of the texture in the sheet, height of a line of text, and side of a patch of colour, pixels.
 _TEXTURE, _LINE, _PATCH = 420, 26, 16
-#: Texels of a colour.
+#: Side of the tile of a colour, texels.
 _PANEL = 4
 
 
@@ -66,11 +66,12 @@ def draw_report(fit: PersonFit, photos: PhotoSet, before: PersonFit | None = Non
 
     Args:
         fit: Person fitted to the photographs.
-        photos: The photographs. A view without an image is drawn on grey.
-        before: The same person before a step of the fit, to compare.
+        photos: The photographs. A view without an image has a grey background.
+        before: The same person before a step of the fit, to compare with.
 
     Returns:
-        Image (H, W, 3): rows of views (for a sequence of its first, middle and last frame), then bars.
+        Image (H, W, 3): rows of views, then bars. For a sequence, the rows show the first, middle and last
+        frame.
 
     Raises:
         PhotographError: An image or mask cannot be read, or has another size than its camera's images.
@@ -95,14 +96,15 @@ def draw_report(fit: PersonFit, photos: PhotoSet, before: PersonFit | None = Non
 
 @dataclass(frozen=True, eq=False)
 class _Tile:
-    """Cut of a photograph around the person. ``pixels(points)`` are places (N, 2) in it."""
+    """Cut of a photograph around the person. ``pixels(points)`` returns the places (N, 2) of points in the
+    cut."""
 
     image: Image
     corner: Array
     scale: float
 
     def pixels(self, points: NDArray[np.floating]) -> Array:
-        """Pixels (N, 2) of the tile of pixels (N, 2) of the photograph."""
+        """Convert pixels (N, 2) of the photograph to pixels (N, 2) of the tile."""
         return np.asarray((points - self.corner + 0.5) * self.scale - 0.5)
 
 
@@ -135,13 +137,13 @@ def _frame_tiles(
 
 
 def _points(fit: PersonFit, photos: PhotoSet, frame: int, view: int) -> Array:
-    """Given points (K, 3) with left and right as they should be."""
+    """Given points (K, 3), with left and right exchanged back."""
     points = photos.frames[frame][view].points
     return points[list(photos.keypoints.mirrored)] if fit.swapped[frame, view] else points
 
 
 def _cut(photo: Photo, faces: list[Faces], points: Array) -> _Tile:
-    """Tile around the body and its points; a dull copy of the photograph, so that lines are seen."""
+    """Tile around the body and its points. The photograph is made dull, so that lines are easy to see."""
     width, height = photo.camera.size
     image = np.full((height, width, 3), 128, np.uint8) if photo.image_path is None else photo.image()
     found = [np.argwhere(face > 0)[:, ::-1] for face in faces]
@@ -163,7 +165,8 @@ def _cut(photo: Photo, faces: list[Faces], points: Array) -> _Tile:
 
 
 def _draw_body(tile: _Tile, fit: PersonFit, frame: int, photo: Photo, face: Faces, first: bool) -> None:
-    """Outline and joints of a body: in one colour before, with the colours of the sides after."""
+    """Draw outline and joints of a body. The body before the step has one colour, the body after it the
+    colours of the sides."""
     outlines, _ = cv2.findContours((face > 0).astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     skeleton = fit.body.skeleton
     pixels = tile.pixels(photo.camera.project(fit.joints(frame))[0])
@@ -181,7 +184,7 @@ def _draw_body(tile: _Tile, fit: PersonFit, frame: int, photo: Photo, face: Face
 
 
 def _draw_points(tile: _Tile, points: Array, wrong: NDArray[np.bool_]) -> None:
-    """Given points: white crosses; red ones are left out."""
+    """Draw given points as white crosses. Points that are left out are red."""
     for place, bad in zip(tile.pixels(points[:, :2])[points[:, 2] > 0], wrong[points[:, 2] > 0], strict=True):
         for turn in ((4, 4), (4, -4)) if bad else ((5, 0), (0, 5)):
             ends = [place - turn, place + turn]
@@ -209,7 +212,7 @@ def _used(fit: PersonFit) -> Array:
 
 
 def _notes(fit: PersonFit, before: PersonFit | None) -> list[str]:
-    """Facts that people must know."""
+    """Sentences about the fit that the reader must know."""
     notes = []
     if before is not None and len(_used(before)) and len(_used(fit)):
         earlier, now = np.median(_used(before)), np.median(_used(fit))
@@ -227,7 +230,7 @@ def _notes(fit: PersonFit, before: PersonFit | None) -> list[str]:
 
 
 def _legend(width: int, compared: bool) -> Image:
-    """Colours and their meaning."""
+    """Draw the colours and their meaning."""
     bar = np.full((_CAPTION, width, 3), 255, np.uint8)
     entries: list[tuple[Color, str]] = [(_AFTER, "body"), (GRID, "given point (white)"), (_WRONG, "left out")]
     if compared:
@@ -253,7 +256,7 @@ def _caption(text: str) -> Image:
 
 
 def _join(tiles: list[Image], columns: int) -> Image:
-    """A row of tiles with gaps; empty places where it is not full."""
+    """Join tiles to a row with gaps. Missing tiles are left empty."""
     height = tiles[0].shape[0]
     gap = np.full((height, _GAP, 3), PAPER, np.uint8)
     empty = np.full((height, _TILE[0], 3), PAPER, np.uint8)
@@ -265,13 +268,14 @@ def _join(tiles: list[Image], columns: int) -> Image:
 
 
 def _widened(image: Image, width: int) -> Image:
-    """The image with paper on its right."""
+    """Extend an image on its right side by paper."""
     missing = width - image.shape[1]
     return image if missing <= 0 else np.pad(image, ((0, 0), (0, missing), (0, 0)), constant_values=PAPER[0])
 
 
 def _residual_bars(fit: PersonFit, before: PersonFit | None, photos: PhotoSet, width: int) -> Image:
-    """A bar for each keypoint: its median distance over views and frames, without points left out."""
+    """Draw a bar for each keypoint: its median distance over views and frames, without points that are left
+    out."""
     names = photos.keypoints.names
     after = _medians(fit)
     earlier = None if before is None else _medians(before)
@@ -308,7 +312,7 @@ def _residual_bars(fit: PersonFit, before: PersonFit | None, photos: PhotoSet, w
 
 
 def _medians(fit: PersonFit) -> Array:
-    """Median distance (K,) of the points that are not left out; NaN where there is none."""
+    """Median distance (K,) of the points that are not left out. NaN where there is no such point."""
     medians = np.full(fit.residuals.shape[2], np.nan)
     for keypoint in range(len(medians)):
         own = fit.residuals[:, :, keypoint][~fit.outliers[:, :, keypoint]]
@@ -318,10 +322,8 @@ def _medians(fit: PersonFit) -> Array:
 
 
 def draw_sheet(person: TexturedPerson) -> Image:
-    """Draw a textured person from eight sides, the view of each triangle, the texture and the gains.
-
-    Triangles that no view has seen are darker.
-    """
+    """Draw a textured person from eight sides, the view that each triangle takes, the texture and the gains.
+    Triangles that no view has seen are darker."""
     human = person.human
     artist = HumanArtist(human, shaded=False)
     try:
@@ -347,9 +349,9 @@ def draw_sheet(person: TexturedPerson) -> Image:
 
 
 def _view_colors(person: TexturedPerson) -> Human:
-    """The human in the colours of the views that its triangles take."""
+    """Colour each triangle of the human by the view that it takes."""
     mesh, count = person.human.mesh, _count(person)
-    # a texture with a tile for each colour: texture coordinates are in the middle of a tile
+    # the texture has a tile for each colour, and texture coordinates point at the middle of a tile
     palette = np.repeat(np.repeat(_palette(count)[None], _PANEL, axis=0), _PANEL, axis=1)
     number = np.where(person.cameras < 0, 2 * count, person.cameras + count * ~person.seen)
     uv: Array = np.stack([(np.arange(2 * count + 1) + 0.5) / (2 * count + 1), np.full(2 * count + 1, 0.5)], 1)
@@ -358,7 +360,8 @@ def _view_colors(person: TexturedPerson) -> Human:
 
 
 def _palette(count: int) -> Image:
-    """Colours (2 C + 1, 3): of each view, of its unseen triangles, and of triangles without a view."""
+    """Colours (2 C + 1, 3): one for each view, one for the unseen triangles of each view, and one for
+    triangles without a view."""
     hues = distinct_hues(count)
     return np.concatenate([hsv_colors(hues, 150, 235), hsv_colors(hues, 120, 120), [[60, 60, 60]]]).astype(
         np.uint8
@@ -366,7 +369,6 @@ def _palette(count: int) -> Image:
 
 
 def _count(person: TexturedPerson) -> int:
-    """Number of views."""
     return max(len(person.views), int(person.cameras.max()) + 1, 1)
 
 

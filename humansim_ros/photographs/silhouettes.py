@@ -1,4 +1,4 @@
-"""Outlines of masks, and the refinement of a fitted person by them."""
+"""Outlines of masks, and refinement of a fitted person by outlines."""
 
 from __future__ import annotations
 
@@ -39,29 +39,31 @@ from humansim_ros.render.gl import make_renderer
 from humansim_ros.render.renderer import Body
 from humansim_ros.types import Array, Float32Array, Indices
 
-#: Number of points along the outlines of a mask that move pose and factors, and that move the surface.
+#: Number of points along the outlines of a mask: for pose and factors, and for the surface.
 _COUNT, _SURFACE_COUNT = 160, 600
-#: Area in pixels of a part or a hole of a mask that is too small to count.
+#: A part or a hole of a mask with a smaller area, pixels, does not count.
 _SPECK = 30
 #: Standard deviation in pixels of the smoothing of distances before their slopes are computed.
 _SMOOTH = 1.5
-#: Least length of a smoothed slope that has a direction.
+#: A smoothed slope shorter than this has no certain direction.
 _LEAST_SLOPE = 0.3
-#: Outlines that are farther apart than this share of the size of the person belong to different things.
+#: Outlines that are farther apart than this share of the size of the person are of different things.
 _FARTHEST = 0.5
 #: Pixels around two masks, so that slopes at their outlines are known.
 _MARGIN = 8
-#: Rounds of rendering and least squares before the surface moves, and with it.
+#: Rounds of rendering and least squares: before the surface moves, and while it moves.
 _ROUNDS, _SURFACE_ROUNDS = 4, 5
-#: Least squares ends after this number of steps in each round: the outline moves with the body.
+#: Least squares ends after this number of steps in each round, because the outline moves with the body.
 _STEPS = 4
-#: Standard deviation of outlines, as a share of the side of a square of the area of the person: bodies and
-#: clothes differ, and neighbouring points are off alike.
+#: Standard deviation of outlines, as a share of the side of a square with the area of the person. It is
+#: large, because clothes differ from bodies, and because errors of neighbouring points are alike.
 _NOISE = 0.022
-#: Weight of points of the skin, such as eyes: outlines of hair and hoods would turn and stretch the head.
+#: Weight of points of the skin, such as eyes. It is large, since outlines of hair and hoods would turn and
+#: stretch the head.
 _SKIN = 2.0
-#: Standard deviation of offsets of the surface, metres; of outlines that move it, as above; and the number of
-#: these beyond which outlines count less.
+#: Standard deviation of offsets of the surface, metres. Standard deviation of outlines that move the surface,
+#: as a share like _NOISE. Outlines that are farther away than the last number of standard deviations count
+#: less.
 _SPREAD, _SURFACE_NOISE, _ROBUST = 0.02, 0.007, 4.0
 Faces = NDArray[np.int32]
 
@@ -74,7 +76,8 @@ class MaskOutline:
 
     @cached_property
     def distances(self) -> Float32Array:
-        """(H, W) pixels from the outline, negative inside. The border of the image is no outline."""
+        """Distances (H, W) from the outline, pixels, negative inside. The border of the image does not count
+        as an outline."""
         inside, outside = (
             np.asarray(cv2.distanceTransform(part.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE))
             for part in (self.mask, ~self.mask)
@@ -83,13 +86,14 @@ class MaskOutline:
 
     @cached_property
     def slopes(self) -> Float32Array:
-        """(H, W, 2) direction away from the mask: unit vectors, shorter where the distance has a crease."""
+        """Directions (H, W, 2) away from the mask. They are unit vectors, but shorter where the distance has
+        a crease."""
         smooth = cv2.GaussianBlur(self.distances, (0, 0), _SMOOTH)
         down, right = np.gradient(smooth)
         return np.stack([right, down], axis=-1).astype(np.float32)
 
     def pixels(self, count: int = _COUNT) -> NDArray[np.intp]:
-        """(N, 2) x, y of about ``count`` pixels along the outlines, none at the border of the image."""
+        """Pixels (N, 2) x, y: about ``count`` along the outlines, none at the border of the image."""
         height, width = self.mask.shape
         found, _ = cv2.findContours(self.mask.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
         large = [each[:, 0] for each in found if cv2.contourArea(each) >= _SPECK]
@@ -103,13 +107,14 @@ class MaskOutline:
 
 @dataclass(frozen=True, eq=False)
 class Edges:
-    """Points of the surface of a body that should move along a line in an image, to meet the outline.
+    """Points on the surface of a body, each with a line in an image along which it should move to meet the
+    outline.
 
     Attributes:
         vertices: (N,) nearest vertices of the body.
-        normals: (N, 2) directions in the image.
+        normals: (N, 2) directions of the lines in the image.
         distances: (N,) pixels that the points have to move along the normals.
-        size: Side of a square of the area of the given mask, pixels.
+        size: Side of a square with the area of the given mask, pixels.
     """
 
     vertices: Indices
@@ -126,10 +131,11 @@ def find_edges(
     face: NDArray[np.int32],
     count: int = _COUNT,
 ) -> Edges:
-    """Pairs of points of the outline of a rendered body and of the given outline.
+    """Pair points on the outline of a rendered body with points on the given outline.
 
-    Each point of the rendered outline is paired with the nearest given one, and the reverse: an arm of the
-    mask that the body does not cover attracts the nearest part of the body.
+    Each point of the rendered outline is paired with the nearest point of the given outline, and the reverse.
+    So an arm of the mask that the body does not cover attracts the nearest part of the body.
+
 
     Args:
         given: Outline of the given mask.
@@ -137,7 +143,7 @@ def find_edges(
         vertices: Vertices (V, 3) of the body in ``map``.
         mesh: Mesh of the body.
         face: 1 + number of the triangle at each pixel of the rendered body, (H, W).
-        count: Number of points along each of the two.
+        count: Number of points along each of the two outlines.
     """
     corner, cut = _cut_around(given.mask, face)
     rendered = MaskOutline(cut > 0)
@@ -146,7 +152,7 @@ def find_edges(
         return Edges(np.zeros(0, np.intp), np.zeros((0, 2)), np.zeros(0), size)
     nearest, there = _nearest(own, other), _at(other - corner)
     rows = [
-        # the pixel of the mask at an outline is half a pixel inside of it
+        # the middle of a pixel on the outline of a mask is half a pixel inside of the outline
         (own, given.slopes[_at(own)], -given.distances[_at(own)] - 0.5),
         (own[nearest], rendered.slopes[there], rendered.distances[there] + 0.5),
     ]
@@ -156,7 +162,7 @@ def find_edges(
     gaps = np.nan_to_num(np.linalg.norm(seen - pixels[:, None], axis=2), nan=np.inf)
     vertex = corners[np.arange(len(corners)), np.argmin(gaps, axis=1)]
     lengths = np.linalg.norm(normals, axis=1)
-    # at a crease, between two outlines, the direction is not known
+    # at a crease, midway between two outlines, the direction is not known
     clear = (lengths > _LEAST_SLOPE) & (np.abs(distances) < _FARTHEST * size)
     unit = normals[clear] / lengths[clear, None]
     own_distances = distances[clear].astype(float)
@@ -164,17 +170,16 @@ def find_edges(
 
 
 def own_parts(mask: NDArray[np.bool_], body: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Parts of a mask (H, W) that a roughly fitted body (H, W) touches: the others are of other people.
-
-    The whole mask if the body touches no part of it.
-    """
+    """Parts of a mask (H, W) that a roughly fitted body (H, W) touches. The other parts are of other people.
+    If the body touches no part of the mask, the whole mask is returned."""
     _, labels = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)
     touched = np.isin(labels, np.unique(labels[mask & body]))
     return np.asarray(touched if touched.any() else mask)
 
 
 def intersection_over_union(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> float:
-    """Share of the pixels of either mask that both have; 0 if both are empty."""
+    """Number of pixels that both masks have, as a share of the pixels that at least one has; 0 if both are
+    empty."""
     union = int((first | second).sum())
     return float((first & second).sum() / union) if union else 0.0
 
@@ -182,7 +187,8 @@ def intersection_over_union(first: NDArray[np.bool_], second: NDArray[np.bool_])
 def _cut_around(
     mask: NDArray[np.bool_], face: NDArray[np.int32]
 ) -> tuple[NDArray[np.intp], NDArray[np.int32]]:
-    """Cut of a face image around two masks, which saves time, and its corner (2,) x, y."""
+    """Cut a face image to the surroundings of two masks, to save time. Also returns the corner (2,) x, y of
+    the cut."""
     both = (face > 0) | mask
     ranges = [np.flatnonzero(both.any(axis=axis)) for axis in (0, 1)]
     if not len(ranges[0]):
@@ -197,7 +203,7 @@ def _at(pixels: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 def _nearest(points: NDArray[np.intp], targets: NDArray[np.intp]) -> Indices:
-    """Number of the nearest point (N, 2) of each target (M, 2)."""
+    """For each target (M, 2), the number of the nearest point (N, 2)."""
     from scipy.spatial import cKDTree
 
     return np.asarray(cKDTree(points).query(targets)[1], dtype=np.intp)
@@ -206,18 +212,21 @@ def _nearest(points: NDArray[np.intp], targets: NDArray[np.intp]) -> Indices:
 def fit_silhouettes(fit: PersonFit, photos: PhotoSet, frames: Sequence[int] = (0,)) -> PersonFit:
     """Refine the proportions of a person, and the poses of some frames, by the masks of these frames.
 
-    The body is rendered, points of its outline are paired with the outline of the mask, and pose, lengths and
-    girths follow by least squares of the distances between them, together with the keypoints. Then again. In
-    the last rounds the surface moves along its normals, too: what is left of the distances is clothes and
-    hair.
+    In each round the body is rendered, and points of its outline are paired with the outline of the mask.
+    Pose, lengths and girths then follow by least squares of the distances of the pairs and of the keypoints.
+    In the last rounds the surface also moves along its normals, since the remaining distances are due to
+    clothes and hair.
+
 
     Args:
         fit: Person fitted to the keypoints.
-        photos: Photographs with masks. Those without are not used. A HumansimWarning names empty masks.
-        frames: Numbers of frames. The other ones take over the proportions, and their poses remain.
+        photos: Photographs with masks. Photographs without a mask are not used. A HumansimWarning names empty
+            masks.
+        frames: Numbers of the frames with masks to use. Other frames get the new proportions and keep their
+            poses.
 
     Returns:
-        The refined person; the same one if there is no mask.
+        The refined person. If there is no mask, ``fit`` is returned.
 
     Raises:
         PhotographError: A mask cannot be read, or has another size than the images of its camera.
@@ -236,7 +245,7 @@ def fit_silhouettes(fit: PersonFit, photos: PhotoSet, frames: Sequence[int] = (0
 
     def faces(number: int, vertices: Float32Array) -> dict[int, Faces]:
         """Face images of the body in the views of a frame that have a mask, by the number of the view."""
-        # one topology in all rounds: a renderer prepares it once
+        # all rounds have the same topology, so a renderer prepares it once
         surface = Body(topology, vertices, human.triangle_parts, 1)
         return {
             view: renderer.render([surface], photos.frames[number][view].camera, ["face"]).face
@@ -282,7 +291,7 @@ def fit_silhouettes(fit: PersonFit, photos: PhotoSet, frames: Sequence[int] = (0
 
 
 def _posed(human: Human, model: PoseModel, state: BodyState) -> Float32Array:
-    """Vertices (V, 3) in ``map``. ``human``: before it took proportions."""
+    """Vertices (V, 3) in ``map``. ``human``: the human before proportions are applied."""
     body = with_proportions(human, model.proportions(state))
     return body.pose(body.skeleton.pose(model.rotations(state), model.root(state, body.skeleton)))
 
@@ -294,7 +303,7 @@ def _fit_offsets(
     states: Sequence[BodyState],
     edges: Sequence[Mapping[int, Edges]],
 ) -> tuple[float, ...]:
-    """Offsets of the surface of a human that move the edges of some frames to their outlines.
+    """Find offsets of the surface of a human that move the edges of some frames to their outlines.
 
     Robust least squares with the Gaussian process of the offsets as prior.
 
@@ -314,7 +323,7 @@ def _fit_offsets(
     matrix, right = np.eye(len(now)) / _SPREAD**2, np.zeros(len(now))
     for state, found in zip(states, edges, strict=True):
         positions = _posed(field.moved(plain, field.factor @ now), model, state)
-        # positions are linear in the offsets
+        # positions depend linearly on the offsets
         slopes = _posed(grown, model, state).astype(float) - _posed(plain, model, state)
         for view, each in found.items():
             by_place = photos.cameras[view].project_jacobian(positions[each.vertices])
@@ -331,7 +340,7 @@ def _fit_offsets(
 
 
 def silhouette_iou(fit: PersonFit, photos: PhotoSet, frame: int = 0) -> dict[str, float]:
-    """Intersection over union of the rendered and the given mask of each view that has one.
+    """Intersection over union of the rendered and the given mask, by the name of each view with a mask.
 
     Raises:
         PhotographError: A mask cannot be read, or has another size than the images of its camera.
@@ -345,7 +354,8 @@ def silhouette_iou(fit: PersonFit, photos: PhotoSet, frame: int = 0) -> dict[str
 
 
 def render_faces(fit: PersonFit, photos: PhotoSet, frame: int = 0) -> list[Faces]:
-    """1 + number of the triangle of the body at each pixel of each view, (H, W); 0 where it is not."""
+    """For each view, an image (H, W) with 1 + number of the triangle of the body at each pixel; 0 where no
+    body is."""
     body = fit.body
     surface = Body(body.mesh, fit.vertices(frame), body.triangle_parts, 1)
     renderer = make_renderer()
@@ -373,10 +383,9 @@ def _outlines(photos: PhotoSet, number: int) -> dict[int, MaskOutline]:
 def _points(
     human: Human, model: PoseModel, state: BodyState, photos: PhotoSet, edges: Mapping[int, Edges]
 ) -> EdgePoints:
-    """Points of the body at the outlines, and the lines that they should reach.
-
-    ``human``: before it took proportions. ``state``: in which the outlines were found. ``edges``: by view.
-    """
+    """Points of the body at the outlines, and the lines that they should reach. ``human``: the human before
+    proportions are applied. ``state``: the state in which the outlines were found. ``edges``: edges by the
+    number of the view."""
     points = Attachments.of_vertices(human, np.concatenate([each.vertices for each in edges.values()]))
     views = np.repeat(list(edges), [len(each.vertices) for each in edges.values()])
     normals = np.concatenate([each.normals for each in edges.values()])
@@ -391,7 +400,7 @@ def _points(
 
 
 def _sight(fit: PersonFit, photos: PhotoSet, model: PoseModel, number: int) -> Sight:
-    """Keypoints of a frame without the wrong ones, with left and right as they should be."""
+    """Keypoints of a frame without the wrong ones, with left and right exchanged back."""
     points = _corrected(fit, photos, number)
     weights = np.where(fit.outliers[number], 0.0, points[..., 2] * np.where(model.trust < 1, _SKIN, 1.0))
     nowhere = np.full((points.shape[1], 3), np.nan)
@@ -399,14 +408,15 @@ def _sight(fit: PersonFit, photos: PhotoSet, model: PoseModel, number: int) -> S
 
 
 def _corrected(fit: PersonFit, photos: PhotoSet, number: int) -> Array:
-    """Points (V, K, 3) of a frame, exchanged where left and right are."""
+    """Points (V, K, 3) of a frame, with left and right exchanged back."""
     mirrored = list(photos.keypoints.mirrored)
     points = photos.points[number]
     return np.where(fit.swapped[number][:, None, None], points[:, mirrored], points)
 
 
 def _noise(fit: PersonFit) -> float:
-    """Standard deviation of a coordinate of the keypoints: the lengths have a Rayleigh distribution."""
+    """Standard deviation of a coordinate of the keypoints. It follows from the distances, which have a
+    Rayleigh distribution."""
     right = fit.residuals[np.isfinite(fit.residuals) & ~fit.outliers]
     return float(max(np.median(right) / np.sqrt(2 * np.log(2)), LEAST_NOISE)) if len(right) else LEAST_NOISE
 
@@ -414,7 +424,7 @@ def _noise(fit: PersonFit) -> float:
 def _with_states(
     fit: PersonFit, photos: PhotoSet, human: Human, model: PoseModel, states: Sequence[BodyState]
 ) -> PersonFit:
-    """The fit with other states, and the residuals of its points there."""
+    """The fit with other states, and with the residuals of its points in these states."""
     proportions = model.proportions(states[0])
     skeleton = with_proportions(human, proportions).skeleton
     residuals = [

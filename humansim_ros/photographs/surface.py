@@ -1,4 +1,5 @@
-"""The surface of a person: what each view shows of it, and the colours of parts that no view shows."""
+"""The surface of a person: what each view shows of the surface, and the colours of parts that no view
+shows."""
 
 from __future__ import annotations
 
@@ -34,7 +35,7 @@ class TextureView:
         camera: Camera with its lens and its pose in ``map``.
         image: (H, W, 3) uint8 sRGB.
         vertices: (V, 3) float32, the vertices of the person in ``map``, metres.
-        mask: (H, W), true where the photograph shows the person, if that is known.
+        mask: (H, W) whether the pixel shows the person; None if that is unknown.
 
     Raises:
         PhotographError: The image or the mask has another size than the camera's images.
@@ -71,11 +72,12 @@ class TexturedPerson:
         human: The human, wearing the new texture.
         cameras: (N,) index of the view that each triangle of the mesh takes its colour from, or takes most
             of it from; -1 if no view shows anything of the person.
-        seen: (N,) some view shows the triangle; the colour of the others is a guess.
-        gains: (C, 3) factors of red, green and blue of each view, of sRGB values, that were removed; None if
-            colours were not aligned.
+        seen: (N,) whether some view shows the triangle. The colours of other triangles are guesses.
+        gains: (C, 3) factors of the red, green and blue sRGB values of each view. They were removed from the
+            colours. None if colours were not aligned.
+
         views: Names of the C views.
-        notes: What else should be known about the result: a sentence by a keyword.
+        notes: Sentences with further facts about the result, by a keyword.
     """
 
     human: Human
@@ -87,7 +89,7 @@ class TexturedPerson:
 
 
 def check_views(human: Human, views: Sequence[TextureView]) -> None:
-    """Raise PhotographError if there are no views, or one is of a person with another number of vertices."""
+    """Raise PhotographError if there are no views, or a view has a person with another number of vertices."""
     if not views:
         raise PhotographError("a texture needs at least one photograph")
     for view in views:
@@ -99,32 +101,36 @@ def check_views(human: Human, views: Sequence[TextureView]) -> None:
             )
 
 
-#: Greatest distance of a vertex from the mirror image of another one, as a share of the height.
+#: Greatest distance between a vertex and the mirror image of another vertex if the two form a pair, as a
+#: share of the height.
 _MIRROR = 0.008
-#: Tolerance of depths, metres; and greatest tangent of the angle of sight that adds to it.
+#: Tolerance of depths, metres; and the greatest tangent of the angle of sight that makes the tolerance
+#: larger.
 _DEPTH, _STEEPEST = 0.006, 6.0
-#: Least cosine of the angle of sight of a place that counts.
+#: A place with a smaller cosine of the angle of sight does not count.
 _LEAST_COSINE = 0.12
-#: Pixels from the border of the person in which colours mix with those behind, and in which weights grow.
+#: Width of the border of the person in which its colours mix with those behind it; and width in which weights
+#: grow. Both are pixels.
 _BORDER, _RAMP = 1.0, 4.0
-#: Jump of depth between neighbouring pixels that is a border, metres.
+#: A jump of depth between neighbouring pixels that is larger than this is a border, metres.
 _JUMP = 0.04
-#: Width of what is behind a jump that may show what is in front, if the pose is slightly wrong, metres.
+#: If the pose is slightly wrong, a strip behind a jump may show what is in front of the jump. This is the
+#: width of the strip, metres.
 _DOUBTFUL = 0.02
 #: Rounds of averaging over neighbours that make weights fade before the border of the seen surface.
 _FADE = 4
-#: Columns of tables of texels: OpenCV looks up images, not lists.
+#: Columns of tables of texels. Tables are needed because OpenCV takes images, not lists.
 _COLUMNS = 4096
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Topology of a mesh at rest, where vertices at the same place are one.
+    """Topology of a mesh in the rest pose. Vertices at the same place are one place of the surface.
 
     Attributes:
-        mesh: The mesh at rest; x is the person's left.
+        mesh: The mesh in the rest pose. The x axis points to the person's left.
         place: (V,) number of the place of each vertex.
-        points: (P, 3) places.
+        points: (P, 3) positions of the places.
     """
 
     mesh: Mesh
@@ -162,16 +168,15 @@ class Surface:
 
     @cached_property
     def mirrored(self) -> Indices:
-        """(P,) place on the other side of the body; -1 where there is none."""
+        """(P,) number of the place on the other side of the body; -1 where there is no such place."""
         distance, other = cKDTree(self.points).query(self.points * [-1, 1, 1])
         height = float(np.ptp(self.points[:, 1]))
         return np.where(distance < _MIRROR * height, other, -1)
 
     @cached_property
     def mirrored_triangles(self) -> tuple[Indices, Indices]:
-        """Triangle (N,) on the other side of the body, -1 if there is none, and for each of its corners the
-        corner of the triangle itself (N, 3).
-        """
+        """Triangle (N,) on the other side of the body, -1 if there is none. For each corner of that triangle,
+        also the corresponding corner of the triangle itself (N, 3)."""
         opposite = self.mirrored[self.triangles]
         order, other = np.argsort(opposite, axis=1), np.argsort(self.triangles, axis=1)
         count = len(self.points)
@@ -190,7 +195,7 @@ class Surface:
         return np.where(exists, found, -1), corner
 
     def smoothed(self, values: NDArray[np.floating], rounds: int) -> NDArray[np.floating]:
-        """Values (P, ...) averaged with their neighbours."""
+        """Average the values (P, ...) of each place with its neighbours."""
         step = diags(1 / np.maximum(np.asarray(self.graph.sum(axis=1)).ravel(), 1e-12)) @ self.graph
         for _ in range(rounds):
             values = 0.5 * values + 0.5 * (step @ values)
@@ -198,17 +203,18 @@ class Surface:
 
 
 def fill_colours(surface: Surface, colours: Array, seen: NDArray[np.bool_], symmetry: bool = True) -> Array:
-    """Colours (P, 3) of all places, from the colours of seen places.
+    """Find colours (P, 3) of all places from the colours of the seen places.
 
-    Hidden places continue the colours at their border as smoothly as possible. Where the other side of the
-    body is seen, they also have its differences of colour (Poisson's equation on the surface [Perez 2003]).
-    Parts without any seen place take the colour of the nearest one.
+    Hidden places continue the colours at their border as smoothly as possible. If the other side of the body
+    is seen, hidden places also take the differences of colour from there (Poisson's equation on the surface
+    [Perez 2003]). Parts without any seen place take the colour of the nearest seen place.
+
 
     Args:
         surface: The surface.
-        colours: (P, 3); only the colours of seen places are used.
-        seen: (P,) the colour is known; some are.
-        symmetry: Use the other side of the body.
+        colours: (P, 3) colours. Only those of seen places are used.
+        seen: (P,) whether the colour is known. At least one colour must be known.
+        symmetry: Use the colours of the other side of the body.
     """
     out = np.array(colours, dtype=float)
     hidden = ~seen
@@ -253,13 +259,15 @@ class SurfaceSight:
 
     Attributes:
         view: The view.
-        pixels: (P, 2) float32 of the places.
-        depths: (P,) metres along the axis of the camera.
-        tolerance: (P,) of depths, metres.
-        weights: (P,) float32 how well the places are seen: 0 hidden, larger for more pixels for each metre.
-            It fades out towards the border of the seen surface.
-        depth_image: (H, W) float32 metres; infinite where the person is not, or the mask says so.
-        inside: (H, W) float32 0 to 1: 0 where colours mix with those behind, growing away from borders.
+        pixels: (P, 2) float32 pixels of the places.
+        depths: (P,) depths of the places along the axis of the camera, metres.
+        tolerance: (P,) tolerance of the depths, metres.
+        weights: (P,) float32 how well the places are seen. The weight is 0 if the place is hidden, and grows
+            with the number of pixels per metre. It fades out towards the border of the seen surface.
+
+        depth_image: (H, W) float32 depths, metres. Infinite where the person or the mask is absent.
+        inside: (H, W) float32 from 0 to 1. It is 0 where colours of the person and of things behind mix, and
+            grows away from borders.
     """
 
     view: TextureView
@@ -272,7 +280,7 @@ class SurfaceSight:
 
     @cached_property
     def resolution(self) -> float:
-        """Pixels for each metre of the surface that is seen, at right angles; 0 if nothing is seen."""
+        """Pixels per metre of the seen surface, viewed at right angles; 0 if nothing is seen."""
         seen = self.weights > 0
         if not seen.any():
             return 0.0
@@ -280,7 +288,8 @@ class SurfaceSight:
         return focal / float(np.median(self.depths[seen]))
 
     def texel_weights(self, surface: Surface, texels: SurfaceTexels) -> tuple[Float32Array, Float32Array]:
-        """Pixels (M, 2) of texels, and weights (M,) from the corners; 0 where the texel is hidden."""
+        """Pixels (M, 2) of texels, and weights (M,) from the corners. The weight is 0 if the texel is
+        hidden."""
         triangles = surface.triangles
         values = np.column_stack([self.pixels, self.depths, self.tolerance, self.weights])
         mixed = texels.mix(np.nan_to_num(values).astype(np.float32), triangles)
@@ -299,8 +308,8 @@ def lookup(
     """Values (M, ...) of an image at pixels.
 
     Args:
-        image: (H, W, ...).
-        pixels: (M, 2) x, y; may be outside of the image.
+        image: (H, W, ...) values.
+        pixels: (M, 2) x, y. They may be outside of the image.
         how: Interpolation of OpenCV.
         outside: Value outside of the image.
     """
@@ -327,12 +336,12 @@ def lookup(
 def see_surface(
     human: Human, surface: Surface, views: Sequence[tuple[TextureView, Array]], renderer: GLRenderer
 ) -> list[SurfaceSight]:
-    """What the views show of the surface of a person.
+    """Find what the views show of the surface of a person.
 
     Args:
         human: The person.
-        surface: Its surface.
-        views: Photographs, and the places (P, 3) of the surface in each, in ``map``.
+        surface: Surface of the person.
+        views: Photographs, each with the positions (P, 3) of the places of the surface in ``map``.
         renderer: Renderer of an empty scene.
     """
     return [_sight(human, surface, view, points, renderer) for view, points in views]
@@ -373,7 +382,8 @@ def _sight(
 
 
 def _border_distance(depth: Float32Array) -> Float32Array:
-    """Distance (H, W) in pixels from where the person is not, and from jumps of its depth."""
+    """Distance (H, W) in pixels of each pixel from the nearest pixel without the person, or from a jump of
+    the depth of the person."""
     seen = np.isfinite(depth)
     filled = np.where(seen, depth, 0).astype(np.float32)
     kernel = np.ones((3, 3), np.uint8)
@@ -384,10 +394,8 @@ def _border_distance(depth: Float32Array) -> Float32Array:
 
 
 def step_distance(depth: Float32Array) -> Float32Array:
-    """Distance (H, W) in pixels of each pixel from a part of the person that is in front of it.
-
-    The distance is 1e6 where nothing is in front: where no pixel nearby is nearer to the camera by a jump.
-    """
+    """Distance (H, W) in pixels of each pixel from a part of the person that is in front of it. The distance
+    is 1e6 if nothing is in front: no pixel nearby is nearer to the camera by a jump."""
     seen = np.isfinite(depth)
     far = np.where(seen, depth, 1e6).astype(np.float32)
     nearest = cv2.erode(far, np.ones((3, 3), np.uint8))
@@ -397,7 +405,7 @@ def step_distance(depth: Float32Array) -> Float32Array:
     distance, labels = cv2.distanceTransformWithLabels(
         (~steps).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
     )
-    # the depth behind the nearest step tells on which side of it a pixel is
+    # the depth behind the nearest step decides on which side of the step a pixel is
     at = np.zeros(int(labels.max()) + 1, np.float32)
     at[labels[steps]] = ((far + nearest) / 2)[steps]
     return np.where(far >= at[labels], distance, 1e6).astype(np.float32)

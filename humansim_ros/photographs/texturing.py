@@ -1,4 +1,4 @@
-"""Texture a fitted person from its photographs, by either method."""
+"""Texture a fitted person from photographs, by one of two methods."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ from humansim_ros.types import Array, Indices
 
 #: Name of the outfit of textured people.
 OUTFIT = "photographs"
-#: Pixels around the person that are part of the texture, so that coarser levels of it keep their colours.
+#: The texture includes this number of pixels around the person, so that coarser levels of the texture keep
+#: their colours.
 _MARGIN = 8
 
 
@@ -34,7 +35,7 @@ class FaceCounts:
 
     Attributes:
         visible: (C, N) pixels that show the triangle.
-        covered: (C, N) pixels that would show it if nothing hid it.
+        covered: (C, N) pixels that would show the triangle if nothing hid it.
     """
 
     visible: NDArray[np.int32]
@@ -44,16 +45,17 @@ class FaceCounts:
 def count_faces(human: Human, views: Sequence[TextureView], renderer: GLRenderer | None = None) -> FaceCounts:
     """Count the visible and the covered pixels of all triangles of a person.
 
-    Both counts are of pixel centres, through the lens. They are equal for a triangle that nothing hides.
-    Where a view has a mask, only its pixels show the person.
+    Both counts are of pixel centres, through the lens. They are equal for a triangle that nothing hides. If a
+    view has a mask, only pixels of the mask show the person.
+
 
     Args:
         human: The person.
         views: Poses and cameras.
-        renderer: Renderer of an empty scene; a new one if None.
+        renderer: Renderer of an empty scene. If None, a new renderer is made.
 
     Raises:
-        PhotographError: There is no view, or one does not fit the person.
+        PhotographError: There is no view, or a view does not fit the person.
         RenderError: OpenGL is missing or failed.
     """
     check_views(human, views)
@@ -72,10 +74,9 @@ def count_faces(human: Human, views: Sequence[TextureView], renderer: GLRenderer
 
 
 def triangle_neighbours(mesh: Mesh) -> Indices:
-    """Pairs of triangles (E, 2) that share an edge, each pair once, the lower triangle first.
-
-    Vertices at the same place are the same: meshes of some files have two along a seam of the texture.
-    """
+    """Pairs of triangles (E, 2) that share an edge. Each pair appears once, with the lower triangle first.
+    Vertices at the same place count as one, since meshes of some files have two along a seam of the
+    texture."""
     _, place = np.unique(mesh.vertices, axis=0, return_inverse=True)
     corners = place.reshape(-1)[mesh.triangles]
     sides = np.sort(corners[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
@@ -83,7 +84,7 @@ def triangle_neighbours(mesh: Mesh) -> Indices:
     order = np.argsort(keys, kind="stable")
     keys, owner = keys[order], order // 3
     pairs = [np.empty((0, 2), np.intp)]
-    # edges of more than two triangles make pairs of all of them
+    # if more than two triangles share an edge, all pairs of them are listed
     step = 1
     while step < len(keys) and (same := keys[step:] == keys[:-step]).any():
         pairs.append(np.stack([owner[:-step][same], owner[step:][same]], axis=1))
@@ -99,10 +100,11 @@ _ROUNDS = 10
 def choose_cameras(counts: FaceCounts, neighbours: Indices, threshold: float = 0.5) -> NDArray[np.int32]:
     """Choose the view of each triangle.
 
-    Among the views that see at least a share of the pixels of a triangle, the one with most visible pixels is
-    chosen. A triangle without such a view takes the view of most neighbours, in rounds from the triangles
-    that have a view. The rest take the view in which they cover most pixels, or the view of most triangles.
-    Of equal views the first is taken.
+    Among the views that see at least the share ``threshold`` of the pixels of a triangle, the view with most
+    visible pixels is chosen. A triangle without such a view takes the view of most of its neighbours. This is
+    repeated in rounds, outwards from the triangles that have a view. Each remaining triangle takes the view
+    in which it covers most pixels, or else the view of most triangles. If views are equal, the first is
+    taken.
 
     ``neighbours``: (E, 2) pairs of triangles with a common edge. ``threshold``: least visible share.
 
@@ -132,7 +134,7 @@ def choose_cameras(counts: FaceCounts, neighbours: Indices, threshold: float = 0
 def texture_thesis(
     human: Human, views: Sequence[TextureView], renderer: GLRenderer | None = None
 ) -> TexturedPerson:
-    """Texture a person: each triangle from the photograph that shows it best.
+    """Texture a person. Each triangle takes its colours from the photograph that shows it best.
 
     The photographs keep their colours and light, and neighbouring triangles may differ in them. The faces of
     the result are triangles, in the order of ``human.mesh.triangles``. Its only outfit is ``photographs``.
@@ -140,10 +142,10 @@ def texture_thesis(
     Args:
         human: The person without its texture.
         views: Photographs, and the pose of the person in each.
-        renderer: Renderer of an empty scene; a new one if None.
+        renderer: Renderer of an empty scene. If None, a new renderer is made.
 
     Raises:
-        PhotographError: There is no view, one does not fit the person, or none shows it.
+        PhotographError: There is no view, a view does not fit the person, or no view shows the person.
         RenderError: OpenGL is missing or failed.
     """
     counts = count_faces(human, views, renderer)
@@ -151,7 +153,7 @@ def texture_thesis(
     if cameras.min() < 0:
         raise PhotographError("no photograph shows the person: check the calibration and the fit")
     triangles = human.mesh.triangles
-    # one texture coordinate for each vertex in each view that its triangles take
+    # a vertex has one texture coordinate for each view that its triangles take
     pairs = cameras[:, None].astype(np.intp) * len(human.mesh.vertices) + triangles
     used, corners = np.unique(pairs, return_inverse=True)
     view_of, vertex = np.divmod(used, len(human.mesh.vertices))
@@ -207,7 +209,7 @@ def texture_views(fit: PersonFit, photos: PhotoSet, frames: Sequence[int] = (0,)
     """Photographs of some frames with the pose of the person in each.
 
     Raises:
-        PhotographError: The fit is of other views or frames, or an image cannot be read.
+        PhotographError: The fit was made from other views or frames, or an image cannot be read.
     """
     if fit.views != photos.names or len(fit.root) != len(photos.frames):
         raise PhotographError(
@@ -246,7 +248,7 @@ def texture_person(
         method: ``atlas``: :func:`~humansim_ros.photographs.atlas_texture.texture_atlas`. ``thesis``:
             :func:`~humansim_ros.photographs.texturing.texture_thesis`.
         frames: Numbers of the frames.
-        size: Side of the texture of ``atlas``, texels; as fine as the photographs if None.
+        size: Side of the texture of ``atlas``, texels. If None, the texture is as fine as the photographs.
 
     Raises:
         PhotographError: The photographs do not fit, cannot be read, or show nothing of the person.

@@ -1,4 +1,4 @@
-"""Keypoints in space from 2D points of calibrated views; some points are wrong."""
+"""Triangulate keypoints from 2D points of calibrated views, although some points are wrong."""
 
 from __future__ import annotations
 
@@ -21,24 +21,29 @@ from humansim_ros.keypoints.sets import KeypointSet
 from humansim_ros.photographs.views import PhotoSet
 from humansim_ros.types import Array, Indices
 
-#: Human with proportions that are the mean ones.
+#: Human with the mean proportions.
 _HUMAN = "adult_man"
-#: Shares of the mean length that a bone has in other people.
+#: Least and greatest length of a bone of other people, as shares of the mean length.
 _BONE = (0.65, 1.45)
-#: Greatest share of its length at rest that a distance between parts that bend has.
+#: Greatest distance between two keypoints with a joint between them, as a share of the distance in the rest
+#: pose.
 _BENT = 1.6
 #: Sizes of people, as shares of the mean one.
 _SIZES = (0.4, 1.3)
-#: Most pairs of views that are tried for one keypoint; of more views, this number is drawn.
+#: Most pairs of views that are tried for one keypoint. If there are more pairs, this number is drawn at
+#: random.
 _MAX_PAIRS = 100
-#: Least square of the sine of the angle between two lines that meet: 0.6 degrees.
+#: Least square of the sine of the angle between two lines that meet; lines at less than 0.6 degrees count as
+#: parallel.
 _PARALLEL = 1e-4
-#: An exchange makes at least this number of points agree, and this share of the paired points of the view.
+#: Left and right of a view are exchanged only if this makes at least this number of points agree, and at
+#: least this share of the paired points of the view.
 _POINTS = 2.0
 _SHARE = 0.2
-#: Divisors of the limits: the noise is not known yet, and seen from the side, left and right are near.
+#: The limits are divided by these numbers, because the noise is not known yet, and because left and right are
+#: near each other when seen from the side.
 _SCALES = (1, 2, 4)
-#: Pairs of anatomical points; the first is in front of the second.
+#: Pairs of anatomical points. The first point is in front of the second.
 _IN_FRONT = (
     ("nose", "left_ear"),
     ("nose", "right_ear"),
@@ -53,7 +58,8 @@ _IN_FRONT = (
 )
 _SHOULDERS = (("l_shoulder", "r_shoulder"), ("left_acromion", "right_acromion"))
 _HIPS = (("l_hip", "r_hip"), ("left_asis", "right_asis"))
-#: Metres from which the front of the body decides against the majority of the views.
+#: If the front of the body is at least this far in front of the back, metres, it overrules the majority of
+#: the views.
 _CERTAIN = 0.1
 #: Greatest distance in metres of a point in front from the one behind it.
 _FOOT = 0.4
@@ -65,18 +71,17 @@ _DEVIATIONS = 3.5
 _LEAST_LIMIT, _ONLY_LIMIT = 1.0, 30.0
 #: Median of the squared length of a vector of two standard normal numbers.
 _MEDIAN_SQUARE = 2 * np.log(2)
-#: Rounds of inliers and least squares, and steps of each.
+#: Rounds of choosing inliers and least squares; and steps of least squares in each round.
 _ROUNDS, _STEPS = 4, 8
-#: Names that a warning lists.
+#: Most names that a warning lists.
 _LISTED = 6
 
 
 @dataclass(frozen=True, eq=False)
 class EdgeLengths:
     """Limits of the lengths of the E edges of a keypoint set, in metres, for a person of mean size.
-
-    ``edges``: (E, 2) keypoints. ``lengths``: (E,) at rest. ``least``, ``greatest``: (E,) in any pose.
-    """
+    ``edges``: (E, 2) keypoints. ``lengths``: (E,) lengths in the rest pose. ``least``, ``greatest``: (E,)
+    limits of the lengths in any pose."""
 
     edges: Indices
     lengths: Array
@@ -84,7 +89,8 @@ class EdgeLengths:
     greatest: Array
 
     def size(self, positions: Array, known: NDArray[np.bool_]) -> float:
-        """Size of a person as a share of the mean one, by positions (K, 3) of known (K,) keypoints."""
+        """Size of a person as a share of the mean size, from positions (K, 3). ``known``: (K,) whether each
+        position is known."""
         rigid = (self.least > 0) & known[self.edges].all(axis=1)
         if not rigid.any():
             return 1.0
@@ -93,23 +99,23 @@ class EdgeLengths:
         return float(np.clip(np.median(ratios), *_SIZES))
 
     def neighbours(self, keypoint: int) -> Indices:
-        """Keypoints that share an edge with one."""
+        """Keypoints that share an edge with a keypoint."""
         rows = self.edges[(self.edges == keypoint).any(axis=1)]
         return np.asarray(rows.sum(axis=1) - keypoint)
 
     def fits(
         self, keypoint: int, candidates: Array, positions: Array, known: NDArray[np.bool_]
     ) -> NDArray[np.bool_]:
-        """Whether places of a keypoint are at a possible distance from all its known neighbours.
+        """Whether places of a keypoint are at a possible distance from all known neighbours.
 
         Args:
             keypoint: Number of the keypoint.
             candidates: Places (P, 3).
             positions: Positions (K, 3).
-            known: (K,) the position is certain.
+            known: (K,) whether the position is certain.
 
         Returns:
-            (P,); true for all if no neighbour is known.
+            (P,) whether each place is possible. If no neighbour is known, all are true.
         """
         size = self.size(positions, known)
         fits = np.ones(len(candidates), bool)
@@ -123,7 +129,8 @@ class EdgeLengths:
 
 @cache
 def edge_lengths(keypoints: KeypointSet) -> EdgeLengths:
-    """Limits of the lengths of the edges of a set: bones are rigid, other edges bend."""
+    """Limits of the lengths of the edges of a keypoint set. An edge along a bone is rigid; other edges change
+    when joints bend."""
     human = load_human(_HUMAN)
     skeleton = human.skeleton
     joints = skeleton.joint_transforms(skeleton.rest)[:, :3, 3]
@@ -150,7 +157,7 @@ class Sightlines:
     Attributes:
         cameras: V cameras.
         pixels: (V, K, 2); NaN where a point is absent, or no ray of the lens reaches it.
-        weights: (V, K) confidence of the points; 0 where one is absent.
+        weights: (V, K) confidence of the points. 0 where a point is absent.
         directions: (V, K, 3) unit vectors in ``map``.
         radii: (V,) median distance of the points of a view from their middle, in pixels: the size of the
             person in the image. NaN without points.
@@ -195,10 +202,8 @@ class Sightlines:
         return Sightlines(self.cameras, pixels, weights, directions, self.radii)
 
     def pairs(self, seed: int = 0) -> tuple[Indices, Indices]:
-        """Numbers of the views of pairs that see a keypoint, (P, K) and (P, K); both 0 to fill up.
-
-        ``seed``: of the random choice among many pairs.
-        """
+        """Numbers of the first and of the second views (P, K) of pairs of views that see a keypoint. Unused
+        rows are filled up with 0. ``seed``: seed of the random choice among many pairs."""
         rng = np.random.default_rng(seed)
         found = []
         for seen in (self.weights > 0).T:
@@ -212,10 +217,8 @@ class Sightlines:
         return pairs[..., 0], pairs[..., 1]
 
     def meet(self, first: Indices, second: Indices) -> Array:
-        """Points (P, K, 3) halfway between the lines of pairs of views (P, K) where these are nearest.
-
-        NaN where the lines are parallel, or nearest behind a camera.
-        """
+        """Points (P, K, 3) where the lines of pairs of views (P, K) are nearest, halfway between the lines. A
+        point is NaN if the lines are parallel, or are nearest behind a camera."""
         centers = np.array([camera.center for camera in self.cameras])
         keypoint = np.arange(self.weights.shape[1])
         a, b = self.directions[first, keypoint], self.directions[second, keypoint]
@@ -231,10 +234,9 @@ class Sightlines:
         return np.where(meet[..., None], points / 2, np.nan)
 
     def errors(self, positions: Array) -> Array:
-        """Distances (..., V, K) in pixels of positions (..., K, 3) in the images from the points.
-
-        Infinite where a point is present and the position has no pixel; NaN where the point is absent.
-        """
+        """Distances (..., V, K) in pixels between the points and the images of positions (..., K, 3). A
+        distance is infinite if the point is present but the position has no pixel. It is NaN if the point is
+        absent."""
         flat = positions.reshape(-1, 3)
         shape = positions.shape[:-1]
         seen = np.stack([camera.project(flat)[0].reshape(*shape, 2) for camera in self.cameras], axis=-3)
@@ -242,7 +244,7 @@ class Sightlines:
         return np.where(self.weights > 0, np.where(np.isfinite(distances), distances, np.inf), np.nan)
 
     def candidates(self, seed: int = 0) -> Candidates:
-        """Points of all pairs of views. ``seed``: of the random choice among many pairs."""
+        """Points of all pairs of views. ``seed``: seed of the random choice among many pairs."""
         positions = self.meet(*self.pairs(seed))
         return Candidates(positions, self.errors(positions), self.weights)
 
@@ -259,14 +261,14 @@ class Candidates:
     weights: Array
 
     def costs(self, limits: Array) -> Array:
-        """Costs (P, K): each point of a view adds its confidence times the square of its error by the limit
-        (V,) of the view in pixels, at most 1.
-        """
+        """Costs (P, K). Each point of a view adds its confidence times the square of (its error / the limit
+        of the view), at most its confidence. ``limits``: (V,) pixels."""
         shares = np.minimum(np.nan_to_num(self.errors, nan=0.0, posinf=1e9) / limits[:, None], 1.0) ** 2
         return np.asarray(np.einsum("pvk,vk->pk", shares, self.weights))
 
     def best(self, costs: Array) -> Array:
-        """Positions (K, 3) of least cost (P, K); NaN where no two lines meet, or all costs are infinite."""
+        """Positions (K, 3) with the least cost (P, K). A position is NaN if no two lines meet, or all costs
+        are infinite."""
         if not len(costs):
             return np.full((self.weights.shape[1], 3), np.nan)
         chosen, keypoint = np.argmin(costs, axis=0), np.arange(costs.shape[1])
@@ -274,10 +276,8 @@ class Candidates:
         return np.where(possible[:, None], self.positions[chosen, keypoint], np.nan)
 
     def supported(self, costs: Array, limits: Array) -> Array:
-        """The positions of :meth:`best` with which three points agree, or two where three views or fewer are.
-
-        NaN for the other keypoints.
-        """
+        """Positions of :meth:`best` with which three points agree. If at most three views exist, two points
+        are enough. The positions of other keypoints are NaN."""
         if not len(costs):
             return self.best(costs)
         chosen, keypoint = np.argmin(costs, axis=0), np.arange(costs.shape[1])
@@ -292,13 +292,14 @@ def find_exchanged(
 ) -> NDArray[np.bool_]:
     """Views (V,) in which left and right are exchanged.
 
-    Left and right of a view are exchanged where more points then agree with the other views. If
-    that leaves open which views are right, or if all of them agree, the front of the body decides: the nose
-    is in front of the ears, the toes are in front of the heels.
+    Left and right of a view are exchanged if more points then agree with the other views. If the views do not
+    show which of them are right, or if all views agree, the front of the body decides: the nose is in front
+    of the ears, and the toes are in front of the heels.
+
 
     Args:
         lines: Lines of sight of all views.
-        keypoints: Set of their points.
+        keypoints: Keypoint set of the points.
         limits: Distances (V,) in pixels from which a point of a view is wrong.
         seed: Seed of the random choice among many pairs of views.
     """
@@ -310,7 +311,7 @@ def find_exchanged(
         return found.supported(costs, limits / 2), float(costs.min(axis=0, initial=len(limits)).sum())
 
     exchanged = np.zeros(len(lines.cameras), bool)
-    # without points with a partner that is absent: an exchange must not change which views see a keypoint
+    # leave out points with an absent partner, since an exchange must not change which views see a keypoint
     lines = replace(lines, weights=np.where(lines.weights[:, list(partners)] > 0, lines.weights, 0.0))
     paired = np.asarray(partners) != np.arange(len(partners))
     weights = lines.weights[:, paired].sum(axis=1)
@@ -336,10 +337,8 @@ def find_exchanged(
 
 def front_distance(positions: Array, keypoints: KeypointSet) -> float:
     """Metres by which the front of the body is in front of its back, by the names of left and right.
-
-    ``positions``: (K, 3), NaN where unknown. The sum of all distances: negative where left and right are
-    exchanged; 0 if the points do not tell, or contradict each other.
-    """
+    ``positions``: (K, 3), NaN where unknown. Returns the sum of all distances. It is negative if left and
+    right are exchanged, and 0 if the points do not show it, or contradict each other."""
     by_point = {
         point: position
         for point, position in zip(keypoints.points, positions, strict=True)
@@ -365,11 +364,12 @@ class Triangulation:
 
     Attributes:
         positions: (K, 3) metres in ``map``; NaN where fewer than two views agree.
-        inliers: (V, K) the point agrees with the position.
-        errors: (V, K) distance in pixels of the point from the image of the position; NaN where one of the
-            two is absent, infinite where the position has no image.
-        swapped: (V,) the left and the right of the view are exchanged.
-        points: (V, K, 3) x, y and confidence as given, but with left and right as they should be.
+        inliers: (V, K) whether the point agrees with the position.
+        errors: (V, K) distance in pixels of the point from the image of the position. NaN if the point or the
+            position is absent. Infinite if the position has no image.
+
+        swapped: (V,) whether left and right of the view are exchanged.
+        points: (V, K, 3) x, y and confidence as given, but with left and right exchanged back.
     """
 
     positions: Array
@@ -392,7 +392,7 @@ def triangulate(
         cameras: V cameras; two or more.
         points: (V, K, 3) x, y in pixels and confidence, which is 0 where a point is absent.
         keypoints: Set of the points.
-        seed: Seed of the choice among pairs of very many views.
+        seed: Seed of the random choice among pairs, if there are very many views.
 
     Raises:
         PhotographError: There are fewer than two views.
@@ -490,10 +490,10 @@ def _frames(numbers: Sequence[int], count: int) -> str:
 def _plausible(
     costs: Array, found: Candidates, lengths: EdgeLengths, positions: Array, inliers: NDArray[np.bool_]
 ) -> Array:
-    """Costs (P, K), infinite where a place is impossible next to its neighbours.
+    """Costs (P, K), with infinity where a place is impossible because of its neighbours.
 
-    Two wrong points often agree; three seldom do. Therefore keypoints of three points or more are taken as
-    known, and places of the others are checked, from the trunk outwards.
+    Two wrong points often agree, but three seldom do. Therefore a keypoint with three or more points counts
+    as known. The places of other keypoints are checked, from the trunk outwards.
 
     Args:
         costs: Costs of the candidates, (P, K).
@@ -522,7 +522,8 @@ def _plausible(
 
 
 def _refined(lines: Sightlines, start: Array, limits: Array) -> tuple[Array, NDArray[np.bool_], Array]:
-    """Least squares of the points within the limits (V,): positions (K, 3), inliers and errors (V, K)."""
+    """Refine positions by least squares of the points within the limits (V,). Returns positions (K, 3),
+    inliers and errors (V, K)."""
     positions = start
     errors = lines.errors(positions)
     inliers = np.zeros(errors.shape, bool)
@@ -540,9 +541,9 @@ def _refined(lines: Sightlines, start: Array, limits: Array) -> tuple[Array, NDA
 
 
 def _least_squares(lines: Sightlines, start: Array, weights: Array) -> Array:
-    """Positions (K, 3) with the least sums of squared distances in the images, by Levenberg-Marquardt for
-    all keypoints at once. ``weights``: (V, K) of the points; a keypoint without any keeps its position.
-    """
+    """Positions (K, 3) with the least sums of squared distances in the images, by Levenberg-Marquardt for all
+    keypoints at once. ``weights``: (V, K) weights of the points. A keypoint without a weight keeps its
+    position."""
     positions = np.array(start)
     damping = np.full(len(positions), 1e-6)
     used = weights > 0
@@ -563,7 +564,7 @@ def _least_squares(lines: Sightlines, start: Array, weights: Array) -> Array:
         tried = positions - np.linalg.solve(normal, right[..., None])[..., 0]
         errors_tried = residuals(tried)
         costs_tried = np.einsum("vki,vki,vk->k", errors_tried, errors_tried, weights)
-        better = costs_tried <= costs  # false where a step has lost the image
+        better = costs_tried <= costs  # False if the step moves a keypoint out of the image
         positions = np.where(better[:, None], tried, positions)
         errors = np.where(better[None, :, None], errors_tried, errors)
         costs = np.where(better, costs_tried, costs)
@@ -572,10 +573,8 @@ def _least_squares(lines: Sightlines, start: Array, weights: Array) -> Array:
 
 
 def _noise(errors: Array, inliers: NDArray[np.bool_]) -> float:
-    """Standard deviation of the coordinates of the points in pixels, by the median of the errors.
-
-    n points determine a position, which takes up three of 2 n differences.
-    """
+    """Standard deviation of the coordinates of the points in pixels, by the median of the errors. The n
+    points of a position have 2 n coordinates, and three of these are used up by the position."""
     count = inliers.sum(axis=0)
     free = np.where(count >= 2, (2 * count - 3) / np.maximum(2 * count, 1), np.inf)
     squares = (np.square(errors, where=inliers, out=np.zeros_like(errors)) / free)[inliers]

@@ -1,4 +1,4 @@
-"""Photographs of a person, with their cameras, 2D points and masks, as a views file names them."""
+"""Photographs of a person, with cameras, 2D points and masks, as a views file names them."""
 
 from __future__ import annotations
 
@@ -37,20 +37,21 @@ from humansim_ros.types import Array, Image
 MAX_BYTES = 1 << 28
 #: Most images of a view.
 MAX_FRAMES = 100_000
-#: Least value of a pixel of a mask that shows the person.
+#: A pixel of a mask shows the person from this value on.
 _MASK_THRESHOLD = 128
 
 
 def read_points(path: Path, keypoints: KeypointSet, images: Sequence[Path] | None = None) -> list[Array]:
     """Points (K, 3) of each frame: x, y in pixels, confidence; zeros where a point is absent.
 
-    A folder has one file for each frame, in the order of their numbers. Of several people in one, it takes
-    the one with the largest sum of confidences.
+    A folder has one file for each frame, ordered by the numbers in their names. If a frame has several
+    people, the person with the largest sum of confidences is taken.
+
 
     Args:
         path: JSON file, or folder of JSON files.
-        keypoints: Set of the points.
-        images: Images of the frames: COCO files find their images by name.
+        keypoints: Keypoint set of the points.
+        images: Images of the frames, because COCO files refer to images by name.
 
     Raises:
         PhotographError: The file is wrong; the message has file and key.
@@ -78,7 +79,8 @@ def read_points(path: Path, keypoints: KeypointSet, images: Sequence[Path] | Non
 
 
 def write_points(path: str | os.PathLike[str], keypoints: KeypointSet, frames: Sequence[Array]) -> None:
-    """Write points (K, 3) of each frame in the own form, atomically; absent points are left out."""
+    """Write points (K, 3) of each frame in the form of this package, atomically. Absent points are left
+    out."""
     content = {
         "keypoints": keypoints.name,
         "frames": [
@@ -96,13 +98,13 @@ def write_points(path: str | os.PathLike[str], keypoints: KeypointSet, frames: S
 
 
 class _PointsReader:
-    """Reads the forms of files of one keypoint set; errors name the file and the key."""
+    """Reads all forms of files with points of one keypoint set. Errors name the file and the key."""
 
     def __init__(self, path: Path, keypoints: KeypointSet) -> None:
         self._path, self._keypoints = path, keypoints
 
     def own(self, content: Mapping[str, Any]) -> list[Array]:
-        """Frames of our own form."""
+        """Points of the frames of a file in the form of this package."""
         name = content.get("keypoints", self._keypoints.name)
         if name != self._keypoints.name:
             raise self._error(
@@ -130,7 +132,7 @@ class _PointsReader:
         return self._present(points)
 
     def openpose(self, people: Any) -> Array:
-        """Points of the person with the largest confidence of an OpenPose file."""
+        """Points of the person with the largest confidence in an OpenPose file."""
         if not isinstance(people, list):
             raise self._error("a list of people is needed", "people")
         found = [
@@ -143,7 +145,8 @@ class _PointsReader:
         return self._best(found)
 
     def image_numbers(self, content: Mapping[str, Any], images: Sequence[Path] | None) -> list[Any]:
-        """Image ids of the frames of a COCO file: by the names of the images, or in the order of its list."""
+        """Image ids of the frames of a COCO file, found by the names of the images, or in the order of the
+        list of the file."""
         listed = content.get("images")
         if not isinstance(listed, list) or not all(isinstance(row, dict) for row in listed) or not listed:
             raise self._error("a list of images is needed", "images")
@@ -156,7 +159,8 @@ class _PointsReader:
         return [by_name[image.name] for image in images]
 
     def coco(self, rows: Any, numbers: Sequence[Any] | None) -> list[Array]:
-        """Points of the best person of each image. ``numbers``: ids of the images; all rows' if None."""
+        """Points of the best person of each image. ``numbers``: ids of the images. If None, the ids of all
+        rows."""
         if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
             raise self._error("a list of annotations is needed", "annotations")
         found: dict[str, list[Array]] = {}
@@ -248,14 +252,14 @@ class ViewsConfig(Section):
 
 @dataclass(frozen=True, eq=False)
 class Photo:
-    """One calibrated photograph of a person. Its image is read when it is needed.
+    """One calibrated photograph of a person. The image is read when it is needed.
 
     Attributes:
         name: Name of the view.
         camera: Camera with its lens and its pose in ``map``.
         image_path: File of the image; None if only points are known.
-        points: (K, 3) x, y in pixels and confidence of the keypoints; an absent point has confidence 0.
-        mask_path: File of the silhouette, if there is one: white where the person is.
+        points: (K, 3) x, y in pixels and confidence of the keypoints. An absent point has confidence 0.
+        mask_path: File of the silhouette, which is white where the person is; None if there is no silhouette.
     """
 
     name: str
@@ -268,7 +272,8 @@ class Photo:
         """Image (H, W, 3) uint8 sRGB.
 
         Raises:
-            PhotographError: There is no image, it cannot be read, or it has another size than the camera's.
+            PhotographError: There is no image, the image cannot be read, or its size is not that of the
+                camera.
         """
         if self.image_path is None:
             raise PhotographError(
@@ -277,11 +282,11 @@ class Photo:
         return _read_image(self.image_path, "photograph", self.camera)
 
     def mask(self) -> NDArray[np.bool_] | None:
-        """Silhouette (H, W) of the person, if there is one.
+        """Silhouette (H, W) of the person; None if there is no silhouette.
 
         Raises:
-            PhotographError: It cannot be read, or has another size than the camera's images.
-            EmptyMaskError: It is empty.
+            PhotographError: The silhouette cannot be read, or its size is not that of the camera.
+            EmptyMaskError: The silhouette is empty.
         """
         if self.mask_path is None:
             return None
@@ -298,7 +303,7 @@ class Photo:
 
 @dataclass(frozen=True, eq=False)
 class PhotoSet:
-    """Photographs of one person: the same V views in each of F frames.
+    """Photographs of one person, with the same V views in each of F frames.
 
     Attributes:
         path: The views file.
@@ -306,7 +311,7 @@ class PhotoSet:
         human: Built-in human or file to start from.
         period: Nanoseconds between frames.
         frames: Photographs by frame and view.
-        points_files: File of the points of each view. It need not exist yet.
+        points_files: File of the points of each view. The file need not exist yet.
     """
 
     path: Path
@@ -333,7 +338,7 @@ class PhotoSet:
 
 
 def read_views(path: str | os.PathLike[str]) -> PhotoSet:
-    """Read a views file (docs/from_photographs.md) with its calibration and points; images are read later.
+    """Read a views file (docs/from_photographs.md) with its calibration and points. Images are read later.
 
     Raises:
         PhotographError: The file, its calibration or points are wrong; the message has file, line and key.
@@ -353,8 +358,6 @@ def read_views(path: str | os.PathLike[str]) -> PhotoSet:
 
 
 class _Reader:
-    """Makes photographs of the content of a views file."""
-
     def __init__(self, file: Path, config: ViewsConfig, tree: yaml.Node | None) -> None:
         self._file, self._config, self._tree = file, config, tree
 
@@ -445,7 +448,7 @@ class _Reader:
         return cameras
 
     def _files(self, view: str, key: str) -> list[Path] | None:
-        """Files of a view in the order of their numbers; None if the key is absent."""
+        """Files of a view, ordered by the numbers in their names; None if the key is absent."""
         name = getattr(self._config.views[view], key)
         if name is None:
             return None
@@ -471,7 +474,7 @@ class _Reader:
         return found
 
     def _points_file(self, view: str) -> Path:
-        """File or folder of the points of a view; the default one if the key is absent."""
+        """File or folder of the points of a view. If the key is absent, the default file."""
         name = self._config.views[view].points
         if name is None:
             return default_points(self._file, view)
@@ -487,7 +490,7 @@ class _Reader:
 
 
 def default_points(views: str | os.PathLike[str], view: str) -> Path:
-    """File of the points of a view that names none, from a detector or set by hand."""
+    """Default file for the points of a view, from a detector or set by hand."""
     path = Path(views)
     return path.parent / f"{path.stem}_points" / f"{view}.json"
 
@@ -508,7 +511,7 @@ def _read_image(path: Path, noun: str, camera: Camera) -> Image:
 
 
 def _natural(path: Path) -> list[Any]:
-    """Sort key: numbers in names by their value."""
+    """Sort key that compares numbers in names by their value."""
     return [int(word) if word.isdigit() else word for word in re.split(r"([0-9]+)", path.name)]
 
 

@@ -62,11 +62,12 @@ class JointTable(Section):
     Attributes:
         name: Name of the table.
         source: Origin of the names.
-        joints: Role -> names of the joint, the most frequent first. Right sides default to the left's names,
-            mirrored.
+        joints: Role -> names of the joint, the most frequent first. By default, the names of right sides are
+            those of left sides, mirrored.
         parallel: Bone -> (start role, end role) of the link that the bone is parallel to.
-        difference: Bone -> role of the joint whose rotation from the rest pose of the motion the bone takes
-            [thesis §7.2]. ``parallel`` and ``difference`` default to the usual links and drivers.
+        difference: Bone -> role of a joint. The bone takes the rotation of the joint from the rest pose of
+            the motion [thesis §7.2]. By default, ``parallel`` and ``difference`` have the usual links and
+            drivers.
         hints: Names that distinguish this family of files from others with the same joint names.
     """
 

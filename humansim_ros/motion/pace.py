@@ -1,4 +1,5 @@
-"""Whether a person moves as fast as people do: a wrong frame rate shows in the movement of hands and feet."""
+"""Check whether a person moves as fast as people do. A wrong frame rate shows in the movement of hands and
+feet."""
 
 from __future__ import annotations
 
@@ -9,26 +10,29 @@ import numpy as np
 from humansim_ros.motion.file_frame import FileFrame
 from humansim_ros.motion.kinematics import Motion
 
-#: Fewest and most frames that are looked at, from the middle of a motion.
+#: Fewest and most frames that are examined, from the middle of a motion.
 _FRAMES = 8, 2000
-#: A hand or a foot moves if its spread about its mean place next to the hips is larger (RMS, metres). A
-#: person walks if the hips are in places that are farther apart, metres.
+#: A hand or a foot moves if its spread about its mean place relative to the hips is larger than the first
+#: value (RMS, metres). A person walks if the hips move farther than the second value (metres).
 _MOVES, _WALKS = 0.04, 1.0
 #: Joints that show how a limb moves, the best first.
 _LEG, _ARM = ("Ankle", "Knee"), ("Wrist", "Elbow")
-#: Largest acceleration of hands and feet (RMS, m/s^2): sprints have up to 90, dances 20, walks 5 to 13.
+#: Largest acceleration of hands and feet (RMS, m/s^2). Sprints reach 90, dances 20, walks 5 to 13.
 _MOST = 120.0
-#: Least frequency (Hz) of the fastest movement, in people who walk and others: 1.7 to 3 and 0.4 to 5 Hz.
+#: Lowest plausible frequency (Hz) of the fastest movement, for people who walk and for others. Usual are 1.7
+#: to 3 Hz and 0.4 to 5 Hz.
 _LEAST = {True: 0.15, False: 0.03}
-#: Usual frequency (Hz) of the feet of a person who walks, and of hands and feet of others.
+#: Usual frequency (Hz) of the feet of a person who walks, and of the hands and feet of other people.
 _USUAL = {True: 1.05, False: 0.45}
-#: Usual rates of files, and those that are meant most often.
+#: Usual frame rates of files.
 _RATES = (24.0, 25.0, 30.0, 50.0, 60.0, 100.0, 120.0, 240.0)
 _OFTEN = (30.0, 60.0, 120.0)
 
 
 def pace_warning(motion: Motion, roles: Mapping[str, int], frame: FileFrame, speed: float) -> str | None:
-    """Warning of a frame rate with which a person is too fast or too slow, with a likely rate; else None.
+    """Warn about a frame rate with which a person is too fast or too slow, and name a likely rate.
+
+    None if the frame rate is plausible.
 
     Feet of people who walk go back and forth about once a second, whatever their speed. Rates that are wrong
     by a factor of less than three or four remain plausible.
@@ -55,7 +59,7 @@ def pace_warning(motion: Motion, roles: Mapping[str, int], frame: FileFrame, spe
     rate = speed / motion.frame_time
     speeds = rate * np.linalg.norm(np.diff(beside[:, moving], axis=0), axis=-1)
     spread = spread[moving]
-    # single wrong frames do not count
+    # single wrong frames must not count
     usual = np.sqrt((np.minimum(speeds, np.quantile(speeds, 0.95, axis=0)) ** 2).mean(0))
     turns = 2 * np.pi * spread
     walks = bool(np.linalg.norm(np.ptp(hips, axis=0)) > _WALKS)
@@ -65,7 +69,7 @@ def pace_warning(motion: Motion, roles: Mapping[str, int], frame: FileFrame, spe
     if not too_slow and float((usual**2 / spread)[which].min()) < _MOST:
         return None
     measured = rate * _USUAL[walks] / float(np.median((usual / turns)[which]))
-    # a file may have the rate in place of the time, or milliseconds
+    # some files store the rate instead of the time, or the time in milliseconds
     stated = (motion.frame_time, 1000 / motion.frame_time)
     meant = [each for each in _RATES if np.abs(np.divide(stated, each) - 1).min() < 0.01] or _RATES
     likely = min(meant, key=lambda each: abs(np.log(each / measured)) + 0.15 * (each not in _OFTEN))

@@ -1,4 +1,4 @@
-"""Walks along a planned path: the phase of the gait follows the distance, so that feet do not slide."""
+"""Walks along a planned path. The phase of the gait follows the distance, so that feet do not slide."""
 
 from __future__ import annotations
 
@@ -28,30 +28,32 @@ from humansim_ros.motion.soles import true_runs
 from humansim_ros.motion.world_motion import Placement, WorldMotion
 from humansim_ros.types import Array, Indices
 
-#: Poses of a gait in one cycle.
+#: Number of poses of a gait in one cycle.
 _PHASES = 120
-#: Shortest stride of a walk, metres, and largest turn in a cycle, radians.
+#: Shortest stride of a walk, metres, and largest turn within a cycle, radians.
 _LEAST_STRIDE, _MOST_TURN = 0.3, 0.1
-#: Points of heading, phase and stride between two points of a path.
+#: Number of points with heading, phase and stride between two points of a path.
 _FINE = 4
-#: Seconds (standard deviation) over which speed and direction are smoothed.
+#: Speed and direction are smoothed over these times (standard deviation, seconds).
 _SMOOTH_SPEED, _SMOOTH_DIRECTION = 0.25, 0.3
-#: Speed, m/s, above which a person faces where it goes, and radians per second of a turn on the spot.
+#: A person who is faster than the first value (m/s) faces the direction of the walk. The second value is the
+#: speed of a turn on the spot, radians per second.
 _FACING, _TURN = 0.15, 1.6
-#: Metres per radian of a turn: steps on the spot are those of a walk of that way.
+#: Metres per radian of a turn. Steps of a turn on the spot are like those of a walk of this length.
 _TURN_ARM = 0.35
-#: Speed of a foot, relative to the walk, below which it stands; share of the stride from which it is kept in
-#: its place; largest corrections, metres and radians.
+#: A foot stands if its speed, relative to that of the walk, is below the first value. It is kept in place if
+#: the stride is at least the second share. The other values are the largest corrections, metres and radians.
 _SLOW, _PINNED, _MAX_SHIFT, _MAX_FOOT_TURN = 1.0, 0.15, 0.25, 0.7
 #: Shortest time of a foot on the floor, as a share of the cycle.
 _SHORTEST_STANCE = 0.08
-#: Smallest share of the stride with which somebody steps: slower people take fewer steps.
+#: Smallest share of the stride. People who are slower take fewer steps instead.
 _LEAST_SHARE = 0.15
 
 
 @dataclass(frozen=True)
 class Gait:
-    """A walk on the spot, and the pose of somebody who stands: joints about a point of the floor, facing +x.
+    """A walk on the spot, and the pose of somebody who stands. Joints are relative to a point of the floor,
+    facing +x.
 
     Attributes:
         stride: Metres of a cycle of two steps.
@@ -59,10 +61,10 @@ class Gait:
         positions: (P + 1, J, 3) metres, from phase 0 to 1.
         rotations: (P + 1, J, 4) quaternions xyzw from rest.
         standing: (J, 3) and (J, 4), the pose of somebody who stands.
-        legs: Left and right leg.
-        leg_lengths: Thigh and shin of both, metres.
-        stances: For each foot, (S, 2) phases at which it comes to the floor and leaves it. Those at which it
-            leaves it may be above 1.
+        legs: Left leg and right leg.
+        leg_lengths: Lengths of thigh and shin of both legs, metres.
+        stances: For each foot, (S, 2) phases at which the foot comes to the floor and leaves the floor. The
+            second phase may be above 1.
     """
 
     stride: float
@@ -76,11 +78,12 @@ class Gait:
 
     @classmethod
     def of(cls, walk: WorldMotion, standing: WorldMotion | None = None) -> Gait:
-        """Gait of a cycle of a walk.
+        """Make a gait from a cycle of a walk.
 
         Args:
             walk: The motion of somebody who walks straight ahead.
-            standing: A motion with the same joints whose first frame stands; the middle of the gait if None.
+            standing: A motion with the same joints. Its first frame stands. If None, the middle of the gait
+                is used.
 
         Raises:
             MotionError: The motion does not go ahead, or turns.
@@ -88,7 +91,7 @@ class Gait:
         cycle = replace(walk, placement=Placement(), loop="continue", speed=1.0, correction=None)
         hips = walk.match.roles["Hips"]
         phases = np.linspace(0.0, 1.0, _PHASES + 1)
-        # the second cycle, into which the end of the first has faded
+        # in the second cycle, the end of the first cycle has faded into the start
         poses = cycle.sample((1 + phases * (1 - 1e-9)) * cycle.cycle_length)
         way = poses.positions[-1, hips, :2] - poses.positions[0, hips, :2]
         stride, turn = float(np.linalg.norm(way)), cycle.cycle_rotations(np.ones(1))[0]
@@ -119,7 +122,8 @@ class Gait:
         return cls(*gait, (left, right), lengths, (stances[0], stances[1]))
 
     def at(self, phases: Array, shares: Array) -> tuple[Array, Array]:
-        """Positions (N, J, 3) and rotations (N, J, 4) at phases (N,) with shares (N,) of the stride."""
+        """Positions (N, J, 3) and rotations (N, J, 4) at phases (N,), with steps of shares (N,) of the
+        stride."""
         place = (phases % 1.0) * _PHASES
         before = np.minimum(place.astype(int), _PHASES - 1)
         part = (place - before)[:, None]
@@ -133,7 +137,8 @@ class Gait:
         return positions, slerp(np.broadcast_to(upright, rotations.shape), rotations, share)
 
     def ankles(self, feet: Indices, phases: Array, shares: Array) -> Array:
-        """Ankles (N, 3) of feet (N,), 0 left and 1 right, as in :meth:`at`."""
+        """Ankles (N, 3) of feet (N,), 0 for left and 1 for right. The other arguments are the same as in
+        :meth:`at`."""
         joints = np.array([leg.ankle for leg in self.legs])[feet]
         place = (phases % 1.0) * _PHASES
         before = np.minimum(place.astype(int), _PHASES - 1)
@@ -143,7 +148,8 @@ class Gait:
 
 
 def _stances(path: Array) -> Array:
-    """Phases (S, 2) between which a foot on the floor is slow, from its place (P + 1,) in strides."""
+    """Phases (S, 2) between which a foot is slow and on the floor. ``path``: place of the foot (P + 1,) in
+    strides."""
     slow = 1 + np.gradient(path, 1 / _PHASES)[:-1] < _SLOW
     if slow.all() or not slow.any():
         return np.array([[0.0, 0.5]])
@@ -157,7 +163,7 @@ def _stances(path: Array) -> Array:
 
 
 def turned(positions: Array, rotations: Array, yaws: Array) -> tuple[Array, Array]:
-    """Poses (N, J, 3) and (N, J, 4) turned about the vertical axis at the origin by (N,) radians."""
+    """Turn poses (N, J, 3) and (N, J, 4) by ``yaws`` (N,) radians about the vertical axis at the origin."""
     c, s, zero = np.cos(yaws)[:, None], np.sin(yaws)[:, None], np.zeros(len(yaws))
     x, y, z = np.moveaxis(positions, -1, 0)
     turn = rotation_vector_to_quaternion(np.stack([zero, zero, yaws], axis=-1))[:, None]
@@ -166,11 +172,12 @@ def turned(positions: Array, rotations: Array, yaws: Array) -> tuple[Array, Arra
 
 @dataclass(frozen=True)
 class WalkPath:
-    """A closed path of a person on the floor over time: a cubic B-spline, which has no jumps of velocity.
+    """A closed path of a person on the floor over time. It is a cubic B-spline, so its velocity has no jumps.
 
     Attributes:
-        points: (K, 2) control points, metres in ``map``, evenly in time; the first follows the last.
-        step: Seconds between them.
+        points: (K, 2) control points, metres in ``map``, at equal intervals of time. After the last point,
+            the first one comes again.
+        step: Seconds between two control points.
         facing: Heading of a person who never walks, radians.
     """
 
@@ -180,7 +187,7 @@ class WalkPath:
 
     @property
     def duration(self) -> float:
-        """Seconds of a round."""
+        """Seconds that a round takes."""
         return len(self.points) * self.step
 
     @cached_property
@@ -194,7 +201,7 @@ class WalkPath:
         return np.asarray(self._spline(times % self.duration))
 
     def stepping(self, gait: Gait, size: float) -> scipy.interpolate.PchipInterpolator:
-        """Heading in radians, phase and share of the stride over the time of a round.
+        """Heading in radians, phase and share of the stride, as a function of the time of a round.
 
         Args:
             gait: Gait of the person.
@@ -205,10 +212,10 @@ class WalkPath:
         velocity = np.asarray(self._spline(np.minimum(times, times[-1] * (1 - 1e-12)), 1))
         heading = _headings(_smooth(velocity, _SMOOTH_DIRECTION / step), step, self.facing)
         turn = np.gradient(heading, step)
-        # who turns on the spot steps, too
+        # somebody who turns on the spot steps, too
         speed = np.hypot(np.linalg.norm(velocity, axis=-1), _TURN_ARM * turn)
         natural = size * gait.stride / gait.seconds
-        # step length and cadence grow alike with the speed
+        # the length and the rate of steps grow equally with the speed
         share = np.minimum(1.0, np.sqrt(_smooth(speed, _SMOOTH_SPEED / step) / natural))
         cycles = speed / (size * gait.stride * np.maximum(share, _LEAST_SHARE))
         phase = np.concatenate([[0.0], np.cumsum((cycles[1:] + cycles[:-1]) * (step / 2))])
@@ -216,13 +223,14 @@ class WalkPath:
 
 
 def _smooth(values: Array, deviation: float) -> Array:
-    """Values (K + 1, ...) of a closed path, whose last is the first, smoothed over time."""
+    """Smooth values (K + 1, ...) of a closed path over time. The last value is the same as the first."""
     inner = scipy.ndimage.gaussian_filter1d(values[:-1], deviation, axis=0, mode="wrap")
     return np.concatenate([inner, inner[:1]])
 
 
 def _headings(velocity: Array, step: float, facing: float) -> Array:
-    """Headings (K + 1,) along velocities (K + 1, 2); who stands turns just before it goes on."""
+    """Headings (K + 1,) along velocities (K + 1, 2). A person who stands turns just before the walk goes
+    on."""
     count = len(velocity) - 1
     moving = np.flatnonzero(np.linalg.norm(velocity[:count], axis=-1) > _FACING)
     if not len(moving):
@@ -238,7 +246,7 @@ def _headings(velocity: Array, step: float, facing: float) -> Array:
         places.append(float(after))
         headings.append(new)
     at = np.arange(count + 1)
-    # the path is closed: before the first known heading there are those of the end of the round
+    # the path is closed, so headings from the end of the round come before the first known heading
     whole = angles[-1] - angles[0]
     places = [*(place - count for place in places[:-1]), *places]
     headings = [*(heading - whole for heading in headings[:-1]), *headings]
@@ -247,7 +255,7 @@ def _headings(velocity: Array, step: float, facing: float) -> Array:
 
 @dataclass(frozen=True)
 class PathMotion(WorldMotion):
-    """A walk along a path on the floor. Its time is the time of the path. Its size is the size of the person.
+    """A walk along a path on the floor. Its time is the time of the path, and its size is that of the person.
 
     Attributes:
         gait: Walk on the spot.
@@ -283,14 +291,14 @@ class PathMotion(WorldMotion):
 
 
 def sample_together(motions: Sequence[PathMotion], times: Sequence[Array]) -> list[JointPoses]:
-    """Sample walks with one gait: many people take little longer than one.
+    """Sample walks with the same gait together. Many people take little longer than one.
 
     Args:
         motions: Walks with the same gait.
-        times: File times of each, (N,) seconds, with the same N.
+        times: File times of each walk, (N,) seconds. N must be the same for all walks.
 
     Returns:
-        Poses of each with velocities, the same as in :meth:`PathMotion.sample_with_velocities`.
+        Poses and velocities of each walk, the same as from :meth:`PathMotion.sample_with_velocities`.
     """
     count = len(times[0])
     around = np.concatenate([[t - VELOCITY_STEP, t, t + VELOCITY_STEP] for t in times])
@@ -306,18 +314,19 @@ def sample_together(motions: Sequence[PathMotion], times: Sequence[Array]) -> li
 
 @dataclass(frozen=True)
 class _Walks:
-    """Walks of M people with one gait. Arrays of N samples have those of each person in turn.
+    """Walks of M people with one gait. Arrays of N samples hold the samples of the first person, then of the
+    next, and so on.
 
     Attributes:
         motions: The walks.
-        count: Number of samples of each.
+        count: Number of samples of each person.
     """
 
     motions: Sequence[PathMotion]
     count: int
 
     def _of_each(self, evaluate: Callable[[PathMotion, Array], Array], values: Array) -> Array:
-        """Apply a function of each person to this person's part of some values (K N,). Returns values (K N,
+        """Apply a function of each person to the person's part of some values (K N,). Returns values (K N,
         ...)."""
         parts = values.reshape(-1, len(self.motions), self.count)
         found = [evaluate(motion, parts[:, i].ravel()) for i, motion in enumerate(self.motions)]
@@ -326,11 +335,11 @@ class _Walks:
         return each.reshape(len(values), *shape)
 
     def _stepping(self, times: Array) -> Array:
-        """Heading, phase and share of the stride (3, K N) at times."""
+        """Heading, phase and share of the stride (3, K N) at the times."""
         return self._of_each(lambda motion, at: np.asarray(motion._stepping(at)), times).T
 
     def _times_of(self, phases: Array) -> Array:
-        """Seconds of the paths (K N,) at which phases are reached."""
+        """Seconds of the paths (K N,) at which the paths reach the phases."""
         return self._of_each(lambda motion, at: np.interp(at, motion._phases, motion._stepping.x), phases)
 
     def _ground(self, times: Array) -> Array:
@@ -371,7 +380,7 @@ class _Walks:
         return positions, matrix_to_quaternion(matrices)
 
     def _shifts(self, times: Array, phases: Array) -> Array:
-        """How both feet move, metres, and turn, radians, to stay where they stand: (2, N, 4).
+        """How both feet must move (metres) and turn (radians) to stay in their places: (2, N, 4).
 
         Args:
             times: Seconds of the paths, (N,).
@@ -396,19 +405,21 @@ class _Walks:
         return np.asarray(now + np.array(weights)[..., None] * (after - now))
 
     def _to_plant(self, feet: Indices, middles: Array, times: Array) -> Array:
-        """Way of feet to where they stand: (K N, 4), metres, and radians of their turn.
+        """Vectors (K N, 4) from feet to the places where they will stand, metres, and the angles of their
+        turns, radians.
 
         Args:
             feet: 0 left, 1 right, (K N,).
             middles: Phases in the middle of the stances, (K N,).
-            times: Times at which the feet are not there yet, (K N,), seconds.
+            times: Times (K N,), seconds, at which the feet are still on the way.
         """
         gait, count = self.motions[0].gait, len(times)
         sizes = np.resize(self._sizes, count)
         both = np.concatenate([self._times_of(middles), times])
         heading, phase, share = self._stepping(both)
         c, s = np.cos(heading), np.sin(heading)
-        # where the foot is planted, where it is, and how it rolls from heel to toe straight ahead
+        # where the foot will stand, where it is now, and how it would roll from heel to toe on a straight
+        # walk
         phases = np.concatenate([phase, phase[count:], middles])
         shares = np.concatenate([share, np.ones(2 * count)])
         ankles = gait.ankles(np.tile(feet, 4), phases, shares)

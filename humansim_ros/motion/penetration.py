@@ -16,7 +16,7 @@ from humansim_ros.geometry import rotate
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.types import Array, Indices
 
-#: Radius and, for the trunk, half the width, as shares of the stature; measured on assets/humans/adult_man.
+#: Radius as a share of the stature. For the trunk, also half its width. Measured on assets/humans/adult_man.
 _RADII = {
     "HumanoidRoot": (0.066, 0.098),
     "sacroiliac": (0.072, 0.089),
@@ -29,17 +29,18 @@ _RADII = {
     "knee": (0.035, 0.0),
     "ankle": (0.027, 0.0),
 }
-#: Bones that are wider than deep get two capsules side by side.
+#: These bones are wider than deep, so they get two capsules side by side.
 _TRUNK = ("HumanoidRoot", "sacroiliac", "vl5")
-#: Percentage of a trunk bone's vertices on either side that count as details, not as its width.
+#: This percentage of the vertices of a trunk bone, on either side, are details that do not count as its
+#: width.
 _DETAIL_PERCENTILE = 5.0
 #: A bone with fewer vertices gets no capsule.
 _MIN_VERTICES = 8
-#: Percentile of the distances of a limb's vertices from its bone that is the capsule's radius. With it,
-#: depths are nearest to the depths between convex hulls of the posed parts of assets/humans/adult_man (mean
-#: 9 mm).
+#: The radius of the capsule of a limb is this percentile of the distances of its vertices from the bone. It
+#: was chosen so that depths are nearest to those between convex hulls of the posed parts of
+#: assets/humans/adult_man (mean difference 9 mm).
 _RADIUS_PERCENTILE = 40.0
-#: Capsule pairs times frames in a batch: their vectors stay in the processor's cache.
+#: Capsule pairs times frames that are computed at once. Their vectors fit into the cache of the processor.
 _BATCH = 20_000
 
 
@@ -63,11 +64,8 @@ class Capsules:
 
     @cached_property
     def pairs(self) -> Indices:
-        """(P, 2) bones that are compared.
-
-        Bones that are joined are not compared (connectors and collars count as the trunk), nor are bones
-        whose capsules touch at rest.
-        """
+        """(P, 2) bones that are compared. Bones that are joined are not compared. Here, connectors and
+        collars count as the trunk. Bones with capsules that touch at rest are not compared either."""
         return self._pair_table[0]
 
     @property
@@ -86,7 +84,8 @@ class Capsules:
 
     @cached_property
     def _pair_table(self) -> tuple[Indices, Indices, Indices]:
-        """Pairs of bones (P, 2), the pairs of capsules (Q, 2) sorted by them, and the first of each (P,)."""
+        """Pairs of bones (P, 2), pairs of capsules (Q, 2) sorted by pair of bones, and the first pair of
+        capsules for each (P,)."""
         joined = self._adjacent()
         first, second = np.triu_indices(len(self.bones), 1)
         low, high = np.sort(np.stack([self.bones[first], self.bones[second]]), axis=0)
@@ -102,7 +101,8 @@ class Capsules:
         return bones, capsules[compared], begins
 
     def _adjacent(self) -> NDArray[np.bool_]:
-        """(B, B) whether two bones are the same or joined, bones without capsules between them left out."""
+        """(B, B) whether two bones are the same or joined. Bones without capsules between them are
+        skipped."""
         size = len(self.skeleton)
         has = np.isin(np.arange(size), self.bones)
         joined = np.eye(size, dtype=bool)
@@ -116,15 +116,15 @@ class Capsules:
 
 @dataclass(frozen=True)
 class PenetrationReport:
-    """Penetration of the bones of a body over some frames; ``dataclasses.asdict`` makes JSON of it.
+    """Penetration of the bones of a body over some frames. ``dataclasses.asdict`` makes JSON types of it.
 
     Attributes:
         depth_mm: Deepest penetration.
-        pair: Its bones.
-        frame: Its frame.
+        pair: The two bones of the deepest penetration.
+        frame: Frame of the deepest penetration.
         share: Share of the frames in which any pair is deeper than the tolerance.
-        tolerance_mm: Tolerance.
-        pairs: Pairs deeper than that, deepest first, as (bone, bone, deepest mm, share of frames).
+        tolerance_mm: Depth that is tolerated.
+        pairs: Pairs deeper than the tolerance, deepest first, as (bone, bone, deepest mm, share of frames).
     """
 
     depth_mm: float
@@ -138,10 +138,10 @@ class PenetrationReport:
 def fit_capsules(skeleton: Skeleton, mesh: Mesh | None = None, weights: csr_matrix | None = None) -> Capsules:
     """Fit capsules to a skeleton and the mesh around it.
 
-    A limb gets one capsule. Its radius is a typical distance of the vertices of the bone from it. A bone of
-    the trunk, which is no cylinder, gets two side by side. Without ``mesh`` and its ``weights`` (V, B) the
-    capsules have the radii of an average man of the same stature. Connectors, collars and bones without
-    vertices get none.
+    A limb gets one capsule. Its radius is a typical distance of the vertices from their bone. A bone of the
+    trunk is not like a cylinder, so it gets two capsules side by side. If there is no ``mesh`` with
+    ``weights`` (V, B), the capsules have the radii of an average man of the same stature. Connectors, collars
+    and bones without vertices get no capsule.
 
     Raises:
         MeshError: No bone gets a capsule.
@@ -161,10 +161,8 @@ def fit_capsules(skeleton: Skeleton, mesh: Mesh | None = None, weights: csr_matr
 
 
 def self_penetration(posed: Array, capsules: Capsules) -> Array:
-    """Depth (N, P) in metres by which the bones of each pair penetrate each other, in poses (N, B, 4, 4).
-
-    The pairs are ``capsules.pairs``. A negative depth is the gap between the two.
-    """
+    """Depth (N, P) in metres by which the bones of each pair penetrate each other, in poses (N, B, 4, 4). The
+    pairs are ``capsules.pairs``. A negative depth is the gap between the two bones."""
     bones, pairs, begins = capsules._pair_table
     out = np.empty((len(posed), len(bones)))
     if not len(bones):
@@ -200,7 +198,7 @@ def report_penetration(posed: Array, capsules: Capsules, tolerance: float = 0.03
 
 
 def segment_distance(a: Array, b: Array, c: Array, d: Array) -> Array:
-    """Shortest distances (...) between segments [Ericson 2005, 5.1.9]; a segment may be a point.
+    """Shortest distances (...) between segments [Ericson 2005, 5.1.9]. A segment may be a point.
 
     Args:
         a: Starts (..., 3) of the first segments.
@@ -208,17 +206,18 @@ def segment_distance(a: Array, b: Array, c: Array, d: Array) -> Array:
         c: Starts (..., 3) of the second segments.
         d: Ends (..., 3) of the second segments.
     """
-    # components first: sums of three numbers along the last axis are slow
+    # components go first, since sums of three numbers along the last axis are slow
     ax, bx, cx, dx = (np.moveaxis(p, -1, 0) for p in np.broadcast_arrays(a, b, c, d))
     return _distance(bx - ax, dx - cx, ax - cx)
 
 
 def _distance(u: Array, v: Array, w: Array) -> Array:
-    """Distances (...) of segments with directions u, v and difference w = a - c of the starts, (3, ...)."""
+    """Distances (...) of segments with directions u and v. w = a - c is the difference of their starts. All
+    are (3, ...)."""
     uu, vv, uv, uw, vw = _dot(u, u), _dot(v, v), _dot(u, v), _dot(u, w), _dot(v, w)
     uu_safe, vv_safe = np.maximum(uu, 1e-18), np.maximum(vv, 1e-18)
     determinant = uu * vv - uv * uv
-    # parallel segments: any point of the first will do
+    # if segments are parallel, any point of the first one is good
     s = np.where(determinant > 1e-12 * uu * vv, (uv * vw - uw * vv) / np.maximum(determinant, 1e-30), 0.0)
     s = np.clip(s, 0.0, 1.0)
     t = np.clip((uv * s + vw) / vv_safe, 0.0, 1.0)
@@ -232,7 +231,7 @@ def _dot(a: Array, b: Array) -> Array:
 
 
 def _depths(starts: Array, ends: Array, radii: Array, pairs: Indices) -> Array:
-    """Depths (N, Q) in metres of pairs of capsules; negative where a pair is apart.
+    """Depths (N, Q) in metres of pairs of capsules. A depth is negative if the capsules do not touch.
 
     Args:
         starts: Starts of the axes of the capsules, (N, C, 3) metres.
@@ -249,13 +248,14 @@ def _depths(starts: Array, ends: Array, radii: Array, pairs: Indices) -> Array:
 
 
 def _group_rows(rows: Indices) -> tuple[Indices, Indices, Indices]:
-    """Distinct rows of sorted rows, the first index of each, and for each row the number of its group."""
+    """Return the distinct rows of sorted rows, the first index of each, and the number of the group of each
+    row."""
     new = np.ones(len(rows), dtype=bool)
     new[1:] = (rows[1:] != rows[:-1]).any(1)
     return rows[new], np.flatnonzero(new), np.cumsum(new) - 1
 
 
-#: Bone, start and end of the axis in body space, radius.
+#: A capsule: bone, start and end of the axis in body space, radius.
 _CapsuleRow = tuple[int, Array, Array, float]
 
 
@@ -304,7 +304,8 @@ def _average_capsules(skeleton: Skeleton) -> list[_CapsuleRow]:
 def _trunk_capsules(
     bone: int, middle: Array, height: float, radius: float, width: float
 ) -> list[_CapsuleRow]:
-    """Two upright capsules side by side about a middle (3,); half its height and width, metres."""
+    """Two upright capsules side by side about a middle (3,). ``height`` and ``width`` are half sizes,
+    metres."""
     up = np.array([0.0, max(height - radius, 0.0), 0.0])
     offset = np.array([max(width - radius, 0.0), 0.0, 0.0])
     return [(bone, middle + side - up, middle + side + up, radius) for side in (offset, -offset)]

@@ -21,15 +21,16 @@ from humansim_ros.types import Array
 
 SUFFIXES = (".bvh", ".npz", ".json")
 _CENTIMETRES = 100.0
-#: Order of the rotation channels, and others for joints that come near the gimbal lock of the first.
+#: Order of the rotation channels. The other orders are for joints that come near the gimbal lock of the
+#: first.
 _ORDERS = ("ZXY", "XZY", "XYZ")
-#: Least cosine of the middle angle: programs that compute with float32 lose digits below.
+#: Least cosine of the middle angle. Below it, programs that compute with float32 lose digits.
 _MIN_COSINE = 0.2
 
 
 @dataclass(frozen=True)
 class PosedBones:
-    """Posed bone frames (N, B, 4, 4) of a skeleton in ``map``, every ``frame_time`` seconds."""
+    """Posed bone frames (N, B, 4, 4) of a skeleton in ``map``, at intervals of ``frame_time`` seconds."""
 
     skeleton: Skeleton
     posed: Array
@@ -62,11 +63,9 @@ class PosedBones:
         ]
 
     def to_motion(self) -> Motion:
-        """A motion for BVH: y up, facing +z, centimetres, in the rest pose of the skeleton.
-
-        Joints are the heads of the bones. End sites are the ends of the skeleton. Rotations have the order
-        ZXY, or another one in joints that come near its gimbal lock.
-        """
+        """Make a motion for BVH: y up, facing +z, centimetres, in the rest pose of the skeleton. Joints are
+        the heads of the bones. End sites are the ends of the skeleton. Rotations have the order ZXY. Joints
+        that come near the gimbal lock of this order have another one."""
         skeleton = self.skeleton
         parents = skeleton.parents
         rest = skeleton.rest[:, :3, :3]
@@ -116,7 +115,7 @@ class PosedBones:
 
 
 def _directions(skeleton: Skeleton) -> Array:
-    """Direction (B, 3) of each bone as programs draw it: to its end, or to the mean of its children."""
+    """Direction (B, 3) of each bone as programs draw the bone: to its end, or to the mean of its children."""
     ends = skeleton.tails.copy()
     for bone in set(skeleton.parents.tolist()) - {-1, *skeleton.ends}:
         ends[bone] = skeleton.heads[skeleton.parents == bone].mean(axis=0)
@@ -124,15 +123,16 @@ def _directions(skeleton: Skeleton) -> Array:
 
 
 def _order(rotations: Array, along: Array) -> str:
-    """Order of the angles of a joint: the first that stays away from gimbal lock, else the best.
+    """Choose the order of the angles of a joint: the first order that stays away from gimbal lock, else the
+    best.
 
     With the middle axis b and the outer axes a and c, the element (a, c) of a rotation is the sine of the
-    middle angle. Blender turns the rotations to the axes of the bone, with a y axis that is along it, before
-    it computes angles; there the outer axes are exchanged.
+    middle angle. Before Blender computes angles, it turns the rotations to the axes of the bone, where y is
+    along the bone. There, the outer axes are exchanged.
 
-    ``rotations``: (N, 3, 3), from the rest pose. ``along``: (3,) direction of the bone at rest.
+    ``rotations``: (N, 3, 3), relative to the rest pose. ``along``: (3,) direction of the bone at rest.
     """
-    # one vector: the shortest rotation
+    # the shortest rotation, since there is one vector only
     to_bone = Rotation.align_vectors(along[None], [[0.0, 1.0, 0.0]])[0].as_matrix()
     both = np.concatenate([rotations, to_bone.T @ rotations @ to_bone])
 
@@ -147,11 +147,9 @@ def _order(rotations: Array, along: Array) -> str:
 
 
 def write_bones(path: str | os.PathLike[str], bones: PosedBones) -> None:
-    """Write all frames to a file; on an error no file is written.
-
-    ``.bvh``: :meth:`PosedBones.to_motion`. ``.npz``: arrays ``bones``, ``parents``, ``times``, ``heads``,
-    ``tails``, ``rotations_xyzw``. ``.json``: ``frame_time`` and ``frames`` (:meth:`PosedBones.to_dicts`).
-    """
+    """Write all frames to a file. If an error occurs, no file is written. ``.bvh``:
+    :meth:`PosedBones.to_motion`. ``.npz``: arrays ``bones``, ``parents``, ``times``, ``heads``, ``tails``,
+    ``rotations_xyzw``. ``.json``: ``frame_time`` and ``frames`` (:meth:`PosedBones.to_dicts`)."""
     check_suffix(path)
     suffix = Path(path).suffix.lower()
     if suffix == ".bvh":
@@ -166,7 +164,7 @@ def write_bones(path: str | os.PathLike[str], bones: PosedBones) -> None:
 
 
 def check_suffix(path: str | os.PathLike[str]) -> None:
-    """Raise MotionError for a suffix that bones cannot be written to."""
+    """Raise MotionError if bones cannot be written to a file with this suffix."""
     if Path(path).suffix.lower() not in SUFFIXES:
         raise MotionError(
             "bones are written as .bvh, .npz or .json: give the file one of these names", path=path

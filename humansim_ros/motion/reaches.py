@@ -31,30 +31,32 @@ from humansim_ros.motion.scene_query import SceneQuery
 from humansim_ros.types import Array
 
 #: Place of the palm between wrist and finger tips, and height of its skin over the line between them, as
-#: shares of the length of a hand: between hollow (0.02) and balls (0.12) of the palms of built-in humans.
+#: shares of the length of a hand. The height is between the hollow (0.02) and the balls (0.12) of the palms
+#: of built-in humans.
 PALM, _THICK = 0.45, 0.05
-#: How far the fingers of a hand with a given direction of the palm turn up; 0 along the forearm.
+#: For a given direction of the palm, the fingers turn up by this amount. With 0, they are along the forearm.
 _FINGERS_UP = 0.3
-#: Share of the turn of the hand about the forearm that the forearm takes, as pronation does.
+#: If the hand turns about the forearm, the forearm takes this share of the turn (pronation).
 _PRONATION = 0.75
-#: Share of that turn by which the elbow swings out, about the line from shoulder to wrist.
+#: The elbow swings out by this share of that turn, about the line from shoulder to wrist.
 _SWIVEL = 0.4
-#: Iteration limit of the wrist solver, and its tolerance: the largest change of the hand's axes in the last
-#: step. Each step leaves less than a third of the error.
+#: Most steps of the wrist solver. It stops before if the axes of the hand change by less than the tolerance.
+#: Each step leaves less than a third of the error.
 _STEPS, _FOUND = 16, 1e-7
-#: Passes for bodies with limbs that do not turn exactly as those of the motion: clamped ones, and swing only.
+#: Number of passes for bodies with limbs that do not turn exactly as those of the motion: with limits, or
+#: with swing only.
 _REFINED = 5
 
 
 @dataclass(frozen=True)
 class HandGoal:
-    """Where a hand goes at N times, in ``map``.
+    """Goal of a hand at N times, in ``map``.
 
     Attributes:
         place: Points that the skin of the palm touches, (N, 3).
-        palm: Directions that the palm faces, (N, 3). If None, as the forearm turns it.
-        fingers: Directions of the fingers, (N, 3). If None, along the forearm, or up where the palm allows
-            it.
+        palm: Directions that the palm faces, (N, 3). If None, the palm turns with the forearm.
+        fingers: Directions of the fingers, (N, 3). If None, they are along the forearm, or up if the palm
+            allows it.
     """
 
     place: Array
@@ -62,14 +64,14 @@ class HandGoal:
     fingers: Array | None = None
 
     def in_space(self, space: KeyframeSpace) -> HandGoal:
-        """The same goal in the space that keyframes move."""
+        """Convert the goal to the space that keyframes move."""
         back = np.swapaxes(space.rotation, -1, -2)
         place = rotate(back, self.place - space.position) / space.size[:, None]
         palm, fingers = (None if line is None else rotate(back, line) for line in (self.palm, self.fingers))
         return HandGoal(place, palm, fingers)
 
 
-#: Returns the goal of a hand at scene times (N,); it asks for others by name.
+#: Returns the goal of a hand at scene times (N,). It may ask the query about other humans and objects.
 GoalAt = Callable[[Array, SceneQuery], HandGoal]
 
 
@@ -80,10 +82,10 @@ class Reach:
     Attributes:
         side: The hand.
         start: Scene time at which it leaves the pose of the motion, seconds.
-        end: Scene time at which it is back, seconds; infinite for never.
-        blend: Seconds of the way there, and of the way back.
+        end: Scene time at which it is back, seconds. If infinite, it never goes back.
+        blend: Seconds of the way to the goal, and of the way back.
         goal: The goal over scene time.
-        repeat: Seconds after which it begins again; infinite for once.
+        repeat: Seconds after which the reach begins again. If infinite, it happens once.
     """
 
     side: Literal["left", "right"]
@@ -94,20 +96,21 @@ class Reach:
     repeat: float = np.inf
 
     def shares(self, times: Array) -> Array:
-        """How far (N,) the hand has gone, 0 to 1, with minimum jerk [Flash, Hogan 1985]."""
+        """How far (N,) the hand has gone, from 0 to 1, with minimum jerk [Flash, Hogan 1985]."""
         times = in_round(times, self.start, self.repeat)
         if self.blend == 0:
             return np.where((times >= self.start) & (times <= self.end), 1.0, 0.0)
         return _smoothest((times - self.start) / self.blend) * _smoothest((self.end - times) / self.blend)
 
     def holds(self, times: Array) -> Array:
-        """Those of the times at which the hand is at its goal."""
+        """Return the times at which the hand is at its goal."""
         own = in_round(times, self.start, self.repeat)
         return times[(own >= self.start + self.blend) & (own <= self.end - self.blend)]
 
 
 def in_round(times: Array, start: float, repeat: float) -> Array:
-    """Times (N,) of the first round of what begins at ``start`` and again after each ``repeat`` seconds."""
+    """Convert times (N,) to the first round of an event that begins at ``start`` and again after each
+    ``repeat`` seconds."""
     if not np.isfinite(repeat):
         return times
     return np.where(times < start, times, start + (times - start) % repeat)
@@ -123,7 +126,7 @@ class Palm:
     """A palm in the axes of the bone of its hand.
 
     Attributes:
-        bones: Numbers of the bones of upper arm, forearm and hand.
+        bones: Indices of the bones of upper arm, forearm and hand.
         point: Middle of the skin of the palm, (3,) metres.
         normal: Direction that the palm faces, (3,).
     """
@@ -150,7 +153,8 @@ class Palm:
         return cls((upper, lower, hand), length * (PALM * along + _THICK * normal), normal)
 
     def points(self, posed: Array, size: Array | float = 1.0) -> Array:
-        """Points (N, 3) of the skin of the palm, of posed bones (N, B, 4, 4) of a body with a size (N, 1)."""
+        """Points (N, 3) of the skin of the palm, for posed bones (N, B, 4, 4) of a body with a size (N,
+        1)."""
         frames = posed[:, self.bones[2]]
         return np.asarray(frames[:, :3, 3] + size * rotate(frames[:, :3, :3], self.point))
 
@@ -167,8 +171,8 @@ class ReachingArm:
 
         Args:
             posed: Bone frames (N, B, 4, 4) without the reach.
-            goal: The goal, with a place that is on the way to what is touched.
-            shares: Share of its turn that the hand takes, (N,).
+            goal: The goal. Its place is already on the way to the touched thing.
+            shares: Share of the turn that the hand makes, (N,).
         """
         shoulder, elbow, wrist = (posed[:, bone, :3, 3] for bone in self.palm.bones)
         before = posed[:, self.palm.bones[2], :3, :3]
@@ -191,7 +195,7 @@ class ReachingArm:
 
     @staticmethod
     def _roll(hand: Array, fore: Array, before: Array, forearm: Array) -> Array:
-        """Angle (N, 1), radians, by which a hand is turned about its forearm."""
+        """Angle (N, 1), radians, by which a hand turns about its forearm."""
         turn = _rotation_vectors(hand @ np.swapaxes(fore @ before, -1, -2))
         return np.asarray((turn * unit_vectors(rotate(fore, forearm))).sum(axis=-1, keepdims=True))
 
@@ -216,13 +220,13 @@ def _rotation_vectors(rotations: Array) -> Array:
 
 @dataclass(frozen=True)
 class Reaches:
-    """All reaches of a human: corrections of the poses of its motion; pure functions of time.
+    """All reaches of a human. They correct the poses of its motion, and depend on the time only.
 
     Attributes:
         reaches: The reaches. Those of one hand do not overlap.
         motion: Motion of a file.
         retargeter: Retargeting of the motion onto a skeleton.
-        poses: Poses of the hands meanwhile.
+        poses: Poses of the hands while they reach.
     """
 
     reaches: tuple[Reach, ...]
@@ -231,7 +235,7 @@ class Reaches:
     poses: tuple[ReachingHand, ...] = ()
 
     def __post_init__(self) -> None:
-        assert self.arms  # an arm without wrist is an error now, not while the motion plays
+        assert self.arms  # an arm without a wrist is an error now, not later while the motion plays
 
     @cached_property
     def arms(self) -> dict[str, ReachingArm]:
@@ -245,13 +249,14 @@ class Reaches:
     def apply(
         self, poses: JointPoses, times: Array, others: SceneQuery, space: KeyframeSpace | None = None
     ) -> JointPoses:
-        """Corrected poses, without velocities; the same poses if nobody reaches at these times.
+        """Correct poses. The result has no velocities. If no hand reaches at these times, the poses do not
+        change.
 
         Args:
             poses: Poses of the motion at N times.
             times: Scene times (N,), seconds.
-            others: Knows where humans and objects are.
-            space: Space of the motion that keyframes move, if any.
+            others: Tells where humans and objects are.
+            space: Space of the motion that keyframes move. None if there is no such space.
         """
         active = [(reach, reach.shares(times)) for reach in self.reaches]
         active = [(reach, shares) for reach, shares in active if shares.any()]
@@ -270,7 +275,7 @@ class Reaches:
             place = start + shares[rows, None] * (goal.place - start)
             solved.append((arm, rows, replace(goal, place=place), shares[rows]))
         for number in range(_REFINED if self.retargeter.clamp or self.retargeter.mode == "thesis" else 1):
-            if number:  # the body did not turn its hand, or its limbs, as the motion does
+            if number:  # the body did not turn its hand or its limbs as the motion does
                 now = JointPoses(poses.names, positions, matrix_to_quaternion(rotations))
                 posed = self.retargeter.pose(now)
                 solved = [
@@ -289,13 +294,14 @@ class Reaches:
         others: SceneQuery,
         space: Callable[[Array], KeyframeSpace | None],
     ) -> JointPoses:
-        """A corrected pose (N = 1) with velocities, at a scene time.
+        """Correct a pose (N = 1) with velocities, at a scene time.
 
         Args:
             poses: Pose of the motion with velocities.
             seconds: Scene time.
-            others: Knows where humans and objects are.
-            space: Returns the space of the motion that keyframes move, if any, at times (N,).
+            others: Tells where humans and objects are.
+            space: Returns the space of the motion that keyframes move, at times (N,). None if there is no
+                such space.
         """
         times = seconds + AROUND
         if not any(reach.shares(times).any() for reach in self.reaches):

@@ -1,4 +1,4 @@
-"""Retargeting: joint poses of a motion to bone rotations of a skeleton."""
+"""Retargeting: convert joint poses of a motion to bone rotations of a skeleton."""
 
 from __future__ import annotations
 
@@ -43,19 +43,21 @@ from humansim_ros.motion.soles import sole_heights
 from humansim_ros.motion.world_motion import WorldMotion, floor_height
 from humansim_ros.types import Array, Indices
 
-#: Hands that no key poses.
+#: Hands without any pose from keys.
 NO_HANDS: Mapping[str, Array] = {}
-#: Percentage of the poses, lowest ankles first, in which feet are flat on the floor.
+#: Feet are flat on the floor in this percentage of the poses: those with the lowest ankles.
 _FLAT_PERCENTILE = 20
-#: A hinge axis is known where bends agree this well (length of the mean of unit axes).
+#: The axis of a hinge is known if the axes of bends agree: the mean of the unit axes must be at least this
+#: long.
 _HINGE_AGREEMENT = 0.8
-#: Bones that leave their rest pose as their links do, instead of being parallel to them: in most files these
-#: links rise from the spine to the shoulders at rest.
+#: Bones that leave their rest pose as their links do, instead of being parallel to the links. In most files,
+#: these links rise from the spine to the shoulders at rest.
 COLLARS = ("l_sternoclavicular", "r_sternoclavicular")
-#: Angle (degrees) by which the trunks of body and joints may differ.
+#: The trunks of body and joints may differ by this angle (degrees).
 _TRUNK_TOLERANCE = 13.0
 _TRUNK = ("sacroiliac", "vl5", "vl5_to_l_sternoclavicular", "vl5_to_r_sternoclavicular")
-#: Hinges of elbows and knees: upper and lower bone, axis of a bend forwards and backwards from a T pose.
+#: Hinges of elbows and knees: upper and lower bone, and the axis of a bend. Elbows bend forwards and knees
+#: backwards from a T pose.
 _HINGES = (
     ("l_shoulder", "l_elbow", (0.0, 0.0, -1.0)),
     ("r_shoulder", "r_elbow", (0.0, 0.0, 1.0)),
@@ -65,10 +67,9 @@ _HINGES = (
 
 
 def link_directions_at_rest(poses: JointPoses, match: JointMatch) -> Array:
-    """Directions (P, 3) of the links of ``match.parallel`` at joint rotation zero; zero without length.
-
-    A link rotates with its start joint, so that every pose measures it: the mean over all poses.
-    """
+    """Directions (P, 3) of the links of ``match.parallel`` at joint rotation zero. A link without length has
+    the direction zero. A link rotates with its start joint, so every pose measures the direction. The mean
+    over all poses is used."""
     starts, ends = np.array(list(match.parallel.values())).T
     links = link_vectors(poses.positions, starts, ends)
     length = np.linalg.norm(links, axis=-1, keepdims=True)
@@ -92,7 +93,7 @@ def is_standing_at_rest(poses: JointPoses, match: JointMatch) -> bool:
 
 
 def shared_rest(drivers: BoneDrivers, poses: JointPoses) -> Array:
-    """Bone axes (B, 3, 3) in the rest pose of a motion: bones with a link are parallel to it."""
+    """Bone axes (B, 3, 3) in the rest pose of a motion. Bones with a link are parallel to their link."""
     skeleton, match = drivers.skeleton, drivers.match
     extra = [skeleton.bone(bone) for bone in match.extra]
     directions = dict(zip(match.parallel, link_directions_at_rest(poses, match), strict=True))
@@ -106,10 +107,11 @@ def shared_rest(drivers: BoneDrivers, poses: JointPoses) -> Array:
             rotations[:, [bone]] = swing_onto(inherited[:, [place]], direction[None, None])
             if not direction.any():
                 ends.add(int(bone))
-        # extra bones keep the rotation that they inherit: fingers follow hands that are held elsewhere
+        # extra bones keep the rotation that they inherit, so that fingers follow hands also where hands are
+        # held otherwise
         general = joints.bones[~np.isin(joints.bones, extra)]
         rotations[:, general] = WORLD_FROM_BODY @ skeleton.rest[general, :3, :3]
-        # the direction of the last segment of a finger is unknown: it continues the segment before it
+        # the direction of the last segment of a finger is unknown, so it continues the segment before it
         for bone in ends.intersection(bones.tolist()):
             along = rotations[:, [skeleton.parents[bone]], :, 1]
             rotations[:, [bone]] = swing_onto(rotations[:, [bone]], along)
@@ -117,10 +119,8 @@ def shared_rest(drivers: BoneDrivers, poses: JointPoses) -> Array:
 
 
 def rest_from_first_pose(drivers: BoneDrivers, poses: JointPoses) -> Array:
-    """Bone axes (B, 3, 3) in the axes of their joints, whatever these are.
-
-    In the first pose, the bones are where the shortest rotations put them.
-    """
+    """Bone axes (B, 3, 3) relative to the axes of their joints, for joints with any axes. The first pose
+    defines them: there, the bones are where the shortest rotations put them."""
     skeleton = drivers.skeleton
     by_lines = replace(drivers, extra=False, loose=skeleton.names, rest_links={})
     first = JointPoses(poses.names, poses.positions[:1], poses.rotations[:1])
@@ -150,10 +150,8 @@ def collar_links(
 
 
 def collar_directions(poses: JointPoses, match: JointMatch, loose: Collection[str]) -> dict[str, Array]:
-    """Directions (3,) of the links of the collars at joint rotation zero, in a body that faces +x.
-
-    Directions of ``loose`` bones are the mean directions from the chest.
-    """
+    """Directions (3,) of the links of the collars at joint rotation zero, in a body that faces +x. For
+    ``loose`` bones, the mean directions relative to the chest are used."""
     chest = line_rotations(poses, match)[:, LINE_ROTATIONS.index("chest")]
     at_zero = dict(zip(match.parallel, link_directions_at_rest(poses, match), strict=True))
     out = {}
@@ -166,7 +164,8 @@ def collar_directions(poses: JointPoses, match: JointMatch, loose: Collection[st
 
 
 def align_hinges(drivers: BoneDrivers, rest: Array, poses: JointPoses) -> Array:
-    """``rest`` with upper and lower limbs twisted so that elbows and knees bend about the skeleton's axes."""
+    """Twist upper and lower limbs in ``rest``, so that elbows and knees bend about the axes of the
+    skeleton."""
     skeleton, match = drivers.skeleton, drivers.match
     rest = np.array(rest)
     rotations = quaternion_to_matrix(poses.rotations)
@@ -184,7 +183,7 @@ def align_hinges(drivers: BoneDrivers, rest: Array, poses: JointPoses) -> Array:
             if np.linalg.norm(measured) < least:
                 continue
             at_rest = WORLD_FROM_BODY @ skeleton.rest[index, :3, :3]
-            expected = at_rest.T @ np.array(axis)  # in bone space
+            expected = at_rest.T @ np.array(axis)  # axis in bone space
             actual = rest[index].T @ (measured / np.linalg.norm(measured))
             angle = np.arctan2(*actual[[0, 2]]) - np.arctan2(*expected[[0, 2]])
             c, s = np.cos(angle), np.sin(angle)
@@ -193,10 +192,10 @@ def align_hinges(drivers: BoneDrivers, rest: Array, poses: JointPoses) -> Array:
 
 
 def align_trunk(drivers: BoneDrivers, rest: Array, poses: JointPoses, posed: Array) -> Array:
-    """``rest`` with a trunk that differs from the joints' trunk by a tolerance at most.
+    """Correct ``rest``, so that the trunk differs from the trunk of the joints by a tolerance at most.
 
-    Skeletons place the shoulders a little in front of the hips or behind them, and a body keeps its own
-    proportions. A larger difference is the posture of the person.
+    Skeletons differ a little: their shoulders are in front of the hips or behind the hips. The body keeps
+    such a small difference. A larger difference is the posture of the person, so it is corrected.
 
     Args:
         drivers: Drivers of the bones.
@@ -222,14 +221,15 @@ def align_trunk(drivers: BoneDrivers, rest: Array, poses: JointPoses, posed: Arr
 
 
 def trunk_turns(trunks: Array, spines: Array, goals: Array) -> Array:
-    """Rotations (N, 3, 3) of the spine with which the trunk differs from a goal by the tolerance at most.
+    """Rotations (N, 3, 3) of the spine, so that the trunk differs from a goal by the tolerance at most.
 
-    In a deep bend, joints with few links between hips and shoulders bend at other heights than the bones.
+    This is needed for deep bends: if there are few links between hips and shoulders, the joints bend at other
+    heights than the bones.
 
     Args:
-        trunks: Middle of the hips to the middle of the shoulders, (N, 3).
+        trunks: Vectors from the middle of the hips to the middle of the shoulders, (N, 3).
         spines: The part of the trunk that rotates, (N, 3).
-        goals: Trunk of the joints, (N, 3).
+        goals: The same vectors for the joints, (N, 3).
     """
     ours, theirs = unit_vectors(trunks), unit_vectors(goals)
     excess = np.maximum(angle_between(ours, theirs) - np.radians(_TRUNK_TOLERANCE), 0.0)
@@ -237,7 +237,7 @@ def trunk_turns(trunks: Array, spines: Array, goals: Array) -> Array:
         return np.broadcast_to(np.eye(3), (len(trunks), 3, 3))
     lean = rotation_vector_to_matrix(excess[:, None] * unit_vectors(np.cross(ours, theirs)))
     along = rotate(lean, ours)
-    # the rest of the trunk stays: rest + turn @ spine is parallel to ``along``
+    # the other part of the trunk keeps its direction: rest + turn @ spine is parallel to ``along``
     rest = trunks - spines
     offset = (rest * along).sum(-1)
     length = (spines**2).sum(-1) - (rest**2).sum(-1) + offset**2
@@ -248,7 +248,8 @@ def trunk_turns(trunks: Array, spines: Array, goals: Array) -> Array:
 
 
 def align_feet(drivers: BoneDrivers, rest: Array, poses: JointPoses) -> Array:
-    """``rest`` with feet flat, and along the links from ankle to toe, in the poses with the lowest ankles."""
+    """Correct ``rest``, so that feet are flat and along the links from ankle to toe, in the poses with the
+    lowest ankles."""
     skeleton, match = drivers.skeleton, drivers.match
     rest = np.array(rest)
     rotations = quaternion_to_matrix(poses.rotations)
@@ -267,18 +268,19 @@ def align_feet(drivers: BoneDrivers, rest: Array, poses: JointPoses) -> Array:
         before = rest[index]
         rest[index] = swing_onto(before[None, None], in_joint[None, None])[0, 0]
         toes = f"{bone[:2]}metatarsal"
-        if toes in match.extra:  # they stay where they are in the foot
+        if toes in match.extra:  # these toes keep their direction in the foot
             rest[skeleton.bone(toes)] = rest[index] @ before.T @ rest[skeleton.bone(toes)]
     return rest
 
 
 RetargetMode = Literal["full", "thesis"]
-#: Measure of the scale of the root's movement: ankle-to-head height [thesis §7.2], or length of the legs.
+#: Measure for the scale of the movement of the root: ankle-to-head height [thesis §7.2], or length of the
+#: legs.
 RootScale = Literal["height", "legs"]
 
-#: Largest height of the lowest joint of a standing person above the floor, metres.
+#: If a person stands, the lowest joint is at most this high above the floor, metres.
 _LOWEST_JOINT = 0.15
-#: Most poses from which a retargeter is fitted.
+#: Most poses that are used to fit a retargeter.
 _MAX_FITTED = 400
 
 
@@ -306,14 +308,14 @@ class _Constants(BaseModel):
 
 @dataclass(frozen=True)
 class Retargeter:
-    """Computes poses of a skeleton from joint poses in ``map``. It holds constants only.
+    """Computes poses of a skeleton from joint poses in ``map``. It holds only constants.
 
-    The middle of the hips follows the motion's hips, scaled by ``scale`` about ``origin`` and raised by
-    ``lift``.
+    The middle of the hips follows the hips of the motion. This movement is scaled by ``scale`` about
+    ``origin`` and raised by ``lift``.
 
     Attributes:
         skeleton: Skeleton to be posed.
-        match: Joints that drive its bones.
+        match: Joints that drive the bones of the skeleton.
         scale: Scale of the root's movement.
         origin: Fixed point (x, y) of the scale on the floor, metres.
         lift: Metres by which the body is raised.
@@ -322,12 +324,12 @@ class Retargeter:
             link is rotated onto it by the shortest way from the rotation that it inherits (swing only); other
             bones take the rotation of their joint [thesis §7.2].
         rest: (B, 3, 3) axes of the bones at joint rotation zero, for ``full``.
-        positions_only: Do not use the rotations of the joints.
-        clamp: Keep joints within their limits (docs/limits.md).
+        positions_only: Whether to ignore the rotations of the joints.
+        clamp: Whether to keep joints within their limits (docs/limits.md).
         loose: Bones with joints that do not rotate as the lines between joints do, for ``full``. The
             rotations of these joints are not used.
-        rest_links: Bone -> direction of its link at rest, in the axes of the bone at rest. A bone of these, a
-            collar, leaves its rest pose as its link does, instead of being parallel to it.
+        rest_links: Bone -> direction of its link at rest, in the axes of the bone at rest. Such a bone (a
+            collar) leaves its rest pose as its link does, instead of being parallel to the link.
     """
 
     skeleton: Skeleton
@@ -351,15 +353,17 @@ class Retargeter:
         root_scale: RootScale | float | None = None,
         clamp: bool = False,
     ) -> Retargeter:
-        """Fit to a motion: shared rest pose, scale, and lift that puts the lowest sole on the floor.
+        """Fit to a motion. This finds a shared rest pose, the scale, and a lift that puts the lowest sole on
+        the floor.
 
         Args:
             motion: Motion in ``map``.
             skeleton: Skeleton to be posed.
             mode: Whole rotations (``full``), or swing only (``thesis``).
-            root_scale: Measure of the scale, or the scale itself. None: ``legs``, with which feet slide
-                least; ``height`` in mode ``thesis``.
-            clamp: Keep joints within their limits.
+            root_scale: Measure of the scale, or the scale itself. If None, ``legs``, since feet then slide
+                least. In mode ``thesis``, ``height``.
+
+            clamp: Whether to keep joints within their limits.
         """
         if root_scale is None:
             root_scale = "legs" if mode == "full" else "height"
@@ -376,7 +380,8 @@ class Retargeter:
             drivers = BoneDrivers(skeleton, match, loose=loose)
             rest = shared_rest(drivers, poses)
             if not motion.frame.offsets_stand:
-                # a rest pose that is a frame of the motion has unknown twist: hinges and feet measure it
+                # the twist is unknown if the rest pose is a frame of the motion, so hinges and feet measure
+                # the twist
                 rest = align_feet(drivers, align_hinges(drivers, rest, poses), poses)
             links = collar_links(skeleton, collar_directions(poses, match, loose))
             fitted = replace(fitted, rest=rest, loose=loose, rest_links=links)
@@ -388,10 +393,10 @@ class Retargeter:
     def fit_live(cls, poses: JointPoses, match: JointMatch, skeleton: Skeleton) -> Retargeter:
         """Fit to some poses (N >= 1) of a live source, with the floor at z = 0.
 
-        Rotations may count from a standing rest pose that faces +x, as in the motion player, or from
-        any constant rest pose; the first pose then shows it. Without rotations (all zero, or all the same)
-        bones follow links only, and the trunk follows hips and shoulders. The ratio of the legs is
-        the scale about the origin of ``map``.
+        Rotations may be relative to a standing rest pose that faces +x, as from the motion player. They may
+        also be relative to any constant rest pose, which the first pose then shows. If all rotations are zero
+        or the same, bones follow only their links, and the trunk follows hips and shoulders. The scale is the
+        ratio of the lengths of the legs, about the origin of ``map``.
 
         Raises:
             MotionError: The legs have no length.
@@ -410,16 +415,18 @@ class Retargeter:
             links = collar_directions(poses, match, COLLARS)
         fitted = replace(fitted, rest_links=collar_links(skeleton, links))
         lowest = sole_heights(skeleton, fitted.pose(poses)).min(-1)
-        # a person who starts with a jump is in the air, not on the floor
+        # a person who jumps in the first pose is in the air, not on the floor
         above = np.maximum(poses.positions[..., 2].min(-1) - _LOWEST_JOINT, 0.0)
         return fitted._with(lift=-floor_height(lowest - scale * above))
 
     def placed_about(self, x: float, y: float) -> Retargeter:
-        """The same retargeter, which scales the movement of the root about another point of the floor."""
+        """Return the same retargeter with another point of the floor about which it scales the movement of
+        the root."""
         return self._with(origin=(float(x), float(y)))
 
     def _with(self, **changes: Any) -> Retargeter:
-        """The same retargeter with changes of what its drivers do not depend on: they are built once."""
+        """Return the same retargeter with changes that do not concern its drivers, so that these need not be
+        built again."""
         changed = replace(self, **changes)
         for name in ("_drivers", "_limits", "_free_fingers"):
             if name in self.__dict__:
@@ -427,14 +434,14 @@ class Retargeter:
         return changed
 
     def to_dict(self) -> dict[str, Any]:
-        """All constants but the skeleton, as JSON types, for :meth:`from_dict`."""
+        """Return all constants except the skeleton, as JSON types for :meth:`from_dict`."""
         rest = None if self.rest is None else self.rest.tolist()
         values = {**vars(self.match), "own": self.match.extra, **vars(self), "rest": rest}
         return _Constants.model_validate(values).model_dump(mode="json")
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], skeleton: Skeleton) -> Retargeter:
-        """The retargeter of :meth:`to_dict`.
+        """Make the retargeter again from the result of :meth:`to_dict`.
 
         Raises:
             MotionError: The constants are incomplete or belong to another skeleton.
@@ -442,7 +449,7 @@ class Retargeter:
         try:
             read = _Constants.model_validate(data)
             rest = None if read.rest is None else np.array(read.rest)
-        except ValueError as reason:  # of pydantic, or of rows of several lengths
+        except ValueError as reason:  # comes from pydantic, or from rows of different lengths
             why = " ".join(str(reason).splitlines()[1:3]) or reason
             raise MotionError(f"these are not the constants of a retargeter: {why}") from None
         fits = rest is None or (rest.shape == (len(skeleton), 3, 3) and are_rotations(rest))
@@ -462,10 +469,8 @@ class Retargeter:
 
     def apply(self, poses: JointPoses, hands: Mapping[str, Array] = NO_HANDS) -> tuple[Array, Array]:
         """Bone rotations (N, B, 4) xyzw in bone space, and transforms (N, 4, 4) from body space to ``map``.
-
         ``skeleton.pose(*apply(poses))`` equals :meth:`pose`. ``hands``: finger bone -> rotation (N, 4) xyzw
-        in bone space, of bones that take it whatever the motion or the arm does.
-        """
+        in bone space. These bones take this rotation, whatever the motion or the arm does."""
         rotations, _, translation = self._solve(poses, hands)
         local = self.skeleton.rest_in_parent[:, :3, :3]
         parents = self.skeleton.parents
@@ -476,17 +481,15 @@ class Retargeter:
         return in_bone, transform(WORLD_FROM_BODY, translation)
 
     def pose(self, poses: JointPoses, hands: Mapping[str, Array] = NO_HANDS) -> Array:
-        """Posed bone frames (N, B, 4, 4) in ``map``; ``hands`` as in :meth:`apply`."""
+        """Posed bone frames (N, B, 4, 4) in ``map``. ``hands`` is the same as in :meth:`apply`."""
         if self.clamp:
             return self.skeleton.pose(*self.apply(poses, hands))
         rotations, heads, translation = self._solve(poses, hands)
         return transform(rotations, heads + translation[:, None])
 
     def _solve(self, poses: JointPoses, hands: Mapping[str, Array]) -> tuple[Array, Array, Array]:
-        """Bone rotations (N, B, 3, 3) and heads (N, B, 3) of an unplaced body in ``map`` axes.
-
-        The third value is the translation (N, 3) that places the body.
-        """
+        """Rotations (N, B, 3, 3) and heads (N, B, 3) of the bones, in ``map`` axes, before the body is
+        placed. The third value is the translation (N, 3) that places the body."""
         joint_rotations = quaternion_to_matrix(poses.rotations)
         if self._drivers.loose:
             joint_rotations = np.append(joint_rotations, line_rotations(poses, self.match), axis=1)
@@ -513,7 +516,8 @@ class Retargeter:
         return heads
 
     def _with_trunk(self, rotations: Array, heads: Array, poses: JointPoses) -> tuple[Array, Array]:
-        """Rotations (N, B, 3, 3) and heads (N, B, 3) with a spine that follows the trunk of the joints."""
+        """Correct rotations (N, B, 3, 3) and heads (N, B, 3), so that the spine follows the trunk of the
+        joints."""
         if not {"LeftShoulder", "RightShoulder"} <= self.match.roles.keys():
             return rotations, heads
         ours = BodyLines.of_body(transform(rotations, heads), self.skeleton)
@@ -562,7 +566,8 @@ class Retargeter:
 
 
 def skeleton_ankle_to_head(skeleton: Skeleton) -> float:
-    """Ankle-to-head height of a skeleton along its bones, metres, to compare with a motion's height."""
+    """Ankle-to-head height of a skeleton along its bones, metres. It is compared with the height of a
+    motion."""
 
     def lengths(*names: str) -> float:
         return float(sum(skeleton.lengths[skeleton.bone(name)] for name in names))
@@ -586,10 +591,8 @@ def _root_scale(
 
 
 def _leg_scale(poses: JointPoses, match: JointMatch, skeleton: Skeleton) -> float:
-    """Ratio of the leg lengths of the skeleton and of the joints (median over the poses).
-
-    Legs go from hip to ankle, or to the knee where the ankle is unknown.
-    """
+    """Ratio of the leg lengths of the skeleton and of the joints (median over the poses). Legs go from hip to
+    ankle. If the ankle is unknown, they go to the knee."""
     bones, links = 0.0, np.zeros(len(poses.positions))
     for side, prefix in (("Left", "l"), ("Right", "r")):
         for start, end, bone in (("Hip", "Knee", "hip"), ("Knee", "Ankle", "knee")):

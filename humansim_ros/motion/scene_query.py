@@ -1,4 +1,5 @@
-"""What a motion may ask of the others in its scene: by name, at any times, up to a stage of their poses."""
+"""Questions that a motion may ask about other humans, objects and cameras of its scene, by name and at any
+times."""
 
 from __future__ import annotations
 
@@ -12,27 +13,25 @@ from humansim_ros.types import Array
 
 
 class PoseStage(IntEnum):
-    """Steps in which the pose of a human is made, in their order (docs/data_model.md)."""
+    """Steps that make the pose of a human, in this order (docs/data_model.md)."""
 
     MOTION, FLOOR, ARMS, SPACE, FINGERS, HEAD, EYES, FACE, CLOTH = range(9)
 
 
-#: Stages of joints without the rotations of fingers, head and eyes.
+#: Stages for joints without the rotations of fingers, head and eyes.
 BODY = frozenset({PoseStage.MOTION, PoseStage.FLOOR, PoseStage.ARMS, PoseStage.SPACE})
-#: The same with the arms as the motion has them.
+#: The same stages, but with the arms of the motion: no reaches.
 WITHOUT_REACH = BODY - {PoseStage.ARMS}
 
 
 class SceneQuery(Protocol):
-    """Humans, objects and cameras of a scene by name, as they are now.
-
-    No answer depends on itself: a head turns to eyes before their head turns, and hands that meet do so
-    between two arms without reach.
-    """
+    """Tells where humans, objects and cameras of a scene are, by name, with the present content of the scene.
+    No answer depends on itself. If two people look at each other, each turns to the place of the other's eyes
+    before the other head turns. If two hands meet, they meet between the arms as they are without a reach."""
 
     @property
     def version(self) -> int:
-        """Number of changes so far: answers from before the last change are out of date."""
+        """Number of changes of the scene so far. Answers from before the last change are out of date."""
 
     def is_human(self, name: str) -> bool:
         """Whether a human has this name."""
@@ -41,10 +40,8 @@ class SceneQuery(Protocol):
         """Frames (N, J, 4, 4) of the joints of a human at scene times (N,). The array is shared."""
 
     def eyes(self, human: str, times: Array, turned: bool) -> Array:
-        """Points (N, 3) between the eyes of a human at scene times (N,).
-
-        ``turned``: with the turn of the head to what the human looks at.
-        """
+        """Points (N, 3) between the eyes of a human at scene times (N,). ``turned``: whether the head is
+        turned to the target that the human looks at."""
 
     def skeleton(self, human: str) -> Skeleton:
         """Skeleton of a human."""

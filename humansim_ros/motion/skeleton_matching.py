@@ -1,7 +1,7 @@
 """Match joints by the shape of the skeleton: tree, link lengths and symmetry, without names.
 
 Lengths along the tree do not depend on the pose. A person has two equal legs at one joint, two equal arms at
-another, and a head near the arms. Only left and right need a pose, where names do not give them.
+another joint, and a head near the arms. Only left and right may need a pose: if names do not show the sides.
 """
 
 from __future__ import annotations
@@ -19,17 +19,18 @@ from humansim_ros.motion.joint_tables import JointTable
 from humansim_ros.motion.kinematics import Motion
 from humansim_ros.types import Array
 
-#: Two branches are a pair if their lengths differ by at most this share.
+#: Two branches are a pair if their lengths differ by this share at most.
 _PAIR_TOLERANCE = 0.12
-#: Most branches of one joint, the longest, and most pairs of the body that are compared with a person's.
+#: Most branches of a joint (the longest ones), and most pairs of branches that are compared with those of a
+#: person.
 _MAX_BRANCHES, _MAX_PAIRS = 30, 60
-#: Standard deviation of the length of a bone, as a share of it.
+#: Standard deviation of the measured length of a bone, as a share of the length.
 _BONE_VARIATION = 0.01
 
 
 @dataclass(frozen=True)
 class BranchPair:
-    """Two similar branches of a joint: their first joints, and the length of the longer."""
+    """Two similar branches of a joint: the first joints of both, and the length of the longer branch."""
 
     joint: int
     branches: tuple[int, int]
@@ -38,7 +39,7 @@ class BranchPair:
 
 
 class JointTree:
-    """Joint tree of a motion, with link lengths and the longest chain below each joint."""
+    """Tree of the joints of a motion, with the lengths of links and the longest chain below each joint."""
 
     def __init__(self, motion: Motion) -> None:
         self.names = motion.joint_names
@@ -52,10 +53,10 @@ class JointTree:
         for joint, parent in enumerate(self.parents.tolist()):
             if parent >= 0:
                 self.children[parent].append(joint)
-        #: Longest way from a joint's parent through the joint to a leaf.
+        #: Longest way from the parent of a joint through the joint to a leaf.
         self.reach = self.links.copy()
         self.next = np.full(count, -1)
-        for joint in range(count - 1, -1, -1):  # children come after parents
+        for joint in range(count - 1, -1, -1):  # children come after their parents
             if self.children[joint]:
                 farthest = max(self.children[joint], key=lambda child: self.reach[child])
                 self.reach[joint] += self.reach[farthest]
@@ -63,7 +64,8 @@ class JointTree:
         self.size = float(self.reach.max(initial=0.0))
 
     def stiffness(self, a: int, b: int) -> float:
-        """1 where the distance of two joints is constant, as along a bone; less where a joint bends."""
+        """1 if the distance between two joints is constant, as along a bone. Less if a joint between them
+        bends."""
         if int(self.parents[b]) == a:
             return 1.0
         distance = np.linalg.norm(self.points[:, a] - self.points[:, b], axis=-1)
@@ -84,7 +86,8 @@ class JointTree:
         return out
 
     def pairs(self) -> list[BranchPair]:
-        """All pairs of similar long branches of one joint, or of joints without length between them."""
+        """All pairs of similar long branches of one joint. Joints with no distance between them count as
+        one."""
         pairs = []
         for joint in range(len(self.parents)):
             branches = [child for child in self._branches(joint) if self.reach[child] > 0.15 * self.size]
@@ -98,7 +101,8 @@ class JointTree:
         return pairs
 
     def _branches(self, joint: int) -> Iterator[int]:
-        """Children; of a child without length also its children, which start at the same place."""
+        """Children of a joint. If a child has no length, also the children of the child, since they start at
+        the same place."""
         for child in self.children[joint]:
             yield child
             if self.links[child] < 1e-3 * self.size and len(self.children[child]) > 1:
@@ -109,9 +113,10 @@ class JointTree:
 _LEG, _ARM = np.array([0.43, 0.41, 0.16]), np.array([0.42, 0.36, 0.22])
 #: Length of an arm, and of neck and head, as shares of the length of a leg.
 _ARM_BY_LEG, _HEAD_BY_LEG = 0.72, 0.28
-#: A joint with this number of children is a hand, a foot or a head with fingers, toes or parts of a face.
+#: A joint with at least this number of children is a hand, a foot or a head, with fingers, toes or parts of a
+#: face.
 _MANY_CHILDREN = 3
-#: Factor of the likelihood of a limb that does not end at its hand or foot.
+#: The likelihood of a limb is multiplied by this value if the limb does not end at its hand or foot.
 _WRONG_END = 0.2
 _HAND = re.compile(r"hand|wrist", re.IGNORECASE)
 _FOOT = re.compile(r"foot|ankle", re.IGNORECASE)
@@ -122,7 +127,7 @@ _RIGHT = re.compile(r"right|(?<![a-z])r(?=[_. -])|(?<=[_. :-])r(?![a-z])", re.IG
 
 @dataclass(frozen=True)
 class _Limb:
-    """Collar, three main joints and tip of a limb, and its likelihood (0 to 1)."""
+    """Collar, three main joints and tip of a limb, and the likelihood of the limb (0 to 1)."""
 
     collar: int | None
     joints: tuple[int, int, int]
@@ -131,9 +136,9 @@ class _Limb:
 
 
 def match_shape(motion: Motion, min_confidence: float = MIN_CONFIDENCE) -> JointMatch | None:
-    """Match the joints of a person by the shape of the skeleton; None if the motion has no person.
+    """Match the joints of a person by the shape of the skeleton. None if the motion has no person.
 
-    A motion has no person if the similarity to one is below ``min_confidence``.
+    A motion has no person if its similarity to a person is below ``min_confidence``.
 
     ``confidence`` is the similarity to a person. It is lower where left and right are uncertain.
     """
@@ -153,13 +158,13 @@ def match_shape(motion: Motion, min_confidence: float = MIN_CONFIDENCE) -> Joint
     )
     if not match.complete:
         return None
-    # uncertain sides alone refuse nobody
+    # a motion is not refused only because its sides are uncertain
     confidence = round(min(1.0, max(float(likelihood * side_confidence), min(likelihood, MIN_CONFIDENCE))), 3)
     return replace(match, by="shape", confidence=confidence)
 
 
 def _limb_pairs(tree: JointTree) -> Iterator[tuple[BranchPair, BranchPair]]:
-    """Candidates for legs and arms: two pairs of branches that share no joint."""
+    """Candidates for legs and arms: two pairs of branches that have no joint in common."""
     pairs = sorted(tree.pairs(), key=lambda pair: -pair.length)[:_MAX_PAIRS]
     above = [{joint for start in (p.joint, *p.branches) for joint in tree.path(start)[1:]} for p in pairs]
     for legs, above_legs in zip(pairs, above, strict=True):
@@ -176,7 +181,8 @@ def _limb_pairs(tree: JointTree) -> Iterator[tuple[BranchPair, BranchPair]]:
 
 
 def _person(tree: JointTree, legs: BranchPair, arms: BranchPair) -> tuple[float, dict[str, int]] | None:
-    """Likelihood of a person with these legs and arms, and the roles of its joints; sides are arbitrary."""
+    """Likelihood of a person with these legs and arms, and the roles of the joints. Left and right are not
+    decided yet."""
     leg_limbs, arm_limbs = _limbs(tree, legs, _LEG, 1.05, _FOOT), _limbs(tree, arms, _ARM, 1.2, _HAND)
     if leg_limbs is None or arm_limbs is None:
         return None
@@ -204,7 +210,7 @@ def _person(tree: JointTree, legs: BranchPair, arms: BranchPair) -> tuple[float,
     trunk = _path_between(tree, legs.joint, arms.joint)
     if trunk is None:
         return None
-    # from the joint above both hips and trunk to the arms
+    # from the last common joint of hips and trunk up to the arms
     spine = trunk[trunk.index(_topmost(tree, trunk)) + 1 :]
     if spine:
         roles["Spine"], roles["Chest"] = spine[0], spine[-1]
@@ -227,12 +233,14 @@ def _person(tree: JointTree, legs: BranchPair, arms: BranchPair) -> tuple[float,
 
 
 def _similarity(ratio: float, typical: float, spread: float) -> float:
-    """1 for a typical ratio, lower with the logarithm of the deviation."""
+    """Similarity of a ratio to a typical one. It is 1 if both are equal, and falls with the logarithm of the
+    deviation."""
     return float(np.exp(-0.5 * (np.log(max(ratio, 1e-9) / typical) / spread) ** 2))
 
 
 def _end_of_chain(tree: JointTree, chain: list[int], called: re.Pattern[str], from_place: int) -> int | None:
-    """Place in a chain, from a place on, of the hand, foot or head by its name or its children, if any."""
+    """Place of the hand, foot or head in a chain, from ``from_place`` on, by its name or its children. None
+    if not found."""
     places = range(from_place, len(chain))
     for place in places:
         if tree.children[chain[place]] and called.search(tree.names[chain[place]]):
@@ -243,7 +251,8 @@ def _end_of_chain(tree: JointTree, chain: list[int], called: re.Pattern[str], fr
 def _limbs(
     tree: JointTree, pair: BranchPair, typical: Array, above: float, end: re.Pattern[str]
 ) -> tuple[_Limb, _Limb] | None:
-    """The most likely three joints of each of two limbs; the same places where both chains are equally long.
+    """Find the most likely three joints of both limbs. If the chains are equally long, both have the same
+    places.
 
     Args:
         tree: Joint tree.
@@ -283,10 +292,8 @@ def _limbs(
 def _joint_triples(
     tree: JointTree, chain: list[int], typical: Array, above: float, end: re.Pattern[str]
 ) -> dict[tuple[int, int, int], float]:
-    """Places of three joints in a chain -> likelihood (0 to 1) that the joints form a limb.
-
-    Parameters as in :func:`_limbs`.
-    """
+    """For places of three joints in a chain, the likelihood (0 to 1) that these joints form a limb. The
+    parameters are the same as in :func:`_limbs`."""
     last = _end_of_chain(tree, chain, end, from_place=2)
     along = np.cumsum([tree.links[joint] for joint in chain])
     likelihoods = {}
@@ -301,7 +308,7 @@ def _joint_triples(
             likelihood *= 0.5
         likelihood *= _similarity(1 + (along[i] - along[0]) / (upper + lower), above, 0.25)
         likelihood *= tree.stiffness(chain[i], chain[j]) * tree.stiffness(chain[j], chain[k])
-        # a limb ends in a joint, not in an end site; few skeletons have joints within a bone
+        # a limb ends in a joint, not in an end site. Few skeletons have joints in the middle of a bone
         likelihood *= 1.0 if tree.children[chain[k]] else 0.6
         skipped = sum(tree.links[chain[m]] > 0.08 * (upper + lower) for m in range(i + 1, k) if m != j)
         likelihood *= 1.0 if last in (None, k) else _WRONG_END
@@ -310,13 +317,13 @@ def _joint_triples(
 
 
 def _collar(tree: JointTree, chain: list[int], place: int) -> int | None:
-    """Last joint of a chain before a place that is not at the same position."""
+    """Last joint before a place in a chain that has a different position."""
     inner = [chain[m] for m in range(place) if tree.links[chain[m + 1]] > 1e-3 * tree.size]
     return inner[-1] if inner else None
 
 
 def _tip(tree: JointTree, chain: list[int], place: int) -> int | None:
-    """First joint of a chain after a place that is not at the same position."""
+    """First joint after a place in a chain that has a different position."""
     for joint in chain[place + 1 :]:
         if tree.links[joint] > 0.005 * tree.size:
             return joint
@@ -324,7 +331,7 @@ def _tip(tree: JointTree, chain: list[int], place: int) -> int | None:
 
 
 def _path_between(tree: JointTree, a: int, b: int) -> list[int] | None:
-    """Joints from a to b along the tree; None if they are in different trees."""
+    """Joints from a to b along the tree. None if a and b are in different trees."""
     up_a, up_b = tree.path(a), tree.path(b)
     common = next((joint for joint in up_a if joint in up_b), None)
     if common is None:
@@ -333,12 +340,12 @@ def _path_between(tree: JointTree, a: int, b: int) -> list[int] | None:
 
 
 def _topmost(tree: JointTree, joints: list[int]) -> int:
-    """The ancestor of all other joints of a path."""
+    """Joint of a path that is the ancestor of all its other joints."""
     return next(joint for joint in joints if int(tree.parents[joint]) not in joints)
 
 
 def _head(tree: JointTree, legs: BranchPair, arms: BranchPair, trunk: list[int]) -> list[int] | None:
-    """Chain of neck and head: the longest remaining branch at the joint of the arms or its parent."""
+    """Chain of neck and head: the longest branch left over at the joint of the arms or at its parent."""
     used = {*legs.branches, *arms.branches, *trunk}
     near = [arms.joint, *tree.path(arms.joint)[1:2]]
     near = [joint for joint in near if joint != legs.joint or joint == arms.joint]
@@ -353,7 +360,8 @@ def _head(tree: JointTree, legs: BranchPair, arms: BranchPair, trunk: list[int])
 
 
 def _assign_sides(motion: Motion, roles: dict[str, int]) -> tuple[dict[str, int], float]:
-    """Roles with left and right by names, or else by the direction of the feet; and the confidence."""
+    """Give the roles left and right, by names or else by the direction of the feet. Also returns the
+    confidence."""
 
     def named_side(part: str) -> int:
         """1 if the names agree with left and right, -1 if they are swapped, 0 if they do not tell."""
@@ -366,7 +374,7 @@ def _assign_sides(motion: Motion, roles: dict[str, int]) -> tuple[dict[str, int]
     if not legs:
         legs, confidence = _posed_side(motion, roles, "Hip"), 0.75
     if not arms:
-        # as they are above the hips
+        # arms get the sides of the hips that are below them
         arms, confidence = legs * _shoulders_above_hips(motion, roles), min(confidence, 0.9)
     out = dict(roles)
     for swapped, parts in (
@@ -390,7 +398,7 @@ def _sampled_positions(motion: Motion) -> Array:
 
 
 def _posed_side(motion: Motion, roles: dict[str, int], part: str) -> int:
-    """1 if left is left of the direction of feet and knees, seen from above; else -1."""
+    """1 if the left side is on the left of the direction of feet and knees, seen from above. Else -1."""
     points = _sampled_positions(motion)
     head = points[:, roles.get("Head", roles["Chest"])]
     ankles = (points[:, roles["LeftAnkle"]] + points[:, roles["RightAnkle"]]) / 2

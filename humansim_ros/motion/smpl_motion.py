@@ -1,7 +1,8 @@
-"""Poses of SMPL, SMPL+H and SMPL-X of AMASS and of programs that estimate them [Loper 2015, Mahmood 2019].
+"""Poses of SMPL, SMPL+H and SMPL-X from AMASS and from programs that estimate them [Loper 2015, Mahmood
+2019].
 
-A file has rotations, not the body: the joints have the places of a mean person, whose size follows from the
-steps (docs/motion.md).
+A file has rotations, but no body. So the joints have the places of a mean person. The size of this person
+follows from the length of the steps (docs/motion.md).
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ from humansim_ros.motion.kinematics import Motion, motion_of_rotations
 from humansim_ros.motion.smpl_people import people_of
 from humansim_ros.types import Array
 
-#: Arrays of rotations: all joints together, the best first, or the parts in order with what may be absent.
+#: Arrays of rotations. Either one array has all joints (the best names come first), or each part has its
+#: own array. Arrays of some parts may be missing.
 _POSES = ("pose_world", "poses", "fullpose", "smpl_poses", "pose_aa", "pred_rotmat", "pose")
 _PARTS = (
     ("root_orient", "global_orient", "poses_root"),
@@ -37,7 +39,7 @@ _PARTS = (
     ("pose_hand", "left_hand_pose"),
     ("right_hand_pose",),
 )
-#: Numbers of a frame of the body of SMPL+H and SMPL-X, and of the parts of face and hands.
+#: Number of values in a frame for the body of SMPL+H and SMPL-X, and for the parts of face and hands.
 _BODY = 63
 _WIDTHS = {
     **dict.fromkeys(("pose_jaw", "jaw_pose", "leye_pose", "reye_pose"), 3),
@@ -45,7 +47,7 @@ _WIDTHS = {
     "pose_eye": 6,
     "pose_hand": 90,
 }
-#: What these parts contain.
+#: Arrays that these parts combine.
 _HALVES: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("pose_jaw", "jaw_pose"), ("jaw",)),
     "pose_eye": ("left_eye", "right_eye"),
@@ -55,7 +57,7 @@ _HALVES: dict[str, tuple[str, ...]] = {
     "left_hand_pose": ("left_hand",),
     "right_hand_pose": ("right_hand",),
 }
-#: Places of the person, by the rotations that they belong to.
+#: Array of rotations -> arrays with the places of the person.
 _PLACES = {"pose_world": ("trans_world",), "pred_rotmat": ("pred_trans",)}
 _USUAL_PLACES = ("trans", "transl", "smpl_trans", "global_t", "trans_orig")
 _RATES = ("mocap_frame_rate", "mocap_framerate", "fps", "frame_rate", "framerate")
@@ -65,33 +67,34 @@ _KNOWN = (
     *(*_USUAL_PLACES, *(name for names in _PLACES.values() for name in names), *_RATES, *_BETAS),
     *("smpl_scaling", "frame_ids", "frame"),
 )
-#: Rotations in the axes of a camera.
+#: Arrays with rotations in the axes of a camera.
 _OF_CAMERA = ("pose", "pred_rotmat")
-#: Frames per second of a file that does not state them; of AIST++; of HumanML3D.
+#: Frames per second: of a file that does not state it, of AIST++, of HumanML3D.
 _RATE, _AIST_RATE, _JOINTS_RATE = 30.0, 60.0, 20.0
-#: Most frames of a track that are missing, as a multiple of those that are there.
+#: A track may lack at most this number of frames for each frame that it has.
 _MOST_MISSING = 10
-#: Most rotations of a file, and largest number.
+#: Most rotations of a file, and largest number in a file.
 _MAX_ROTATIONS, _LARGEST = 20_000_000, 1e4
-#: Most frames that are repaired, as a share of all.
+#: Most frames that are repaired, as a share of all frames.
 _MOST_WRONG = 0.01
-#: Steps show the size of a person who walks this far (metres), faster than this (metres per second); the foot
-#: on the floor may slide by this share of the speed. Sizes are multiples of the mean person's.
+#: The steps of a person show the size if the person walks farther than the first value (metres) and faster
+#: than the second (metres per second). The foot on the floor may slide by the third value, as a share of the
+#: speed. The last values are the limits of the size, as a multiple of the mean person.
 _LEAST_WAY, _LEAST_SPEED, _MOST_SLIDING = 1.0, 0.3, 0.25
 _SIZES = (0.6, 1.45)
-#: Stature of the mean person below, metres.
+#: Stature of the mean person, metres.
 _STATURE = 1.7
-#: Betas that a warning shows: the first ones matter most.
+#: A warning shows this number of betas. The first ones matter most.
 _SHOWN_BETAS = 10
 
-#: Place of the top of the head from the head, metres. All joints of SMPL are in config/smpl_person.json, from
-#: their parents at rest: a mean person of 1.7 m in a T pose, y up, facing +z, +x to the left. Round numbers,
-#: not those of a model.
+#: Position of the top of the head relative to the head joint, metres. config/smpl_person.json has all joints
+#: of SMPL, relative to their parents at rest: a mean person of 1.7 m in a T pose, y up, facing +z, +x to the
+#: left. These are round numbers, not those of a model.
 _HEAD_TOP = (0.0, 0.18, 0.0)
 
 
 def is_smpl_motion(path: str | os.PathLike[str]) -> bool:
-    """Whether an archive has poses; False if it cannot be read."""
+    """Whether an archive has poses. False if the archive cannot be read."""
     try:
         arrays = read_npz(path, MotionError, "SMPL motion", (*_POSES, *_PARTS[0]))
     except HumansimError:
@@ -102,16 +105,17 @@ def is_smpl_motion(path: str | os.PathLike[str]) -> bool:
 def read_smpl_motion(path: str | os.PathLike[str], person: str | None = None) -> Motion:
     """Read poses of SMPL (24 joints), SMPL+H (52) or SMPL-X (55), or joints of HumanML3D, in metres.
 
-    ``poses`` (F, 3 J), or their parts such as ``root_orient``, ``pose_body`` and ``pose_hand``, as rotation
-    vectors or matrices; ``trans`` (F, 3); ``mocap_frame_rate``; or the arrays that other programs write
-    (docs/motion.md). The shape of the person (``betas``) is not used, which a warning says, nor is
-    ``gender``; the stature follows from the steps of a person who walks. Single frames that are not finite
-    are filled from their neighbours, with a warning.
+    The file has ``poses`` (F, 3 J) or parts of poses, such as ``root_orient``, ``pose_body`` and
+    ``pose_hand``, as rotation vectors or matrices. It also has ``trans`` (F, 3) and ``mocap_frame_rate``.
+    Arrays of other programs are read, too (docs/motion.md). The shape of the person (``betas``) and the
+    ``gender`` are not used. A warning tells about ``betas``. The stature follows from the steps if the person
+    walks. Single frames that are not finite are filled from their neighbours, with a warning.
 
-    ``person``: keys of a person in a file of several, such as ``1``; the longest track if None.
+    ``person``: keys of a person in a file with several people, such as ``1``. If None, the person with the
+    longest track.
 
     Raises:
-        MotionError: The file has no poses, or arrays of the wrong size; with file and array.
+        MotionError: The file has no poses, or arrays of the wrong size. The error names file and array.
     """
     what = "SMPL motion"
     is_archive = Path(path).suffix.lower() == ".npz"
@@ -144,7 +148,7 @@ def read_smpl_motion(path: str | os.PathLike[str], person: str | None = None) ->
         warn_about(path, "these are axes of a camera: the person leans, and moves, as the camera does")
     poses, places = _without_gaps(path, poses, places, arrays)
     names, frames = SMPL_MODELS[len(poses[0])], len(poses)
-    # AIST++ has centimetres, and a factor that makes them of the metres of the model
+    # AIST++ has centimetres, and a factor that converts the metres of the model to them
     scaling = _number(arrays.get("smpl_scaling", np.ones(1)))
     unit = 0.01 if scaling > _SIZES[1] else 1.0
     parents, offsets = _skeleton(names)
@@ -168,7 +172,7 @@ def read_smpl_motion(path: str | os.PathLike[str], person: str | None = None) ->
         return replace(motion, offsets=unit * scaling * motion.offsets)
     betas = next((arrays[key] for key in _BETAS if key in arrays), None)
     if betas is not None and (betas.dtype.kind not in "fiu" or not np.any(betas)):
-        return motion  # the mean person
+        return motion  # keep the mean person
     size = _size_of_steps(motion)
     if betas is not None:
         _warn_of_shape(path, betas, size)
@@ -176,8 +180,8 @@ def read_smpl_motion(path: str | os.PathLike[str], person: str | None = None) ->
 
 
 def _motion_of_joints(path: str | os.PathLike[str], joints: NDArray[Any]) -> Motion:
-    """Motion of joints (F, J, 3) of a model, y up."""
-    # imported on use: few files have joints
+    """Make the motion of joints (F, J, 3) of a model, y up."""
+    # imported here, since few files have joints
     from humansim_ros.motion.marker_motion import motion_of_points
 
     warn_about(path, f"joints without a frame rate: {_JOINTS_RATE:g} frames per second, as HumanML3D has")
@@ -190,7 +194,8 @@ def _motion_of_joints(path: str | os.PathLike[str], joints: NDArray[Any]) -> Mot
 def _without_gaps(
     path: str | os.PathLike[str], poses: Array, places: Array, arrays: Mapping[str, NDArray[Any]]
 ) -> tuple[Array, Array]:
-    """Poses (F, J, 3) and places (F, 3) of all frames; where a track lacks some, those before are held."""
+    """Poses (F, J, 3) and places (F, 3) of all frames. If a track lacks a frame, the frame before is
+    repeated."""
     ids = arrays.get("frame_ids", arrays.get("frame", np.empty(0))).ravel()
     if len(ids) != len(poses) or ids.dtype.kind not in "iu" or (np.diff(ids.astype(float)) < 1).any():
         return poses, places
@@ -217,10 +222,8 @@ def _warn_of_shape(path: str | os.PathLike[str], betas: NDArray[Any], size: floa
 
 
 def _size_of_steps(motion: Motion) -> float | None:
-    """Size of the person, as a multiple of the mean one, with which the foot on the floor stays in place.
-
-    None if the person walks too little, or the feet slide.
-    """
+    """Find the size of the person with which the foot on the floor stays in place, as a multiple of the mean
+    person. None if the person walks too little, or the feet slide."""
     places = motion.world_positions()
     root = places[:, 0]
     feet = places[:, [motion.joint("left_foot"), motion.joint("right_foot")]] - root[:, None]
@@ -241,7 +244,8 @@ def _size_of_steps(motion: Motion) -> float | None:
 
 
 def _poses(path: Path, arrays: Mapping[str, NDArray[Any]]) -> tuple[Array, str]:
-    """Rotation vectors (F, J, 3), and the name of their (first) array."""
+    """Rotation vectors (F, J, 3), and the name of the array. If there are several arrays, the name of the
+    first."""
     name = next((name for name in _POSES if name in arrays), None)
     if name is not None:
         found = _numbers(path, name, arrays[name])
@@ -260,7 +264,8 @@ def _poses(path: Path, arrays: Mapping[str, NDArray[Any]]) -> tuple[Array, str]:
             raise MotionError("parts of different lengths", path=path, key=name)
         found = np.concatenate(_all_parts(path, tables), axis=1)
     width = found.shape[1] // 3
-    if found.shape[1] % 3 == 0 and width == 22:  # the body alone: SMPL without its hands
+    # the body alone has 22 joints: those of SMPL without the hands
+    if found.shape[1] % 3 == 0 and width == 22:
         found, width = np.pad(found, ((0, 0), (0, 6))), 24
     if not len(found) or found.shape[1] % 3 or width not in SMPL_MODELS:
         counts = ", ".join(f"{3 * count} ({count} joints)" for count in (22, *SMPL_MODELS))
@@ -275,7 +280,7 @@ def _poses(path: Path, arrays: Mapping[str, NDArray[Any]]) -> tuple[Array, str]:
 
 
 def _all_parts(path: Path, tables: Mapping[str, Array]) -> list[Array]:
-    """Root, body, face and hands (F, 3 J) in the order of the models; zero where a part is absent.
+    """Root, body, face and hands (F, 3 J) in the order of the models. A missing part is zero.
 
     Args:
         path: File, for messages.
@@ -315,12 +320,12 @@ def _numbers(path: str | os.PathLike[str], name: str, array: NDArray[Any]) -> Ar
         except ValueError:
             raise MotionError("these matrices are no rotations", path=path, key=name) from None
         return vectors.reshape(len(array), -1)
-    # a copy, because SciPy refuses arrays that cannot be written
+    # a copy, since SciPy refuses arrays that are read-only
     return np.array(array, dtype=float).reshape(len(array), int(np.prod(array.shape[1:])))
 
 
 def _finite(path: str | os.PathLike[str], table: Array, name: str) -> Array:
-    """Table (F, N) whose single wrong frames are filled linearly."""
+    """Fill single wrong frames of a table (F, N) linearly."""
     wrong = ~(np.abs(table) <= _LARGEST).all(axis=1)
     if not wrong.any():
         return table
@@ -349,7 +354,7 @@ def _rate(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]]) -> f
 
 
 def _number(value: NDArray[Any]) -> float:
-    """The number of an array; 0 if it has none or several."""
+    """The number of an array. 0 if the array has no number or several."""
     return float(value.ravel()[0]) if value.size == 1 and value.dtype.kind in "fiu" else 0.0
 
 

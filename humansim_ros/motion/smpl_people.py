@@ -1,4 +1,5 @@
-"""People in files of SMPL: which arrays of a file are whose, and joints in place of rotations."""
+"""People in files of SMPL: which arrays belong to which person, and files with joints instead of
+rotations."""
 
 from __future__ import annotations
 
@@ -12,20 +13,22 @@ from humansim_ros.geometry import rotate, rotation_vector_to_matrix
 from humansim_ros.types import Array
 
 Arrays = dict[str, NDArray[Any]]
-#: Greatest change of the length of a thigh in points, as a share of it; rotations change more.
+#: Largest change of the length of a thigh, as a share of the length, for which an array holds points. The
+#: values of rotations change more.
 _THIGH_CHANGE = 0.1
 
 
 def people_of(tree: Any, names: Collection[str]) -> dict[str, Arrays]:
-    """Arrays of the people of a file, by the keys that lead to them. Those in world axes if there are some.
+    """Find the arrays of the people of a file, by the keys that lead to them. Arrays in world axes are
+    preferred.
 
     Args:
         tree: Content of the file: arrays, numbers, texts, lists and dictionaries.
-        names: Arrays of which a person has at least one.
+        names: Names of arrays. Each person has at least one of these arrays.
     """
     found = dict(_below(_named(tree) if isinstance(tree, np.ndarray) else _tracks(tree), names, ()))
     worlds = [keys for keys in found if keys and any(word in keys[-1] for word in ("world", "global"))]
-    for keys in worlds:  # alone, "pose" is that of a camera
+    for keys in worlds:  # without a world pose, "pose" is the pose in the axes of a camera
         found[keys] = {"poses" if name == "pose" else name: part for name, part in found[keys].items()}
     return {"/".join(keys[: len(keys) - bool(worlds)]): found[keys] for keys in worlds or found}
 
@@ -41,7 +44,7 @@ def _below(
     tree = {key: np.asarray(part) if isinstance(part, (int, float)) else part for key, part in tree.items()}
     if keys and keys[-1].startswith("smpl_params_"):  # GVHMR reads all videos at this rate
         tree.setdefault("fps", np.array(30.0))
-    # people come first in lists of 3DPW, and in arrays of SLAHMR
+    # lists of 3DPW and arrays of SLAHMR are ordered by person first
     of_people = [
         part for part in (tree.get(name) for name in names) if isinstance(part, list) or _has_people(part)
     ]
@@ -60,10 +63,8 @@ def _has_people(part: Any) -> bool:
 
 
 def _tracks(tree: Any) -> Any:
-    """People of PHALP (4D-Humans) by their number; other files as they are.
-
-    Places of PHALP are in the axes of a camera that is not known, so that they are left out.
-    """
+    """Sort files of PHALP (4D-Humans) by the numbers of the people. Other files do not change. Places in
+    files of PHALP are in the axes of an unknown camera, so they are left out."""
     frames = [*tree.values()] if isinstance(tree, dict) else []
     if not frames or not all(isinstance(frame, dict) and {"smpl", "tid"} <= frame.keys() for frame in frames):
         return tree
@@ -78,7 +79,8 @@ def _tracks(tree: Any) -> Any:
 
 
 def _named(array: NDArray[Any]) -> Arrays:
-    """A plain array by its name: ``joints`` (F, J, 3) or features (F, 263) of HumanML3D, or ``poses``."""
+    """Name a plain array by its content: ``joints`` (F, J, 3) or features (F, 263) of HumanML3D, or
+    ``poses``."""
     array = array[0] if array.ndim > 3 and len(array) == 1 else array
     if array.shape[1:] == (263,):
         return {"joints": _joints(array.astype(float))}
@@ -90,11 +92,9 @@ def _named(array: NDArray[Any]) -> Arrays:
 
 
 def _joints(features: Array) -> Array:
-    """Joints (F, 22, 3) of features (F, 263) of HumanML3D [Guo 2022], metres, y up.
-
-    These begin with the turn of the root in a frame, its step in its own axes (x, z), its height, and the
-    places of the other joints in its axes.
-    """
+    """Joints (F, 22, 3) of features (F, 263) of HumanML3D [Guo 2022], metres, y up. Features begin with the
+    turn of the root in a frame, the step of the root in its own axes (x, z), and its height. Then come the
+    places of the other joints in the axes of the root."""
     turns = np.cumsum(np.append(0.0, features[:-1, 0]))
     axes = rotation_vector_to_matrix(turns[:, None] * np.array([0.0, -2.0, 0.0]))
     steps = np.zeros((len(features), 3))

@@ -1,4 +1,4 @@
-"""Soles of a posed skeleton: toes and heels, time spans in which a foot stands, and how far it slides."""
+"""Soles of a posed skeleton: toes and heels, the times in which a foot stands, and how far it slides."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from humansim_ros.body.skeleton import Skeleton
 from humansim_ros.types import Array
 
-#: Distance of the heel behind the ankle, metres.
+#: The heel is behind the ankle by this distance, metres.
 _HEEL = 0.04
 
 
 def sole_points(skeleton: Skeleton, posed: Array) -> Array:
-    """World positions (..., 2, 2, 3) of toe and heel of the left and the right foot; at rest at height 0."""
+    """World positions (..., 2, 2, 3) of toe and heel of the left and the right foot. At rest, their height is
+    0."""
     points = []
     for name in ("l_ankle", "r_ankle"):
         bone = skeleton.bone(name)
@@ -34,13 +35,14 @@ def sole_heights(skeleton: Skeleton, posed: Array) -> Array:
     return heights.reshape(*heights.shape[:-2], 4)
 
 
-#: A toe or heel is on the floor below this height (metres) and horizontal speed (m/s).
+#: A toe or heel is on the floor if its height (metres) and its horizontal speed (m/s) are lower than these
+#: values.
 _CONTACT_HEIGHT, _CONTACT_SPEED = 0.05, 0.35
-#: A faster foot (m/s) jumps from one cycle of a loop to the next.
+#: A foot that is faster than this (m/s) jumps from one cycle of a loop to the next.
 _MAX_SPEED = 20.0
-#: Shorter stances, and shorter gaps between stances (seconds), are noise.
+#: Stances and gaps between stances that are shorter (seconds) are noise.
 _MIN_STANCE, _MIN_GAP = 0.10, 0.06
-#: Height difference (metres) of toe and heel over which the load moves from one to the other.
+#: Difference (metres) of the heights of toe and heel over which the load moves from one to the other.
 _LOAD_SOFTNESS = 0.01
 
 
@@ -54,7 +56,8 @@ class Stance:
 
 
 def find_stances(skeleton: Skeleton, posed: Array, times: Array) -> list[Stance]:
-    """Stances of both feet in posed bone frames (N, B, 4, 4) in ``map`` at evenly spaced times (N,)."""
+    """Find the stances of both feet in posed bone frames (N, B, 4, 4) in ``map``, at evenly spaced times
+    (N,)."""
     if len(times) < 2:
         return []
     standing = standing_feet(sole_points(skeleton, posed), times)
@@ -76,7 +79,7 @@ def standing_feet(points: Array, times: Array) -> NDArray[np.bool_]:
     step = times[1] - times[0]
     for foot in (0, 1):
         standing[:, foot] = ~_without_short_runs(~standing[:, foot], _MIN_GAP / step)
-        # no foot stands where a loop jumps to its start
+        # a foot does not stand while a loop jumps to its start
         standing[:, foot] &= (speed[:, foot] < _MAX_SPEED).all(-1)
         standing[:, foot] = _without_short_runs(standing[:, foot], _MIN_STANCE / step)
     return np.asarray(standing)
@@ -105,7 +108,7 @@ def true_runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 
 def _without_short_runs(flags: NDArray[np.bool_], shortest: float) -> NDArray[np.bool_]:
-    """Flags without runs of True of fewer samples than ``shortest``; runs at the ends remain."""
+    """Remove runs of True that are shorter than ``shortest`` samples. Runs at both ends stay."""
     out = flags.copy()
     for first, last in true_runs(flags):
         if last - first + 1 < shortest and first > 0 and last < len(flags) - 1:

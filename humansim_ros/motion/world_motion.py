@@ -1,4 +1,4 @@
-"""A motion placed in ``map``, in metres: cut, looped and sampled at any time."""
+"""A motion placed in ``map``, in metres. It can be cut, looped and sampled at any time."""
 
 from __future__ import annotations
 
@@ -29,12 +29,13 @@ from humansim_ros.motion.kinematics import JointPoses, Motion
 from humansim_ros.motion.pace import pace_warning
 from humansim_ros.types import Array, Indices
 
-#: A person is slower, m/s, and moves less in one frame, metres. The fastest run is 12.4 m/s.
+#: A step is a jump if it is faster than the first value (m/s) and longer than the second (metres). The
+#: fastest run is 12.4 m/s.
 _MAX_SPEED, _MIN_DISTANCE = 15.0, 0.3
-#: Frames between two jumps are an error of the recording if they last less than this, seconds, and less than
-#: this share of the longest part without a jump.
+#: Frames between two jumps are an error of the recording if they are short: shorter than the first value
+#: (seconds) and than this share of the longest part without a jump.
 _ERROR_SECONDS, _ERROR_SHARE = 0.5, 0.25
-#: Channels of a person that stands still vary by less than this, degrees or file units.
+#: If a person stands still, channels vary by less than this value, degrees or file units.
 _STILL = 0.1
 
 
@@ -55,8 +56,8 @@ def joint_path(motion: Motion, joint: int) -> Array:
 
 
 def find_jumps(path: Array, frame_time: float) -> tuple[Jump, ...]:
-    """Jumps of a joint that is at ``path`` (F, 3), metres. A jump is a step too long for a person and unlike
-    both neighbouring steps. A person in a car does not jump."""
+    """Find jumps of a joint at positions ``path`` (F, 3), metres. A jump is a step that is too long for a
+    person, and unlike both neighbouring steps. So a person in a moving car does not jump."""
     if len(path) < 2:
         return ()
     steps = np.diff(path, axis=0)
@@ -68,11 +69,12 @@ def find_jumps(path: Array, frame_time: float) -> tuple[Jump, ...]:
 
 
 def leading_rest(motion: Motion, jumps: Sequence[Jump]) -> int:
-    """Number of frames before the first jump in which a rest pose does not move; 0 without such frames.
-
-    Programs write the rest pose at the origin as first frame, and the person elsewhere. All rotations are
-    zero in a rest pose; or the root is at the origin of the file or above it, in fewer than half of the
+    """Number of frames before the first jump in which a rest pose does not move. 0 if there are no such
     frames.
+
+    Some programs write the rest pose at the origin as the first frame, and the person elsewhere. Frames are a
+    rest pose if all rotations are zero. They are also a rest pose if the root is at the origin of the file or
+    above the origin, but only in fewer than half of the frames.
     """
     first = jumps[0].frame if jumps else 0
     before = motion.values[:first]
@@ -93,7 +95,8 @@ def leading_rest(motion: Motion, jumps: Sequence[Jump]) -> int:
 
 
 def steady_frames(motion: Motion, jumps: Sequence[Jump]) -> NDArray[np.bool_]:
-    """Whether each frame (F,) tells where the person is: neither leading rest frames nor errors do."""
+    """Whether each frame (F,) shows where the person is. Rest frames at the start and errors of the recording
+    do not."""
     steady = np.ones(motion.n_frames, dtype=bool)
     if not jumps:
         return steady
@@ -109,8 +112,8 @@ def steady_frames(motion: Motion, jumps: Sequence[Jump]) -> NDArray[np.bool_]:
 MotionLoop = Literal["none", "repeat", "continue"]
 Anchor = Literal["start", "center", "file"]
 
-#: Shortest part in seconds that can be played, of a file that is not shorter: cycles of nearly no time
-#: cannot be counted.
+#: Shortest part that can be played, seconds, unless the file is shorter. Cycles of nearly no time could not
+#: be counted.
 _SHORTEST_PART = 1e-3
 
 
@@ -119,7 +122,8 @@ class Placement:
     """Place of a motion in ``map``: its anchor is at ``position`` (x, y), rotated by ``yaw`` radians.
 
     ``anchor``: ``start`` is the root in the first frame, ``center`` the middle of the ground that the motion
-    covers, ``file`` the origin of the file. Rest frames at the start do not count, nor frames between jumps.
+    covers, ``file`` the origin of the file. Rest frames at the start and wrong frames between jumps do not
+    count.
     """
 
     position: tuple[float, float] = (0.0, 0.0)
@@ -128,14 +132,11 @@ class Placement:
 
 
 class PoseCorrection(Protocol):
-    """A correction of poses in ``map``, such as feet that are pinned to the floor."""
+    """A correction of poses in ``map``. For example, feet that stay in place on the floor."""
 
     def apply(self, poses: JointPoses, phases: Array, cycle_rotations: Array) -> JointPoses:
-        """Corrected poses.
-
-        ``phases``: (N,) seconds of the file since the start of the cycle. ``cycle_rotations``: (N, 3, 3)
-        rotation of the cycle of each pose against the first cycle.
-        """
+        """Correct poses. ``phases``: (N,) seconds of the file since the start of the cycle.
+        ``cycle_rotations``: (N, 3, 3) rotation from the first cycle to the cycle of each pose."""
         ...
 
 
@@ -151,13 +152,15 @@ class WorldMotion:
         loop: ``none`` holds the last frame, ``repeat`` jumps to the first, ``continue`` goes on from the last
             position and heading, so that a walk cycle walks on.
         start: Start of the part of the file to play, seconds of the file.
-        end: End of that part; None for the last frame.
+        end: End of that part, seconds of the file. If None, the last frame.
         speed: Seconds of the file per second.
-        blend: Seconds of the file over which the end of a cycle fades into the start of the next; a cycle is
-            shorter by that time.
-        mirror: Swap left and right, by reflection in the vertical plane through the placement along its
-            heading.
-        correction: Applied to each sample, such as pinned feet.
+        blend: Seconds of the file over which the end of a cycle fades into the start of the next. Each cycle
+            is shorter by this time.
+
+        mirror: Whether to swap left and right. The motion is reflected in the vertical plane through the
+            placement along its heading.
+
+        correction: Correction of each sample, for example feet that stay in place. None if there is none.
 
     Raises:
         MotionError: Start, end, speed and blend contradict each other or the motion.
@@ -204,7 +207,7 @@ class WorldMotion:
 
     @property
     def _end(self) -> float:
-        """End of the played part, seconds of the file; at most the last frame."""
+        """End of the played part, seconds of the file. It is never after the last frame."""
         return self.motion.duration if self.end is None else min(self.end, self.motion.duration)
 
     @property
@@ -214,7 +217,7 @@ class WorldMotion:
 
     @property
     def duration(self) -> float:
-        """Seconds that a cycle takes at this speed; infinite at speed 0."""
+        """Seconds that a cycle takes at this speed. Infinite if the speed is 0."""
         return self.cycle_length / self.speed if self.speed else np.inf
 
     @property
@@ -226,34 +229,32 @@ class WorldMotion:
         return np.maximum(np.arange(first, max(first, last) + 1) * step - self.start, 0.0)
 
     def file_times(self, times: ArrayLike, file_offset: float = 0.0) -> Array:
-        """Seconds of the file (N,) played until N times, over all cycles, after an offset."""
+        """Seconds of the file (N,) that are played until the times, over all cycles. ``file_offset`` is
+        added."""
         return np.atleast_1d(np.asarray(times, dtype=float)) * self.speed + file_offset
 
     def phases(self, times: ArrayLike, file_offset: float = 0.0) -> Array:
-        """Times (N,) of the file, seconds, that are played at times (N,), after an offset."""
+        """Seconds (N,) in the file that play at times (N,). ``file_offset`` is added."""
         t = self.file_times(times, file_offset)
         return self.start + np.clip(t - self._cycles(t) * self.cycle_length, 0.0, self.cycle_length)
 
     def sample(self, times: ArrayLike, file_offset: float = 0.0) -> JointPoses:
-        """Poses at N times in seconds: slerp between frames, then forward kinematics.
-
-        ``file_offset``: seconds of the file added to all times, so that a motion can change its speed and go
-        on from the same pose.
-        """
+        """Poses at N times in seconds. Rotations are interpolated between frames (slerp), then come forward
+        kinematics. ``file_offset``: seconds of the file that are added to all times. With an offset, a motion
+        can change its speed and go on from the same pose."""
         t = self.file_times(times, file_offset)
         return self._sample(t, self._cycles(t))
 
     def sample_with_velocities(self, times: ArrayLike, file_offset: float = 0.0) -> JointPoses:
-        """:meth:`sample` with velocities: central differences over two milliseconds.
-
-        The differences do not cross a jump to the start or the end of a motion that does not loop.
-        """
+        """Do the same as :meth:`sample`, with velocities. These are central differences over two
+        milliseconds. The differences do not cross a jump to the start of the motion. If the motion does not
+        loop, they do not cross its end."""
         t = self.file_times(times, file_offset)
         cycles = self._cycles(t)
         step = VELOCITY_STEP * max(self.speed, 1e-6)
         early, late = t - step, t + step
         if self.loop == "continue" or (self.loop == "repeat" and self.blend > 0):
-            # no cycle before the first fades into it
+            # nothing fades into the first cycle, since no cycle comes before it
             early = np.where(cycles == 0, np.maximum(early, 0.0), early)
             all_cycles = np.concatenate([self._cycles(early), cycles, self._cycles(late)])
         else:
@@ -268,7 +269,7 @@ class WorldMotion:
         return JointPoses.with_velocities(self.names, places, turns, seconds, self.speed)
 
     def cycle_rotations(self, cycles: Array) -> Array:
-        """Rotations (N, 3, 3) about the vertical of cycles (N,) of the loop against the first cycle."""
+        """Rotations (N, 3, 3) about the vertical, from the first cycle of the loop to cycles (N,)."""
         if self.loop != "continue" or self.cycle_length <= 0:
             return np.broadcast_to(np.eye(3), (len(cycles), 3, 3))
         rotation, _ = self._cycle_transforms(cycles)
@@ -294,7 +295,7 @@ class WorldMotion:
 
     @cached_property
     def steady_frames(self) -> Indices:
-        """Numbers of the frames of the played part that tell where the person is."""
+        """Numbers of the frames in the played part that show where the person is."""
         step = self.motion.frame_time
         first, last = (int(np.floor(t / step + 1e-6)) for t in (self.start, self._end))
         played = np.arange(first, last + 1)
@@ -303,7 +304,7 @@ class WorldMotion:
 
     @cached_property
     def _translation(self) -> Array:
-        """Translation (3,) in ``map`` that puts the anchor at its place and the feet on the floor."""
+        """Translation (3,) in ``map`` that puts the anchor in its place and the feet on the floor."""
         frames = self.steady_frames[:: max(1, (len(self.steady_frames) - 1) // 500)]
         points = self.motion.world_positions(frames) @ (self.frame.unit * self._map_from_file).T
         root = points[:, self.match.roles["Hips"], :2]
@@ -338,7 +339,7 @@ class WorldMotion:
         """Local translations (N, J, 3) and rotations (N, J, 4) at file times: slerp between frames."""
         last = self.motion.n_frames - 1
         place = np.clip(times / self.motion.frame_time, 0, last)
-        # a time that differs from a frame by rounding only is that frame
+        # a time that differs from a frame only by rounding is that frame
         place = np.where(np.abs(place - np.round(place)) < 1e-6, np.round(place), place)
         before = np.floor(place).astype(int)
         after = np.minimum(before + 1, last)
@@ -348,7 +349,7 @@ class WorldMotion:
         return start + fraction[..., None] * (end - start), rotations
 
     def _blended_local_poses(self, phases: Array, cycles: Array) -> tuple[Array, Array]:
-        """Local poses at phases (N,); the end of a cycle fades into the start of the next."""
+        """Local poses at phases (N,). The end of a cycle fades into the start of the next one."""
         translations, rotations = self._local_poses(self.start + phases)
         if self.blend == 0 or self.loop == "none":
             return translations, rotations
@@ -363,7 +364,7 @@ class WorldMotion:
         return translations, rotations
 
     def _minus_one_cycle(self, translations: Array, rotations: Array) -> tuple[Array, Array]:
-        """Local poses of root joints, without the way that ``continue`` covers in one cycle."""
+        """Local poses of root joints, moved back by the way that ``continue`` covers in one cycle."""
         if self.loop != "continue":
             return translations, rotations
         cycle_rotation, cycle_translation = (part[0] for part in self._cycle_transforms(np.ones(1)))
@@ -380,9 +381,9 @@ class WorldMotion:
         return positions, from_rest
 
     def _mirrored(self, positions: Array, rotations: Array) -> tuple[Array, Array]:
-        """Positions (N, J, 3) and rotations (N, J, 3, 3) with left and right swapped."""
+        """Swap left and right of positions (N, J, 3) and rotations (N, J, 3, 3)."""
         yaw = _yaw_matrix(self.placement.yaw)
-        at_rest = np.diag([1.0, -1.0, 1.0])  # rotations count from a body that faces +x
+        at_rest = np.diag([1.0, -1.0, 1.0])  # rotations are relative to a body that faces +x
         mirror = yaw @ at_rest @ yaw.T
         center = np.array([*self.placement.position, 0.0])
         pairs = self._opposite_joints
@@ -395,7 +396,7 @@ class WorldMotion:
     @cached_property
     def _cycle_step(self) -> tuple[float, Array]:
         """Yaw and translation (3,) on the floor from the start of a cycle to its end."""
-        # a rest frame at the start is not where the person starts
+        # a rest frame at the start does not show where the person starts
         start = max(self.start, self.steady_frames[0] * self.motion.frame_time) if self.jumps else self.start
         positions, rotations = self._to_map(
             *self._local_poses(np.array([start, self.start + self.cycle_length]))
@@ -418,10 +419,9 @@ class WorldMotion:
 
 
 def floor_height(lowest: Array) -> float:
-    """Height of the floor under a motion, from the height of its lowest point in each frame (F,).
-
-    In most frames a foot is on the floor. Toes that dip below it at push-off, and jumps, are few.
-    """
+    """Height of the floor under a motion, from the height of its lowest point in each frame (F,). In most
+    frames a foot is on the floor. There are only few frames in which toes dip below the floor at push-off, or
+    in which the person jumps."""
     return float(np.percentile(lowest, 33))
 
 
@@ -430,18 +430,19 @@ def _yaw_matrix(yaw: float) -> Array:
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-#: Most jumps that a message lists.
+#: A message lists at most this number of jumps.
 _MAX_LISTED = 3
-#: A knee bends backwards if it is behind the line from hip to ankle by this share of the length of the line.
+#: A knee bends backwards if it is behind the line from hip to ankle by at least this share of the length of
+#: the line.
 _BACKWARDS = 0.05
-#: The trunk lies if the cosine of its angle with the vertical is smaller.
+#: The trunk is horizontal if the cosine of its angle with the vertical is below this value.
 _LYING = 0.5
-#: Share of the frames from which knees or trunk are worth a warning.
+#: Knees or trunk get a warning if they are wrong in at least this share of the frames.
 _MOST = 0.5
 
 
 def playing_warnings(world: WorldMotion) -> list[str]:
-    """What the user of a scene must know: a low confidence, an unlikely frame rate, rest frames and jumps."""
+    """Warnings for the user of a scene: a low confidence, an unlikely frame rate, rest frames and jumps."""
     pace = pace_warning(world.motion, world.match.roles, world.frame, world.speed)
     warnings = [each for each in (world.match.warning, world.frame.warning, pace) if each is not None]
     jumps = list(world.jumps)
@@ -459,8 +460,8 @@ def playing_warnings(world: WorldMotion) -> list[str]:
 
 
 def posture_warnings(world: WorldMotion, poses: JointPoses) -> list[str]:
-    """Warn if the file seems damaged or its up axis wrong: in most frames a knee bends backwards, or the
-    trunk is horizontal."""
+    """Warn if the file seems damaged or its up axis seems wrong. This is so if in most frames a knee bends
+    backwards or the trunk is horizontal."""
     roles, points = world.match.roles, poses.positions
     hips = (points[:, roles["LeftHip"]] + points[:, roles["RightHip"]]) / 2
     across = points[:, roles["LeftHip"]] - points[:, roles["RightHip"]]
@@ -487,7 +488,7 @@ def posture_warnings(world: WorldMotion, poses: JointPoses) -> list[str]:
 
 
 def _in_front(knee: Array, hip: Array, ankle: Array, across: Array) -> Array:
-    """How far knees are in front of the line from hip to ankle, as shares of its length (F,).
+    """How far (F,) knees are in front of the line from hip to ankle, as a share of the length of this line.
 
     Args:
         knee: Positions of the knees, (F, 3).

@@ -170,7 +170,7 @@ def test_an_unknown_format_prints_all_formats(tmp_path: Path) -> None:
     path = calibration_path("own_stereo.yaml")
     result = humansim("convert", path, "-o", tmp_path / "a.yaml", "--to", "nonsense")
     assert result.returncode == 2
-    assert result.stderr.strip().endswith(f"known are {', '.join(form.name for form in FORMATS)}")
+    assert result.stderr.strip().endswith(f"there are {', '.join(form.name for form in FORMATS)}")
 
 
 # -- plausibility checks

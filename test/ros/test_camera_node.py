@@ -690,9 +690,9 @@ def test_a_camera_with_rare_poses_counts_as_moving_between_them(
     moving_flags: list[bool] = []
     render = node._renderer.render
 
-    def watch(bodies: Any, camera: Any, channels: Any, moves: bool = False, *rest: Any) -> Any:
-        moving_flags.append(moves)
-        return render(bodies, camera, channels, moves, *rest)
+    def watch(request: Any) -> Any:
+        moving_flags.append(request.moving_camera)
+        return render(request)
 
     monkeypatch.setattr(node._renderer, "render", watch)
     one.subscribe(Image, "left/image_raw")
@@ -761,9 +761,9 @@ def test_depth_alone_is_rendered_once_a_frame_whatever_the_sensor(
     requested: list[set[str]] = []
     render = node._renderer.render
 
-    def watch(bodies: Any, camera: Any, channels: Any, *rest: Any, **named: Any) -> Any:
-        requested.append(set(channels))
-        return render(bodies, camera, channels, *rest, **named)
+    def watch(request: Any) -> Any:
+        requested.append(set(request.channels))
+        return render(request)
 
     monkeypatch.setattr(node._renderer, "render", watch)
     one.subscribe(Image, "left/depth/image")

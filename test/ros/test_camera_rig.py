@@ -258,10 +258,10 @@ def test_a_camera_that_fails_does_not_stop_the_others(
     frame = simulation.frame(0)
     render = GLRenderer.render
 
-    def fail(self: Any, bodies: Any, camera: Any, *rest: Any, **named: Any) -> Any:
-        if camera.size == (160, 120):
+    def fail(self: Any, request: Any) -> Any:
+        if request.camera.size == (160, 120):
             raise error
-        return render(self, bodies, camera, *rest, **named)
+        return render(self, request)
 
     monkeypatch.setattr(GLRenderer, "render", fail)
     stage.subscribe(Image, "left/depth/image", "right/depth/image")

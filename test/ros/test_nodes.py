@@ -330,9 +330,9 @@ def test_nothing_is_rendered_without_subscribers(
     node = CameraNode(**parameters(scene=str(write_scene(tmp_path)), camera="left"), namespace="lazy")
     render = node._renderer.render
 
-    def watch(bodies: Any, camera: Any, channels: Any, *rest: Any, **named: Any) -> Any:
-        requested.append(set(channels))
-        return render(bodies, camera, channels, *rest, **named)
+    def watch(request: Any) -> Any:
+        requested.append(set(request.channels))
+        return render(request)
 
     monkeypatch.setattr(node._renderer, "render", watch)
     client = Client("lazy")

@@ -404,7 +404,7 @@ def test_an_error_of_the_bag_ends_the_thread_and_frees_who_waits(error: Exceptio
         ({"output": ""}, "name the folder of the bag"),
         ({"output": "/proc/bag"}, "cannot be written"),
         ({"storage": "mcpa"}, "did you mean 'mcap'"),
-        ({"compression": "gzip"}, "none of none, zstd, lz4"),
+        ({"compression": "gzip"}, "no value 'gzip'; there are none, zstd, lz4"),
         ({"storage": "sqlite3", "compression": "zstd"}, "sqlite3"),
         ({"max_bag_size": -1}, "max_bag_size"),
         ({"topics": ["a b"]}, "'a b' is no topic"),

@@ -75,7 +75,7 @@ def test_runs_that_do_not_use_the_fixtures_stay_as_they_are(users: pytest.Pytest
 
         def test_nothing_is_loaded_or_set():
             loaded = {name for name in sys.modules if name.startswith("humansim_ros")}
-            assert loaded == {"humansim_ros", "humansim_ros.testing"}
+            assert loaded == {"humansim_ros", "humansim_ros.lazy", "humansim_ros.testing"}
             assert not {"numpy", "rclpy", "yaml", "cv2"} & set(sys.modules)
             assert not {"ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE"} & set(os.environ)
             assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib
-import pkgutil
+import re
 from functools import cache
 
 import pytest
@@ -24,10 +24,9 @@ def test_each_row_of_the_command_line_is_an_option() -> None:
 @cache
 def sections() -> dict[str, type[BaseModel]]:
     """Models of the package by name."""
-    for folder in ("scene", "sensor", "export", "humans", "camera"):
-        package = importlib.import_module(f"humansim_ros.{folder}")
-        for module in pkgutil.iter_modules(package.__path__, f"{package.__name__}."):
-            importlib.import_module(module.name)
+    for path in (ROOT / "humansim_ros").rglob("*.py"):
+        if re.search(r"^class \w+\(.*(Model|Section|Config|Fault)\)", path.read_text(), re.MULTILINE):
+            importlib.import_module(".".join(path.relative_to(ROOT).with_suffix("").parts))
     found: dict[str, type[BaseModel]] = {}
     left = BaseModel.__subclasses__()
     while left:

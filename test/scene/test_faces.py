@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import ROOT
 from scipy.spatial.transform import Rotation
 
 from humansim_ros import Scene
@@ -172,7 +173,7 @@ def test_actions_of_the_eyes_turn_them_to_the_limits_of_the_joints() -> None:
         number = state.joint_names.index(f"{eye}_eyeball_joint")
         turn = state.joints[number, :3, 1] @ rest.joints[number, :3, 1]
         assert np.degrees(np.arccos(turn)) == pytest.approx(limit, abs=0.2)
-    text = Path(load_limits.__globals__["__file__"]).parents[2] / "config/joint_limits/normal.yaml"
+    text = ROOT / "config/joint_limits/normal.yaml"
     block = text.read_text().partition("- bone: eyeball_joint")[2].partition("twist")[0]
     named = dict(
         zip(("depression", "elevation", "abduction", "adduction"), block.split("degrees: ")[1:], strict=True)
@@ -465,9 +466,7 @@ def test_the_neck_stays_within_its_limits_and_never_jumps() -> None:
     ring = bones[:, eyes.head].reshape(6, -1, 3, 3)
     steps = np.linalg.norm(np.diff(ring, axis=1), axis=(2, 3)) / np.sqrt(2)
     assert np.degrees(steps.max()) < 12  # for two degrees of the point, where it passes behind
-    text = (
-        Path(load_limits.__globals__["__file__"]).parents[2] / "config/joint_limits/normal.yaml"
-    ).read_text()
+    text = (ROOT / "config/joint_limits/normal.yaml").read_text()
     block = text.partition("- bone: vt3\n")[2].partition("- bone:")[0].split("degrees: ")[1:]
     flexion, extension, _, _, left, right = (float(each.partition(",")[0]) for each in block)
     np.testing.assert_allclose(np.degrees(NECK_LIMITS), [[-right, -flexion], [left, extension]])

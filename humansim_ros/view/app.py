@@ -34,11 +34,11 @@ from humansim_ros.view.stage import Options, Stage
 _LOG = logging.getLogger(__name__)
 #: Frames per second of the page.
 _RATE = 30.0
-#: Seconds between looks at the file of the scene.
+#: Seconds between two checks whether the file of the scene has changed.
 _LOOK = 0.5
-#: Seconds that a page without browsers waits between looks for one.
+#: Without a browser, the page waits this number of seconds between two checks for one.
 _IDLE = 0.2
-#: Seconds after a step of a drag in which nobody waits for images.
+#: For this number of seconds after a step of a drag, the page does not wait for images.
 _DRAG = 0.3
 #: Longest wait, seconds, for the first images after a change of the source.
 _FIRST_IMAGES = 60.0
@@ -47,11 +47,12 @@ _FIRST_IMAGES = 60.0
 class ViewApp:
     """A page that shows a source.
 
-    All of it runs in the thread that calls :meth:`run`; callbacks of the page :meth:`post` functions to it.
+    Everything runs in the thread that calls :meth:`run`. Callbacks of other threads :meth:`post` functions to
+    this thread.
 
     Args:
         opened: The scene, bag, graph or photographs to show.
-        port: Port; the next free one if it is in use.
+        port: Port. If the port is in use, the next free one is taken.
 
     Raises:
         HumansimError: No port is free.
@@ -131,7 +132,7 @@ class ViewApp:
             self._sleep(due)
 
     def stop(self) -> None:
-        """End :meth:`run`; from any thread."""
+        """End :meth:`run`. May be called from any thread."""
         self._stopped.set()
         self._wanted.set()
 
@@ -168,7 +169,7 @@ class ViewApp:
         self.refresh()
 
     def scrub(self, index: int) -> None:
-        """Pause, and show a frame while the time is dragged: its images may come later."""
+        """Pause, and show a frame while the time is dragged. The images of the frame may come later."""
         self._scrubbed = time.monotonic()
         self.seek(index)
 
@@ -179,12 +180,12 @@ class ViewApp:
         self.refresh()
 
     def step_back(self, redo: bool = False) -> None:
-        """Take the last edit of the scene back, or do it again."""
+        """Undo the last edit of the scene, or redo it."""
         if self.editor is not None:
             (self.editor.redo if redo else self.editor.undo)()
 
     def hide_camera(self, name: str | None) -> None:
-        """Do not draw a camera in 3D: the one that is looked through."""
+        """Do not draw a camera in 3D, because the user looks through it."""
         self._stage.hide_camera(name)
 
     def send_state(self, **values: Any) -> None:
@@ -193,12 +194,12 @@ class ViewApp:
         self.server.stream(json.dumps(self._state), "state")
 
     def set_dark(self, dark: bool) -> None:
-        """Dark or light page."""
+        """Make the page dark or light."""
         self.dark = dark
         self.gui.configure_theme(dark_mode=dark, show_logo=False, show_share_button=False)
 
     def replace_source(self, source: ViewSource) -> None:
-        """Show another source, at the same time if it has it."""
+        """Show another source. If the source has the time that is shown, the time stays."""
         previous, index = self.source, self.player.index
         playing = self.player.playing
         self._remove_panels()
@@ -216,7 +217,8 @@ class ViewApp:
         self._say_broken(None)
 
     def compare(self, path: Path | None) -> None:
-        """Show an estimate of a tracker next to the truth of the scene. If None, none."""
+        """Show an estimate of a tracker next to the truth of the scene. If ``path`` is None, show no
+        estimate."""
         if self.editor is None or not isinstance(self.source, SceneViewSource):
             return
         found = None
@@ -262,7 +264,7 @@ class ViewApp:
         return self.player.index * self.source.period * 1e-9
 
     def saved(self, path: Path) -> None:
-        """The scene has been saved as a file, which is watched from now on."""
+        """Note that the scene has been saved as a file. The file is watched from now on."""
         self._path, self._modified = path, file_signature(path)
 
     def notify(self, title: str, text: str) -> None:
@@ -276,7 +278,7 @@ class ViewApp:
         self.editor.show_scene()
 
     def _take_files(self) -> None:
-        """Let browsers send files; a file that is refused is told."""
+        """Let browsers send files. If a file is refused, the user is told."""
         self.server.add_script("uploads.js", most=MOST_UPLOAD)
 
         def refused(reason: str) -> None:
@@ -318,7 +320,7 @@ class ViewApp:
             self.human.stage_made()
 
     def _content(self) -> object:
-        """What the panels and the 3D scene are made for."""
+        """What the panels and the 3D scene were made for. If it changes, they are made again."""
         source = self.source
         people = {name: id(human) for name, human in source.people.items()}
         return people, tuple(source.cameras), tuple(source.objects), source.channels
@@ -335,7 +337,7 @@ class ViewApp:
         self._messages.remove()
 
     def _place_view(self) -> None:
-        """Begin with a view from above on everything."""
+        """Begin with a view of everything from above."""
         centers = [camera.center for camera in self.source.cameras.values()]
         reach = max([3.0, *(float(np.linalg.norm(center[:2])) for center in centers)])
         start = self.server.viser.initial_camera
@@ -379,7 +381,8 @@ class ViewApp:
         return self.enlarged is not None and self.enlarged[0] == camera
 
     def _images_are_pending(self) -> bool:
-        """Whether the first images of another source are on their way: nobody waits for them."""
+        """Whether the first images of another source are still on their way. The page does not wait for
+        them."""
         shown, since = self._frame, self._unseen_since
         if since is None:
             return False
@@ -403,7 +406,8 @@ class ViewApp:
                 self.notify("This does not work", "The terminal of humansim view has the details.")
 
     def _sleep(self, due: float) -> None:
-        """Wait for the next frame, or for a wish while paused."""
+        """Wait until the next frame is due. While paused, also stop waiting when the user asks for
+        something."""
         if self.player.playing and self.server.has_pages:
             time.sleep(max(0.0, due - time.monotonic()))
         else:
@@ -431,7 +435,7 @@ class ViewApp:
             self.editor.refresh()
 
     def _say_broken(self, problem: str | None) -> None:
-        """Show an error at the top of the page; None removes it."""
+        """Show an error at the top of the page. None removes the error."""
         if problem == self._broken:
             return
         self._broken = problem

@@ -49,9 +49,9 @@ from humansim_ros.view.tracks import (
     spans_of,
 )
 
-#: Nanoseconds between log times of messages that are read together.
+#: Messages are read together if their log times differ by less than this, nanoseconds.
 _TOGETHER = 250_000_000
-#: Bytes of messages that are kept, by the page and by the reader of tracks.
+#: Most bytes of messages that are kept: by the page, and by the reader of tracks.
 _MAX_KEPT, _MAX_TRACKS = 256 << 20, 64 << 20
 #: Most and fewest frames with a visibility that is read, and most values of them all.
 _MOST_VIEWS, _FEWEST_VIEWS, _MOST_VALUES = 600, 30, 20_000
@@ -60,12 +60,13 @@ _MOST_VIEWS, _FEWEST_VIEWS, _MOST_VALUES = 600, 30, 20_000
 class BagViewSource(TopicSource):
     """A bag that plays in the page. It is read once at the start, to find its frames.
 
-    A frame is a stamp of the joints of people; without people, of the topic with the most messages. What the
-    bag does not have is not shown, and ``messages`` says so.
+    Each stamp of the joints of people is a frame. If there are no people, each stamp of the topic with the
+    most messages is a frame. ``messages`` says what is not shown because the bag lacks it.
+
 
     Args:
         path: The bag.
-        estimate: Topic of a tracker's estimate; ``*`` stands for the name of a person.
+        estimate: Topic of a tracker's estimate; ``*`` stands for any name of a person.
         options: How the estimate is read and compared.
         humans: Bodies that people may have, next to the built-in ones.
         image_width: Width to which wider images are scaled down, pixels.
@@ -195,7 +196,7 @@ class BagViewSource(TopicSource):
 
     @cached_property
     def _plan(self) -> ErrorPlan | None:
-        """Frames in which the estimate is compared; None without one."""
+        """Frames that are compared with the estimate; None if there is no estimate."""
         if self.estimate is not None:
             return ErrorPlan.of(self._stamps, self.estimate.poses, self.estimate.options)
         if not self._topics.estimate:
@@ -204,7 +205,7 @@ class BagViewSource(TopicSource):
         return ErrorPlan.of(self._stamps, np.array(own, np.int64), self._options)
 
     def _lost(self, camera: str, half: int) -> list[int]:
-        """Frames that lack an image of a camera, of any of its channels."""
+        """Frames that lack an image of a camera, in any of the channels."""
         found: set[int] = set()
         for topic in self._topics.cameras[camera].images.values():
             found |= set(lost_frames(has_message(self._stamps, self._stamps_of(topic), half)))
@@ -242,7 +243,7 @@ class BagViewSource(TopicSource):
         return found
 
     def _frame_stamps(self) -> Indices:
-        """Stamps of the frames; one frame at least."""
+        """Stamps of the frames. There is at least one frame."""
         found = self._logs.stamps([topics["joints"] for topics in self._topics.people.values()])
         if not found:
             stamps = [self._logs.stamps([topic]) for topic in self._logs.first()]
@@ -278,7 +279,7 @@ class BagViewSource(TopicSource):
 
 
 class _Messages:
-    """Messages of a bag by topic and log time; some of those that were read last are kept.
+    """Messages of a bag by topic and log time. Keeps some messages that were read last.
 
     Attributes:
         names: Names of the topics, by their number in the bag.
@@ -292,7 +293,7 @@ class _Messages:
         self.size = 0
 
     def read(self, places: Mapping[str, int]) -> dict[str, bytes]:
-        """Messages by topic, from their log times; damaged ones are left out."""
+        """Read the messages at the log times ``places``. Damaged messages are left out."""
         found: dict[str, bytes] = {}
         lacking: list[tuple[int, str]] = []
         for topic, log in places.items():
@@ -344,14 +345,14 @@ class BagTracks:
         topics: Topics that are read: no images, meshes and vertices.
         stamps: (F,) int64 stamps of the frames, nanoseconds.
         period: Nanoseconds between frames.
-        spans: First and last frames in which a person is there, by person.
-        drops: Frames with an image that is lost, by camera; absent without.
+        spans: First and last frames of the intervals with the person, by person.
+        drops: Frames with a lost image, by camera. A camera without lost images is absent.
         first: Log times of the first messages by topic.
-        places: Log times of the messages by topic, of the frames that are read.
+        places: Log times of the messages of the frames that are read, by topic.
         transforms: Transforms of tf.
         options: How an estimate is compared.
-        plan: Frames in which an estimate is compared; None without one.
-        estimates: Log times of the messages of the estimate by topic, for each of these frames.
+        plan: Frames that are compared with an estimate; None if there is no estimate.
+        estimates: Log times of the messages of the estimate by topic, for each compared frame.
     """
 
     path: Path
@@ -378,7 +379,7 @@ class _BagTracks:
         self._shown = TopicFrames((), job.options)
         self._shown.transforms = job.transforms
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", HumansimWarning)  # the page has told it
+            warnings.simplefilter("ignore", HumansimWarning)  # the page has already shown the warnings
             self._reader = BagReader(job.path)
         self._messages = _Messages(self._reader, _MAX_TRACKS)
         self._shown.see(job.topics, self._read(job.first))
@@ -424,7 +425,7 @@ class _BagTracks:
         self._reader.close()
 
     def _estimate(self, plan: ErrorPlan) -> PoseSequence:
-        """The estimate of topics in the compared frames."""
+        """The estimate of the topics, in the compared frames."""
         stream = EstimateStream("the estimate")
         for stamp, places in zip(plan.own.tolist(), self._job.estimates, strict=True):
             for topic, people in self._shown.estimated(self._read(places)):

@@ -70,7 +70,7 @@ _FIRST, _FROM_WALL = np.linspace(0.0, 2.0, 5), 0.3
 
 
 class SceneFault(NamedTuple):
-    """A key that is wrong, its line in the text (None if unknown), and the reason."""
+    """A key with an error, the line of the key in the text (None if unknown), and the reason."""
 
     key: str
     line: int | None
@@ -80,15 +80,17 @@ class SceneFault(NamedTuple):
 class SceneDocument(SceneFile):
     """A scene file that is edited.
 
-    Each edit changes the lines of its key only: comments, order, anchors and quotes of all other lines stay.
-    An edit may leave the scene wrong: :meth:`errors` says where. Methods may be called from several threads.
+    Each edit changes only the lines of its key. Comments, order, anchors and quotes of all other lines stay.
+    After an edit the scene may have errors, which :meth:`errors` lists. Methods may be called from several
+    threads.
+
 
     ``version`` grows with each change.
 
     Args:
         text: Content of the scene file.
         path: The file; None for a new scene.
-        folder: Folder that relative file names start from; the folder of the file if None.
+        folder: Folder that relative file names start from. If None, the folder of the file.
 
     Example:
         >>> document = SceneDocument()
@@ -122,10 +124,8 @@ class SceneDocument(SceneFile):
 
     @classmethod
     def copy_of(cls, path: str | os.PathLike[str], folder: Path | None = None) -> SceneDocument:
-        """A new scene with the text of a file, such as a built-in one.
-
-        ``folder``: where its files are, and are kept; the folder of the file if None.
-        """
+        """A new scene with the text of a file, such as a built-in one. ``folder``: folder for the files of
+        the scene. If None, the folder of the file."""
         original = cls.load(path)
         return cls(original.text(), folder=folder or original.folder)
 
@@ -146,7 +146,7 @@ class SceneDocument(SceneFile):
             return self._parsed[1]
 
     def value(self, key: str | Sequence[YamlKey]) -> Any:
-        """Value of a key in the text, else its default; None if it has neither.
+        """Value of a key in the text, or else the default of the key; None if the key has neither.
 
         Args:
             key: Dotted key, such as ``humans.anna.motion.yaw_deg``, or its parts.
@@ -186,12 +186,13 @@ class SceneDocument(SceneFile):
     # --- edits
 
     def set(self, key: str | Sequence[YamlKey], value: Any, *, continues: bool = False) -> None:
-        """Set a key. Its sections are added where they are missing.
+        """Set a key. Missing sections above the key are added.
 
         Args:
             key: Dotted key, or its parts.
             value: Plain data or arrays. A wrong value is written, and :meth:`errors` reports it.
-            continues: The same undo step as the last change of this key, as while a slider moves.
+            continues: Whether the change joins the undo step of the last change of this key, for example
+                while a slider moves.
 
         Raises:
             SceneError: Scenes have no such key; a number is not finite; a value is too long.
@@ -227,13 +228,14 @@ class SceneDocument(SceneFile):
         """Add a person.
 
         Args:
-            name: Its name; if it is taken, with a number.
-            near: Point (2,) or (3,) of the floor: the nearest place 0.8 m from other people is taken.
+            name: Name of the person. If the name is taken, a number is added.
+            near: Point (2,) or (3,) of the floor. The person gets the nearest place that is 0.8 m from other
+                people.
             body: Name of a human, or a file.
             motion: Name of a motion, or a file.
 
         Returns:
-            Its name.
+            Name of the new person.
         """
         section: SectionKeys = {"body": body, "motion": {"file": motion, "position": self._free(near)}}
         if motion.startswith("walk"):
@@ -241,8 +243,8 @@ class SceneDocument(SceneFile):
         return self.add_section("humans", name, section)
 
     def add_object(self, name: str = "object", near: ArrayLike = (0.0, 0.0), mesh: str = "box") -> str:
-        """Add an object on the floor; parameters and result the same as in :meth:`add_person`. ``mesh``: its
-        shape."""
+        """Add an object on the floor. Parameters and result are the same as in :meth:`add_person`. ``mesh``:
+        shape of the object."""
         section: SectionKeys = {"mesh": mesh}
         height = 0.0
         if mesh in ("box", "sphere", "cylinder"):
@@ -256,13 +258,14 @@ class SceneDocument(SceneFile):
         """Add a camera.
 
         Args:
-            name: Its name; if it is taken, with a number.
-            near: Its position (3,); (2,) at a height of 1.8 m. None: where it sees the people from a
-                direction that is far from the other cameras.
-            look_at: Point (3,) that it looks at; the middle of the people if None.
+            name: Name of the camera. If the name is taken, a number is added.
+            near: Position (3,) of the camera, or (2,) at a height of 1.8 m. If None, the camera sees the
+                people from a direction far from the other cameras.
+
+            look_at: Point (3,) that the camera looks at. If None, the middle of the people.
 
         Returns:
-            Its name.
+            Name of the new camera.
         """
         target = (
             self._middle() if look_at is None else ItemPose(np.zeros(3), np.eye(3)).changed(look_at).position
@@ -314,11 +317,12 @@ class SceneDocument(SceneFile):
             position: (3,) in ``map``, metres; (2,) for the same height. A person stays on the floor.
             yaw_deg: Heading in ``map``, degrees from +x to the left.
             quaternion: Rotation (4,) xyzw instead of ``yaw_deg``, as :meth:`pose` gives it.
-            seconds: Scene time at which keyframes have moved it there.
-            continues: The same undo step as the last placing.
+            seconds: Scene time at which keyframes move the item to this place.
+            continues: Whether the change joins the undo step of the last placing.
 
         Raises:
-            SceneError: It cannot be placed: a trajectory moves it, or it is one camera of a rig.
+            SceneError: The item cannot be placed, because a trajectory moves it, or because it is a camera of
+                a rig.
         """
         old = self.pose(kind, name, seconds)
         pose = old.changed(position, yaw_deg, quaternion, forward=2 if kind == "cameras" else 0)
@@ -352,7 +356,7 @@ class SceneDocument(SceneFile):
             seconds: Scene time, for keyframes.
 
         Raises:
-            HumansimError: It is not in the file, or it is wrong.
+            HumansimError: The item is not in the file, or its section is wrong.
         """
         config = self.config(kind, name)
         if kind == "humans":
@@ -385,7 +389,7 @@ class SceneDocument(SceneFile):
 
     @property
     def lacks_cameras(self) -> bool:
-        """Whether it has no cameras yet: it cannot run, and the page shows what it has."""
+        """Whether the scene has no cameras yet. It cannot run then, but the page shows what the scene has."""
         try:
             data = self._values()
         except SceneError:
@@ -439,7 +443,7 @@ class SceneDocument(SceneFile):
     # --- parts
 
     def _moved_to(self, folder: Path) -> str:
-        """Text whose relative file names start from another folder."""
+        """Text with relative file names that start from another folder."""
         if folder == self.folder:
             return self._text
         text, data = self._text, self.data()

@@ -25,7 +25,7 @@ from humansim_ros.view.scene_keys import metres
 
 #: Folder next to a calibration file for its ideal cameras.
 _IDEAL = "ideal"
-#: Keys of a rig that belong to its file; the others stay when another file is loaded.
+#: Keys of a rig that belong to its file. Other keys stay when another file is loaded.
 _OF_FILE = ("cameras", "size", "unit", "up_axis", "position", "rotation_deg", "look_at")
 #: Decimals of the angles of a placed rig: cameras are metres from the origin of their file.
 _DIGITS = 4
@@ -40,15 +40,17 @@ def add_calibration(
     as_file: bool = False,
     only: Sequence[str] | None = None,
 ) -> list[str]:
-    """Add the cameras of a calibration file: as the rig, in place of another one, or singly without poses.
+    """Add the cameras of a calibration file. They become the rig and replace another rig. Cameras without
+    poses are added singly.
 
     Args:
         document: The scene.
         path: Calibration file; relative to the folder of the scene.
-        floor_points: File of floor points (docs/rigs.md) that place the rig; without it, the cameras are
-            taken to stand upright.
-        as_file: The world of the file is ``map``.
-        only: Names of the cameras to take; all if None.
+        floor_points: File of floor points (docs/rigs.md) that place the rig. Without this file, the cameras
+            are assumed to stand upright.
+
+        as_file: Whether the world of the file is ``map``.
+        only: Names of the cameras to take. If None, all are taken.
 
     Returns:
         Names of the cameras that were added.
@@ -243,8 +245,9 @@ def set_keyframe(
         kind: ``humans`` or ``objects``.
         name: Name in the section.
         seconds: Scene time; rounded to a frame of the keyframes.
-        position: (3,) in ``map`` of the object, or of the anchor of the person's motion; as it is if None.
-        quaternion: Rotation (4,) xyzw; as it is if None.
+        position: Position (3,) in ``map`` of the object, or of the anchor of the person's motion. If None,
+            the position stays.
+        quaternion: Rotation (4,) xyzw. If None, the rotation stays.
 
     Raises:
         HumansimError: It is not in the file; the scene has no file; a number is not finite.
@@ -274,7 +277,7 @@ def set_keyframe(
 
 
 def remove_keyframe(document: SceneDocument, kind: SectionName, name: str, seconds: float) -> None:
-    """Remove the key nearest to a time; with the last one, the keyframes.
+    """Remove the keyframe nearest to a time. With the last keyframe, the keyframes of the item end.
 
     Args:
         document: The scene.

@@ -56,9 +56,9 @@ class Opened:
 
     Attributes:
         source: The source.
-        path: Its file; None for built-ins.
+        path: File of the source; None for built-ins.
         reload: Makes the source again.
-        problem: Why the file cannot be shown; the source is empty then.
+        problem: Why the file cannot be shown. If there is a problem, the source is empty.
         document: The scene, to edit it; None for other kinds.
     """
 
@@ -86,7 +86,7 @@ class TopicOptions:
 
     @property
     def topic(self) -> str | None:
-        """The topic of the estimate; None if it is files, or there is none."""
+        """Topic of the estimate; None if the estimate is in files, or if there is no estimate."""
         one = self.estimate[0] if len(self.estimate) == 1 else ""
         return one if one and not exists(Path(split_topic(one)[0])) else None
 
@@ -119,7 +119,7 @@ class TopicOptions:
 
 
 def open_source(what: Path | None, topics: TopicOptions | None = None) -> Opened:
-    """Open a path, or the name of a built-in; the demo scene if None.
+    """Open a path or the name of a built-in. If ``what`` is None, open the demo scene.
 
     ``topics``: how the topics of a bag are shown, and an estimate of a bag or scene. If None, as they are.
 
@@ -142,13 +142,13 @@ def open_source(what: Path | None, topics: TopicOptions | None = None) -> Opened
     if exists(what) and what.is_dir():
         return _open_folder(what)
     if has_key(what, RECIPE):
-        load_config(what)  # whose error says what to do with it
+        load_config(what)  # the error of load_config says what to do
     make = _maker(what)
     if not exists(what):
         return Opened(make())
     document = SceneDocument.load(what) if _is_scene(what) else None
     try:
-        if document is not None and document.lacks_cameras:  # it is being made
+        if document is not None and document.lacks_cameras:  # the scene is being made
             source = SceneViewSource(document.scene_so_far(), what.stem, has_cameras=False)
             return Opened(source, what, make, document=document)
         if document is not None and not document.errors():  # which has loaded the scene
@@ -228,7 +228,7 @@ def open_graph(topics: TopicOptions | None = None, namespace: str = "") -> Opene
 
 
 def _maker(what: Path) -> Callable[[], ViewSource]:
-    """Function that makes the source of a path."""
+    """Return a function that makes the source of a path."""
     if not exists(what):
         return _built_in(what)
     if _is_scene(what):
@@ -319,7 +319,7 @@ def _cameras(path: Path) -> ViewSource:
 
 
 class EmptySource(ViewSource):
-    """Nothing, until the file of the page is mended.
+    """An empty source, which is shown until the file of the page is correct again.
 
     Args:
         title: Title of the page.

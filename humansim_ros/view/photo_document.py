@@ -58,8 +58,8 @@ class Overlay:
     Attributes:
         points: (V, K, 3) the given points with their confidences, 0 for absent ones.
         fitted: (V, K, 2) points of the solution; NaN where they are not seen, or without solution.
-        residuals: (V, K) distances between both; NaN where there is none.
-        outliers: (V, K) the solution has left this point out, and it is as it was.
+        residuals: (V, K) distances between given and fitted points. NaN where one of them is absent.
+        outliers: (V, K) whether the solution left this point out, and the point has not changed since.
         bones: (V, B, 2, 2) ends of the bones; B is 0 without solution.
         outlines: Lines (N, 2) around the body, for each view.
     """
@@ -258,7 +258,7 @@ class PhotoDocument:
 
         Args:
             fit: The solution.
-            of: State whose points it fits; there may have been edits since.
+            of: State with the points that the solution fits. There may have been edits since.
             same: Command that does the same.
         """
         swapped = fit.swapped ^ of.swapped ^ self.state.swapped if of is not self.state else fit.swapped

@@ -159,10 +159,8 @@ class PhotoSolver:
         self.progress = "stops"
 
     def take(self) -> tuple[PersonFit | None, PhotoState, list[str], str | None] | None:
-        """The solution (None if it was stopped), what it is of, warnings, and why it failed; once.
-
-        None while it is being computed.
-        """
+        """Return the result once: the solution (None if the user stopped it), the state that was solved,
+        warnings, and the reason of a failure. Returns None while the solution is being computed."""
         ended = self._ended
         if ended is None or self._thread is None:
             return None
@@ -198,7 +196,7 @@ class PhotoSolver:
                 pass
             except HumansimError as error:
                 problem = str(error)
-            except Exception as error:  # the page lives, whatever happens in a solution
+            except Exception as error:  # the page must survive any error of a solution
                 problem = f"the solution has failed: {type(error).__name__}: {error}"
         told = list(dict.fromkeys(str(each.message) for each in caught))
         self._ended = (None if self._stopped.is_set() else fit, state, told, problem)

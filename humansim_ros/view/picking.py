@@ -168,13 +168,13 @@ class Hit:
 
 
 def hit_person(human: Human, joints: Array, origin: Array, direction: Array) -> Hit | None:
-    """First point of a posed human on a ray [Moller 1997]; None if it misses.
+    """First point of a posed human that a ray hits [Moller 1997]; None if the ray misses the human.
 
     Args:
-        human: The human at rest.
+        human: The human in the rest pose.
         joints: (J, 4, 4) poses in ``map``, bones first.
-        origin: (3,) in ``map``.
-        direction: (3,).
+        origin: Start (3,) of the ray in ``map``.
+        direction: Direction (3,) of the ray.
     """
     vertices = human.pose(joints[: len(human.skeleton)]).astype(float)
     triangles = human.mesh.triangles

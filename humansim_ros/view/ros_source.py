@@ -54,13 +54,14 @@ from humansim_ros.view.tracks import (
 
 #: Seconds between two looks at the wanted topics, and at the graph.
 _LOOK_EVERY, _DISCOVER_EVERY = 0.05, 0.5
-#: Seconds after which images that are not wanted any more are not received any more.
+#: Images that have not been wanted for this number of seconds are no longer received.
 _UNWANTED = 3.0
-#: Nanoseconds that a frame is held back until all its messages are there, without and with an estimate.
+#: A frame is held back for at most this time until all its messages have arrived, nanoseconds: without, and
+#: with an estimate.
 _PATIENCE, _ESTIMATE_PATIENCE = 200_000_000, 1_500_000_000
 #: Seconds that numbers of a pixel wait for images that nobody wanted before.
 _PIXEL_PATIENCE = 1.5
-#: Seconds without a publisher after which people and cameras are gone.
+#: People and cameras without a publisher for this number of seconds are removed.
 _LEFT_AFTER = 5.0
 #: Seconds without a frame after which the page says so.
 _SILENT = 3.0
@@ -92,9 +93,9 @@ _MAX_TRANSFORMS = 2000
 class RosViewSource(TopicSource):
     """A graph that is shown while it runs.
 
-    A thread receives messages; the thread of the page takes them, and never waits. All topics of a frame have
-    its stamp. Images are received while they are shown: cameras of this package render nothing that nobody
-    receives.
+    A thread receives messages. The thread of the page takes them, and never waits. All messages of a frame
+    have the same stamp. Images are received only while they are shown, since cameras of this package do not
+    render images without a subscriber.
 
     Args:
         estimate: Topic of a tracker's estimate; ``*`` stands for the name of a person.

@@ -274,7 +274,7 @@ class SceneFile:
             return text.encode("utf-8")
 
     def _moved_to(self, folder: Path) -> str:
-        """Text whose relative file names start from another folder."""
+        """Text with relative file names that start from another folder."""
         raise NotImplementedError
 
     # --- parts

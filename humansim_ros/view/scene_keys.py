@@ -61,7 +61,7 @@ class SceneKey:
 
     @property
     def default(self) -> Any:
-        """Value if the key is absent; None if it must be given."""
+        """Value of the key if the key is absent; None if the key is required."""
         if self.field is None:
             return None
         value = self.field.get_default(call_default_factory=True)

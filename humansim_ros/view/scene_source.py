@@ -248,9 +248,9 @@ class SceneViewSource(ViewSource):
 
 #: Channels that joints with their visibility need.
 _JOINT_CHANNELS = ("depth", "instance", "part")
-#: Seconds in which a process must answer.
+#: Longest time until a process must answer, seconds.
 _PATIENCE = 60.0
-#: The motion of the page goes before its images.
+#: Niceness of the rendering processes, so that the motion of the page goes before its images.
 _NICE = 5
 #: Most processes; each has a renderer of its own.
 _MOST = 4
@@ -265,7 +265,7 @@ class Request:
         cameras: Names of the cameras.
         channels: Names of the channels.
         width: Width to which wider images are scaled down, pixels.
-        full: Names of the cameras whose images keep their size.
+        full: Names of the cameras with images that keep their size.
     """
 
     index: int
@@ -306,11 +306,12 @@ class _Frame:
 class ImageWorkers:
     """Processes that render cameras of a frame, and different frames, at the same time.
 
-    A process has the cached static image of the cameras that it has rendered; so it gets them again.
+    A process caches the static image of the cameras that it has rendered. Therefore it gets the same cameras
+    again.
 
     Args:
         scene: The scene.
-        count: Number of processes; as many as the machine has cores, up to four, if None.
+        count: Number of processes. If None, as many as the machine has cores, but at most four.
         copies: They are copies of this process (see :class:`Workers`).
 
     Raises:

@@ -114,7 +114,7 @@ class SeenTopics:
 
     @property
     def lasting(self) -> set[str]:
-        """Topics whose messages hold until the next one, however long that takes."""
+        """Topics with messages that stay valid until the next message, however long that takes."""
         found = {topics["mesh"] for topics in self.people.values() if "mesh" in topics}
         for camera in self.cameras.values():
             found |= {camera.info, *camera.poses, *camera.legends.values()}

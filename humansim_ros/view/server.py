@@ -43,11 +43,11 @@ _MOST_BYTES = 1 << 16
 PART = 512 * 1024
 #: Largest file of a browser, and most bytes of files on their way, of all browsers.
 MOST_UPLOAD, _MOST_ON_THE_WAY = 200 << 20, 400 << 20
-#: Largest result that is served, bytes: it is read into memory.
+#: Largest result that is served, bytes. It is limited because results are read into memory.
 _MOST_RESULT = 1 << 30
 #: Messages of a browser about files that it sends.
 _UPLOAD = ("FileTransferStartUpload", "FileTransferPart")
-#: Messages of a browser that are taken; all others (public tunnels …) are dropped.
+#: Messages of a browser that are accepted. All others (such as requests for public tunnels) are dropped.
 _TAKEN = {
     "CommandTriggerMessage",
     "FileTransferPart",
@@ -64,10 +64,11 @@ _TAKEN = {
 }
 #: Largest file of the page itself, bytes.
 _MOST_OWN = 1 << 26
-#: Longest text and longest list in a message.
+#: Longest text and longest list in a message of a browser.
 _LONGEST_TEXT, _LONGEST_LIST = 20_000, 64
 _LARGEST = 1e12
-#: Seconds after which a page that has not told so has shown its images: it is in the background.
+#: A page that has not reported for this number of seconds counts as having shown its images, because it is in
+#: the background.
 _SHOWN_WITHIN = 1.0
 _LOCK = threading.Lock()
 #: Scripts of every page, in this order, before viser's own.
@@ -79,11 +80,11 @@ class PageServer:
 
     Args:
         title: Title of the page.
-        port: Port; the next free one if it is in use.
+        port: Port. If the port is in use, the next free one is taken.
 
     Attributes:
         viser: The server of the page's elements.
-        port: Port that it got.
+        port: Port that the server got.
         on_refused: Called with a sentence for people when a file of a browser is refused.
         result: Gives the file of a path below ``/humansim/results/``. If None, there is none.
 
@@ -123,16 +124,15 @@ class PageServer:
         self.files[PREFIX + name] = (kind, data)
 
     def replace_files(self, folder: str, files: Mapping[str, tuple[str, bytes]]) -> None:
-        """Serve files, by name in ``folder`` (``people/``), as MIME type and content; none else in it."""
+        """Serve files by name in ``folder`` (such as ``people/``), with MIME type and content. All earlier
+        files in it are removed."""
         kept = {path: file for path, file in self.files.items() if not path.startswith(PREFIX + folder)}
         # one assignment: the thread of the server reads it meanwhile
         self.files = kept | {f"{PREFIX}{folder}{name}": file for name, file in files.items()}
 
     def add_script(self, name: str, **data: float) -> None:
-        """Add a script of the folder ``page`` to the page; browsers that open it later run it.
-
-        ``data``: numbers that the script reads as data attributes of its element.
-        """
+        """Add a script of the folder ``page`` to the page. Only browsers that open the page later run the
+        script. ``data``: numbers that the script reads as data attributes of its element."""
         self._add_script(name)
         given = "".join(f' data-{key}="{value}"' for key, value in data.items())
         tag = f'<script src="{PREFIX}{name}"{given}></script>'.encode()
@@ -152,10 +152,8 @@ class PageServer:
         self.requests[PREFIX + name] = function
 
     def stream(self, data: bytes | str, kind: str) -> None:
-        """Send data of a kind to the scripts of all pages: ``poses``, ``images`` or ``state`` (JSON text).
-
-        A slow or a new page gets the latest of each kind only.
-        """
+        """Send data of a kind to the scripts of all pages: ``poses``, ``images`` or ``state`` (JSON text). A
+        slow or new page gets only the latest data of each kind."""
         if self._latest.get(kind) == data:
             return
         self._latest[kind] = data
@@ -168,10 +166,8 @@ class PageServer:
             event.set()
 
     async def _stream_to(self, connection: Any) -> None:
-        """Send what :meth:`stream` is given until the browser goes away.
-
-        Images wait until the page has shown the ones before, so that none grows old on its way.
-        """
+        """Send what :meth:`stream` is given until the browser goes away. Images wait until the page has shown
+        the images before, so that no image is old when it arrives."""
         event = asyncio.Event()
         event.set()
         sent: dict[str, bytes | str] = {}
@@ -310,7 +306,8 @@ def is_acceptable(data: object, gate: UploadGate | None = None) -> bool:
 
 @dataclass
 class UploadGate:
-    """Parts of files of one browser: only parts of a file that was announced, and as many as was said.
+    """Filter for the parts of files from one browser. Passes only parts of announced files, and at most the
+    announced number.
 
     Attributes:
         refused: Called with a sentence for people.
@@ -336,7 +333,7 @@ class UploadGate:
         return True
 
     def close(self) -> None:
-        """The browser has gone: its files are not on their way any more."""
+        """Release the files of a browser that has gone: they are no longer on their way."""
         for transfer in list(self._left):
             self._end(transfer)
 
@@ -363,7 +360,7 @@ class UploadGate:
 
 
 def size_of_upload(size: object) -> str:
-    """Why a file of a browser is refused, as far as its size (a number or its text) says it."""
+    """Reason to refuse a file of a browser because of its size (a number, or the number as text)."""
     try:
         count = int(str(size)[:20])
     except ValueError:
@@ -468,7 +465,8 @@ _SHOWN = {
 
 
 def _result(path: Path | None) -> Response:
-    """A file that a command has written. Its scripts, as in reports, cannot reach this page."""
+    """Answer with a file that a command has written. Scripts in the file, such as those of reports, cannot
+    reach this page."""
     if path is None:
         return _response(http.HTTPStatus.NOT_FOUND, "text/plain", b"no such result\n")
     try:
@@ -487,7 +485,7 @@ def _result(path: Path | None) -> Response:
 
 
 def _free_port(port: int) -> int:
-    """The first free port from ``port`` on; 0 stays 0: any."""
+    """The first free port from ``port`` on. 0 stays 0, which means any port."""
     if port == 0:
         return 0
     for candidate in range(port, min(port + _PORTS, 1 << 16)):
@@ -502,7 +500,7 @@ def _free_port(port: int) -> int:
 
 
 def _index_page(title: str) -> bytes:
-    """Viser's page, with our script before its own."""
+    """Viser's page, with the scripts of this package before its own."""
     root = Path(viser.__file__).parent / "client" / "build" / "index.html"
     text = read_text(root, HumansimError, "page of viser", _MOST_OWN)
     safe = title.replace("&", "&amp;").replace("<", "&lt;")

@@ -37,12 +37,12 @@ class ViewFrame:
         joints: Poses (J, 4, 4) in ``map`` by human, in the order of ``skeleton.joint_names``: the B bones
             first, then the end points.
         sizes: Scale of the body by human; 1 if absent.
-        faces: Weights (S,) of the shapes of a human whose face moves, by human.
+        faces: Weights (S,) of the shapes of the face, by human. Humans with a stiff face are absent.
         objects: Poses (4, 4) in ``map`` of moving objects, with their scale.
         cameras: Cameras at their poses.
         images: RGB images (H, W, 3) for people to look at, by camera and channel.
-        image_index: Frame of the images: an earlier one if they are slower than the motion; None without
-            images, or while the first ones lack cameras.
+        image_index: Number of the frame of the images. It is an earlier frame if images are slower than the
+            motion. None if there are no images, or while the first images lack cameras.
         scans: Points (P, 3) in ``map`` of the last sweep of each laser scanner, by person; "" for other
             surfaces. A moving scanner is where it is at the stamp of the sweep, as RViz shows its points.
         estimate: Points (J, 3) of a tracker in ``map``, by person.
@@ -85,7 +85,7 @@ class FrameRequest:
         cameras: Cameras with images that are wanted.
         channels: Channels that are wanted.
         wait: The images must belong to this frame; otherwise the latest images that are ready are given.
-        full: Cameras whose images keep their size; other images are small.
+        full: Cameras with images that keep their size. Other images are small.
         scans: Points of laser scanners are wanted.
     """
 
@@ -148,7 +148,7 @@ class ViewSource(ABC):
     @property
     @abstractmethod
     def frames(self) -> int | None:
-        """Number of frames; None for a live source, whose latest frame is shown."""
+        """Number of frames; None for a live source, which shows its latest frame."""
 
     @property
     @abstractmethod

@@ -158,7 +158,7 @@ class Stage:
                 self._drop(key)
 
     def hide_camera(self, name: str | None) -> None:
-        """Do not draw a camera: the one that is looked through, whose own image would cover the view."""
+        """Do not draw a camera that the user looks through, because its own image would cover the view."""
         self._hidden = name
         self.set_options(self.options)
 
@@ -641,7 +641,8 @@ def _joined(parts: Sequence[tuple[NDArray[np.integer], int]]) -> NDArray[np.inte
 
 
 def _plain_color(mesh: Mesh) -> NDArray[np.uint8] | None:
-    """Colours (V, 3) or (3,) of a mesh that is drawn without a texture; None if it is drawn with one."""
+    """Colours (V, 3) or (3,) of a mesh that is drawn without a texture; None if the mesh is drawn with its
+    texture."""
     if mesh.texture is None or mesh.uv is None:
         return np.full(3, 170, np.uint8) if mesh.colors is None else np.asarray(mesh.colors, np.uint8)
     mean, deviation = cv2.meanStdDev(mesh.texture)

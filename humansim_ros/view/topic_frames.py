@@ -84,7 +84,7 @@ class _Person:
         human: The body.
         mesh: Serialised surface from which it was made; None without one.
         names: Names of the joints from which it was made.
-        surface: The surface that the body lacks: its bones at rest are not known.
+        surface: Surface that the body lacks, because its bones in the rest pose are not known.
     """
 
     human: Human
@@ -101,7 +101,7 @@ class TopicFrame:
         index: Number of the frame.
         stamp: Nanoseconds.
         start: Stamp of the first frame, nanoseconds.
-        data: Serialised message by topic, as far as the frame has them.
+        data: Serialised messages of the frame, by topic.
     """
 
     index: int
@@ -152,7 +152,7 @@ class TopicFrames:
         return list(self._messages)
 
     def note(self, text: str) -> None:
-        """Tell the user something, once."""
+        """Tell the user something. The same text is told only once."""
         if len(self._messages) < _MAX_MESSAGES:
             self._messages.setdefault(printable(text, 400))
 
@@ -221,12 +221,14 @@ class TopicFrames:
 
     @property
     def skinless(self) -> list[str]:
-        """People with a surface that is known, but not how bones move it: :meth:`add_skin` finds it."""
+        """People with a known surface, but unknown weights of the bones. :meth:`add_skin` finds the
+        weights."""
         people = self.topics.people
         return [name for name, person in self._known.items() if person.surface and "vertices" in people[name]]
 
     def add_skin(self, name: str, samples: Sequence[tuple[bytes, bytes]]) -> None:
-        """Find out how the bones of a person move its surface. It stays a figure of bones if they do not.
+        """Find out how the bones of a person move its surface. If the bones do not move it, the person stays
+        a figure of bones.
 
         Args:
             name: Name of the person.
@@ -271,7 +273,7 @@ class TopicFrames:
     def _pose(
         self, name: str, topics: SeenCamera, data: Mapping[str, bytes], frame: str, stamp: int
     ) -> Array | None:
-        """Pose (4, 4) of a camera in ``map``; None if nothing says it."""
+        """Pose (4, 4) of a camera in ``map``; None if no message has the pose."""
         for topic in topics.poses:
             kind = TransformStamped if topic.endswith("/extrinsics") else PoseStamped
             reader = messages.read_extrinsics if kind is TransformStamped else messages.read_pose
@@ -607,7 +609,8 @@ def _read_calibration(message: CameraInfo) -> tuple[Camera | None, tuple[str, Ca
 
 
 def _read_marker(message: Marker) -> Mesh:
-    """Mesh of a marker in its own frame. Files that a marker names are not read: it may be anybody's."""
+    """Mesh of a marker in its own frame. Files that a marker names are not read, because any program can send
+    markers."""
     messages.read_object(message)
     color = np.array([message.color.r, message.color.g, message.color.b])
     color = np.rint(255 * np.clip(np.nan_to_num(color), 0, 1)).astype(np.uint8)
@@ -639,7 +642,7 @@ def _picture(channel: str, pixels: NDArray[Any], encoding: str) -> Picture:
 
 
 def _metres(millimetres: NDArray[Any]) -> NDArray[np.float32]:
-    """Depth in metres; infinite where none is."""
+    """Depth in metres; infinite where there is no measurement."""
     return np.where(millimetres > 0, millimetres / 1000.0, np.inf).astype(np.float32)
 
 

@@ -45,7 +45,8 @@ _TOLERANCE = 1e-5
 
 
 def known_body(mesh: Mesh, joint_names: Sequence[str], humans: Sequence[Human] = ()) -> Human | None:
-    """The human with a surface: one of ``humans``, or a built-in one; None if it is none of them.
+    """Find the human with a surface, among ``humans`` and the built-in ones; None if no human has the
+    surface.
 
     Args:
         mesh: The surface at rest.
@@ -192,7 +193,7 @@ def _depth(parents: Sequence[int], bone: int) -> int:
 def _skeleton(
     names: tuple[str, ...], parents: Indices, points: Mapping[str, Array], turns: Array
 ) -> Skeleton:
-    """Skeleton in body space whose bones lie along y of their axes, as far as their children or ends.
+    """Skeleton in body space. Bones lie along their y axes, and reach to their children or ends.
 
     Args:
         names: Names of the bones.
@@ -425,9 +426,9 @@ def people_of(frame: PoseFrame, person: str | None, options: LiveOptions) -> lis
 def beside_truth(
     estimate: Sequence[Pose], truth: Mapping[str, TruePoints], options: LiveOptions
 ) -> tuple[dict[str, Array], dict[str, float]]:
-    """People of an estimate under the names of the people of the truth whom they are nearest to.
+    """Give people of an estimate the names of the nearest people of the truth.
 
-    People of nobody keep their name after ``?``.
+    People who match nobody keep their own name after a ``?``.
 
     Args:
         estimate: People of the estimate.

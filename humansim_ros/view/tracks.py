@@ -44,11 +44,11 @@ _MOST_MARKS = 2000
 _CHUNK = 30
 #: Added to the niceness of the page: images have 5, and go first.
 _NICE = 10
-#: Seconds that a source is shown before its tracks are read: who edits changes it several times. Then it is
-#: waited for its first images, at most so long.
+#: A source must be shown for this number of seconds before its tracks are read, since an editor changes the
+#: source several times. Then the reader waits for the first images, but at most the second number of seconds.
 _QUIET, _PATIENCE = 1.0, 20.0
-#: Of a running graph: nanoseconds that are shown, and between frames whose joints and visibility are read;
-#: most frames.
+#: For a running graph, nanoseconds: the span that is shown; the time between two frames with joints and
+#: visibility that are read. Most frames.
 _LIVE_SPAN, _LIVE_STEP, _MOST_LIVE = 60 * 10**9, 240_000_000, 6000
 #: Seconds between looks at what has arrived, and between two messages to the page.
 _TICK, _PUBLISH = 0.2, 0.7
@@ -63,9 +63,9 @@ class TrackOutline:
         period: Nanoseconds between frames.
         cameras: Names of the cameras.
         joints: Names of the joints by person.
-        spans: First and last frames in which a person is there, by person.
+        spans: First and last frames of the intervals with the person, by person.
         keys: Frames of keyframes by person or object; absent without keyframes.
-        drops: Frames with an image that is lost, by camera; absent without.
+        drops: Frames with a lost image, by camera. A camera without lost images is absent.
         projected: Cameras that do not say what is occluded: their joints are projected.
         has_views: Visibility can be read.
         most_views: Most frames with a visibility that is read.
@@ -249,7 +249,7 @@ class SceneTracks:
         scene: The scene.
         frames: Number of frames of the page.
         cameras: Names of the cameras of the page.
-        plan: Frames in which an estimate is compared; None without one.
+        plan: Frames that are compared with an estimate; None if there is no estimate.
     """
 
     scene: Scene
@@ -647,10 +647,10 @@ class ArrivedFrame:
 
     Attributes:
         stamp: Nanoseconds.
-        people: Names of those with joints that have arrived.
+        people: Names of the people with joints that have arrived.
         images: Whether the image of a camera has arrived, for the cameras with images that are received.
         sample: Joints and visibility; None for the frames between samples.
-        projected: Cameras whose visibility in the sample is of projected joints.
+        projected: Cameras for which the visibility in the sample is of projected joints.
         errors: Errors of an estimate by person, millimetres.
     """
 
@@ -663,7 +663,7 @@ class ArrivedFrame:
 
 
 class LiveTracks:
-    """Tracks that grow while a graph runs; of its newest frames only.
+    """Tracks that grow while a graph runs. They cover only its newest frames.
 
     Attributes:
         newest: Stamp of the newest frame; -1 without frames.

@@ -1,7 +1,7 @@
 """Files that browsers send: named plainly, read as their kind, and kept next to the scene.
 
-Nothing of them is trusted: the name is made anew of plain characters, and a file is kept only if the reader
-of its kind can read it. The server has bounded its size (:class:`humansim_ros.view.server.UploadGate`).
+Files of browsers are not trusted. The name is made anew from plain characters, and a file is kept only if the
+reader of its kind can read it. The server limits the size (:class:`humansim_ros.view.server.UploadGate`).
 """
 
 from __future__ import annotations

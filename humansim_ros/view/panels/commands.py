@@ -24,7 +24,7 @@ from humansim_ros.view.panels.page import Page, by_user, plain_markdown
 from humansim_ros.view.server import PREFIX, check_value, inside
 
 _START, _STOP = "Start", "Stop"
-#: Options that a command needs, as a beginning.
+#: Options that a command line begins with, because the command needs them.
 _BEGINNINGS = {
     "run": "humansim run {scene}",
     "record": "humansim record {scene} -o {stem}_bag --frames {frames}",
@@ -38,7 +38,7 @@ _BEGINNINGS = {
 }
 #: Choices next to the buttons.
 _NO_OTHER = "(another command)"
-#: Most links to files of a result, and most files of a folder that are looked at.
+#: Most links to files of a result; and most files of a folder that are searched.
 _MOST_LINKS, _MOST_LOOKED = 30, 5000
 #: Options of commands that name what they write.
 _WRITTEN = ("-o", "--output", "--report", "--picture")
@@ -109,12 +109,13 @@ class CommandsPanel:
         self._text.value = _BEGINNINGS[command].format(**quoted)
 
     def _use_estimate(self, name: str) -> None:
-        """Show the line of an evaluation, and the estimate next to the truth; an empty name is none."""
+        """Show the command line of an evaluation, and the estimate next to the truth. An empty name means no
+        estimate."""
         self.choose("evaluate")
         self._app.compare(self._document.folder / name if name else None)
 
     def toggle(self) -> None:
-        """Start the command, or stop the one that runs."""
+        """Start the command, or stop the running one."""
         if self.job is not None and self.job.code is None:
             self.job.stop()
         else:
@@ -122,7 +123,7 @@ class CommandsPanel:
         self.update()
 
     def start(self, text: str) -> None:
-        """Start a command line in the folder of the scene; an error is shown."""
+        """Start a command line in the folder of the scene. If this fails, the error is shown."""
         try:
             words = command_words(text, self._document.folder)
             of_scene = words[1] in (*COMMANDS, "check", "snapshot")
@@ -162,7 +163,7 @@ class CommandsPanel:
         return path if mine and path.is_file() else None
 
     def _links(self) -> str:
-        """Links to what the command has written, or to the page that it serves."""
+        """Links to the files that the command has written, or to the page that the command serves."""
         if self.job is None:
             return ""
         if self.job.code is None:
@@ -194,7 +195,8 @@ class CommandsPanel:
 
 #: Commands that the page starts.
 COMMANDS = ("run", "record", "export", "evaluate")
-#: Other commands that the page starts, and the options that it allows: none of them starts a program.
+#: Other commands that the page starts, with the options that it allows. None of these options starts a
+#: program.
 _OPTIONS: dict[str, tuple[str, ...]] = {
     "check": ("--quick", "--frames"),
     "snapshot": ("-o", "--output", "--time", "--frame"),
@@ -211,7 +213,7 @@ _OPTIONS: dict[str, tuple[str, ...]] = {
     ),
     "human texture": ("-o", "--output", "--fit", "--picture", "--method", "--texture-size", "--frame"),
 }
-#: Lines that are kept, characters of a line, and seconds for an end in order.
+#: Lines of output that are kept; most characters of a line; seconds that a process gets to end by itself.
 _LINES, _WIDTH, _PATIENCE = 12, 200, 10.0
 #: Lines of progress: ``120 of 300 frames, …``.
 _PROGRESS = re.compile(r"(\d+) of (\d+) ")
@@ -220,10 +222,11 @@ _PROGRESS = re.compile(r"(\d+) of (\d+) ")
 def command_words(text: str, folder: Path) -> list[str]:
     """Words of a command line such as ``humansim record scene.yaml -o bag``.
 
-    ``folder``: files that it names must be below it.
+    ``folder``: files that the command line names must be below this folder.
 
     Raises:
-        HumansimError: It is not one of the commands that the page starts, or names another file.
+        HumansimError: The page does not start this command, or the command line names a file outside of the
+            folder.
     """
     try:
         words = shlex.split(text)
@@ -265,7 +268,7 @@ def files_below(folder: Path) -> list[Path]:
 
 
 class Job:
-    """A command that runs in a process of its own.
+    """A command that runs in its own process.
 
     Args:
         text: Command line. It begins with ``humansim``.
@@ -303,7 +306,7 @@ class Job:
 
     @property
     def progress(self) -> float:
-        """Share that is done, 0 to 1, as its last line says."""
+        """Share of the work that is done, 0 to 1, from the last line of progress."""
         return 1.0 if self.code == 0 else self._progress
 
     @property
@@ -321,13 +324,13 @@ class Job:
         return "has finished" if self.code == 0 else f"has failed with exit code {self.code}"
 
     def stop(self) -> None:
-        """Ask the process to end. Not by SIGINT, which background jobs of a shell ignore."""
+        """Ask the process to end. SIGINT is not used, because background jobs of a shell ignore it."""
         self._stopped = True
         if self.code is None:
             self._process.terminate()
 
     def close(self) -> None:
-        """End it, by force after ten seconds."""
+        """End the process, by force after ten seconds."""
         if self.code is None:
             self.stop()
             try:

@@ -1,4 +1,5 @@
-"""Controls for the keys of a section of a scene, made of the schema; wrong values are told below them."""
+"""Controls for the keys of a section of a scene, made from the schema. Errors are shown below the
+controls."""
 
 from __future__ import annotations
 
@@ -21,7 +22,7 @@ from humansim_ros.view.uploads import files_in, kind_of_key
 
 #: Changes a key; None removes it.
 KeyChange = Callable[[tuple[YamlKey, ...], Any], None]
-#: Functions of a control: its value for the document, and how it shows a value of the document.
+#: The two functions of a control: one reads its value for the document, one shows a value of the document.
 ReadValue = Callable[[SceneKey, Any], Any]
 ShowValue = Callable[[Any, Any, SceneDocument, SceneKey], None]
 
@@ -35,8 +36,8 @@ class SectionControls:
         gui: The GUI of viser.
         document: The scene.
         keys: Path of the section.
-        change: Called with a key and its new value when a user changes it.
-        only: Keys of the section; all if empty.
+        change: Function that is called with a key and its new value when a user changes the value.
+        only: Keys of the section that get controls. If empty, all keys.
         choices: Values of keys to choose from, by dotted key within the section.
         post: Runs a function in the thread that edits the document.
         folder: Folder of the page for the controls and their errors. If None, the root of the page.
@@ -66,7 +67,7 @@ class SectionControls:
             control.show(self._document)
 
     def show_errors(self, faults: Sequence[SceneFault]) -> list[SceneFault]:
-        """Show errors below their controls; returns the errors that belong to no control."""
+        """Show errors below their controls. Returns the errors that belong to no control."""
         told: dict[tuple[YamlKey, ...], str] = {}
         others = []
         for fault in faults:
@@ -103,7 +104,7 @@ class SectionControls:
             self._add_section(found)
 
     def _add_section(self, found: SceneKey) -> None:
-        """A folder for a section; a box turns an optional one on."""
+        """Add a folder for a section. If the section is optional, a box turns it on."""
         self._order += 1
         optional = type(None) in get_args(found.annotation)
         folder = self._gui.add_folder(str(found.keys[-1]), order=self._order, expand_by_default=False)
@@ -230,7 +231,8 @@ class KeyControl:
         return self._read(self.key, self.handle.value)
 
     def show(self, document: SceneDocument) -> None:
-        """Show the value of the document; a wrong one of another type stays as it was typed."""
+        """Show the value of the document. If the value has a wrong type, its text stays as the user typed
+        it."""
         try:
             value = document.value(self.key.keys)
             self._show(self.handle, value, document, self.key)
@@ -238,7 +240,7 @@ class KeyControl:
             return
 
     def tell(self, gui: Any, message: str | None) -> None:
-        """Show an error below the control; None for none."""
+        """Show an error below the control. If the message is None, no error is shown."""
         if message is None:
             if self._error is not None:
                 self._error.remove()
@@ -265,7 +267,7 @@ def _read_switch(_: SceneKey, value: Any) -> Any:
 
 
 def _read_text(key: SceneKey, value: str) -> Any:
-    """Text of a name or file; YAML of all others."""
+    """Read the text of a control. It is a plain text for names and files, and YAML for all other keys."""
     text = value.strip()
     if not text:
         return None

@@ -1,4 +1,5 @@
-"""Part of the tab ``Human``: a person by seed, with sliders for what is not to be drawn."""
+"""Part of the tab ``Human``: a person drawn at random from a seed, with sliders for properties that the user
+sets."""
 
 from __future__ import annotations
 
@@ -32,13 +33,13 @@ _CLOTHES: dict[str, Iterable[str]] = {"top": TOPS, "bottom": BOTTOMS, "shoes": F
 
 
 class DrawnPersonPanel:
-    """A folder of a tab: who is drawn, and the person that the scene gets.
+    """A folder of a tab: which person is drawn at random, and a button that adds the person to the scene.
 
     Args:
         app: The page. All methods run in its thread.
         document: The scene that gets the person.
         background: Where the person is built.
-        back: Shows the scene again.
+        back: Function that shows the scene again.
     """
 
     def __init__(
@@ -73,7 +74,7 @@ class DrawnPersonPanel:
         self.show()
 
     def set(self, option: str, value: Any) -> None:
-        """Set what is not to be drawn."""
+        """Set a property, so that it is not drawn at random."""
         if value in (_DRAWN, ""):
             self.given.pop(option, None)
         else:
@@ -81,7 +82,7 @@ class DrawnPersonPanel:
         self.show()
 
     def reset(self) -> None:
-        """Draw everything."""
+        """Draw all properties at random again."""
         self.given.clear()
         for handle in self.choices.values():
             handle.value = _DRAWN
@@ -89,7 +90,8 @@ class DrawnPersonPanel:
         self.show()
 
     def person(self) -> Person:
-        """Who is drawn. Raises HumansimError, with the range, if there is no such person."""
+        """The person that is drawn. Raises HumansimError, which names the valid range, if there is no such
+        person."""
         given = dict(self.given)
         clothes = {key: given.pop(key) for key in (*_CLOTHES, "hair", "beard", "wears") if key in given}
         if "wears" in clothes:
@@ -110,7 +112,7 @@ class DrawnPersonPanel:
             raise HumansimError(f"{reason.key}: {reason.message}" if reason.key else reason.message) from None
 
     def show(self) -> None:
-        """Show who is drawn, on the sliders too, and the command that makes the same person."""
+        """Show the person that is drawn, also on the sliders, and the command that makes the same person."""
         try:
             person = self.person()
         except HumansimError as error:
@@ -140,10 +142,12 @@ class DrawnPersonPanel:
         return " ".join([f"humansim human make --seed {int(self._seed.value)}", *options, f"-o {file}"])
 
     def add(self) -> None:
-        """Build the person, write it next to the scene, and add it, or replace the person of this name.
+        """Build the person, write it next to the scene, and add it to the scene. A person of the same name is
+        replaced.
 
         Raises:
-            HumansimError: There is no such person; the name is wrong, or taken by a file of others.
+            HumansimError: There is no such person, the name is wrong, or a file that the page did not write
+                has this name.
         """
         person, name, document = self.person(), str(self._name.value).strip(), self._document
         find_key(["humans", name])  # checks the name

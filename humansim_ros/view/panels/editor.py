@@ -30,7 +30,7 @@ from humansim_ros.view.panels.page import Page, by_user, plain_markdown
 from humansim_ros.view.scene_source import SceneViewSource
 from humansim_ros.view.server import check_value, inside
 
-#: What can be selected besides people, objects, cameras and the rig: sections of the file.
+#: What can be selected in addition to people, objects, cameras and the rig: sections of the file.
 _SECTIONS = ("scene", "room", "light", "world", "randomise", "variety", "time")
 #: Keys of the top of the file.
 _TOP = ("rate", "renderer", "license")
@@ -39,7 +39,7 @@ _PLURAL = {value: key for key, value in _SINGULAR.items()}
 _UNDO, _REDO = "Undo", "Redo"
 _SAVE_WRONG = "Save with errors"
 _COPY, _REMOVE = "Duplicate", "Remove"
-#: Movements below these are the gizmo's own rounding: metres, and sine of half an angle.
+#: Smaller movements are only rounding of the gizmo: metres, and sine of half an angle.
 _MOVED, _TURNED = 5e-5, 4e-5
 
 
@@ -97,7 +97,8 @@ class EditorPanel:
     # --- edits
 
     def edit(self, action: Callable[[], Any]) -> bool:
-        """Edit the document, and show the scene that it is now; an error is shown, and nothing changes."""
+        """Edit the document, and show the new scene. If the edit fails, the error is shown and nothing
+        changes."""
         try:
             action()
         except HumansimError as error:
@@ -145,7 +146,7 @@ class EditorPanel:
         self.edit(self.document.undo)
 
     def redo(self) -> None:
-        """Do the step again that was taken back last."""
+        """Redo the step that was undone last."""
         self.edit(self.document.redo)
 
     def set(self, keys: tuple[YamlKey, ...], value: Any) -> None:
@@ -168,7 +169,7 @@ class EditorPanel:
             return ()
 
     def _leave_outfit(self, name: str) -> None:
-        """Remove the outfit of a person with a body that does not have it."""
+        """Remove the outfit of a person if the body does not have this outfit."""
         keys, outfits = ["humans", name, "outfit"], self.outfits(name)
         worn = self.document.value(keys)
         if worn is not None and outfits and worn not in outfits:
@@ -208,8 +209,8 @@ class EditorPanel:
 
         Args:
             path: The file, below the folder of the scene.
-            overwrite: Replace a file of others.
-            wrong: Save a scene with errors; else a question comes first.
+            overwrite: Replace a file that another program wrote.
+            wrong: Save a scene even if it has errors. If False, the user is asked first.
         """
         faults = self.document.errors()
         if faults and not wrong:
@@ -265,7 +266,7 @@ class EditorPanel:
         self._show_status()
 
     def refresh(self) -> None:
-        """Show the document: its scene if it is right, its errors if not."""
+        """Show the document: its scene if the scene is valid, or else its errors."""
         faults = self.document.errors()
         if self.document.version != self._shown and (not faults or self.document.lacks_cameras):
             with suppress(SceneError):  # the status says it
@@ -286,7 +287,7 @@ class EditorPanel:
         self.place_gizmo()
 
     def show_scene(self) -> None:
-        """Show the scene of the document again, after something else."""
+        """Show the scene of the document again, after something else was shown."""
         self._shown = -1
         self.refresh()
         if not isinstance(self._app.source, SceneViewSource):  # it is wrong
@@ -299,7 +300,7 @@ class EditorPanel:
         return SceneViewSource(scene, self._app.source.title, has_cameras=has_cameras)
 
     def stage_made(self) -> None:
-        """The 3D scene has been made again, without the gizmo."""
+        """Note that the 3D scene has been made again, without the gizmo."""
         self._gizmo = None
         self.place_gizmo()
 
@@ -334,7 +335,8 @@ class EditorPanel:
         self._gizmo = gizmo
 
     def file_changed(self) -> bool:
-        """Take the text of the file after another program changed it; False if there are unsaved edits."""
+        """Read the text of the file again after another program changed it. Returns False if there are
+        unsaved edits."""
         if not self.document.changed_on_disk():
             return True
         if self.document.changed:
@@ -432,7 +434,7 @@ class EditorPanel:
 Edit = Callable[[Callable[[], Any]], bool]
 
 _ADD = "Add"
-#: Most cameras of a file that have a box each.
+#: If a file has more cameras than this, they get no boxes.
 _MOST_BOXES = 100
 #: Size of a figure in the picture of a motion, pixels, and number of figures.
 _FIGURE, _PHASES = (110, 150), 6
@@ -466,16 +468,16 @@ class KeyframeTools:
         return bool(self._folder.visible and self._dragging.value)
 
     def use(self, action: str) -> None:
-        """Add a key at the time that is shown, or remove the nearest: ``Add`` or ``Remove``."""
+        """Add a key at the time that is shown (``Add``), or remove the nearest key (``Remove``)."""
         change = set_keyframe if action == _ADD else remove_keyframe
         self._edit(lambda: change(self._document, *self._item, self._app.scene_seconds))
 
     def drag(self, position: Array | None, quaternion: Array | None) -> None:
-        """Add a key for a place of the gizmo. Raises HumansimError."""
+        """Add a key for the place of the gizmo. Raises HumansimError."""
         set_keyframe(self._document, *self._item, self._app.scene_seconds, position, quaternion)
 
     def show(self, kind: SectionName, name: str) -> None:
-        """Show the keys of an item; nothing for a camera or a section."""
+        """Show the keys of an item. Cameras and sections have no keys."""
         self._item = kind, name
         self._folder.visible = kind in ("humans", "objects") and self._document.has([kind, name])
         if self._folder.visible:
@@ -538,10 +540,11 @@ class CalibrationTools:
         """Add the cameras of a calibration file.
 
         Args:
-            file: Its path from the folder of the scene.
-            floor_points: File of floor points that place the rig; empty: the cameras stand upright.
-            as_file: The world of the file is ``map``.
-            only: Names of the cameras to take; all if None.
+            file: Path of the file from the folder of the scene.
+            floor_points: File of floor points that place the rig. If empty, the cameras are assumed to stand
+                upright.
+            as_file: Whether the world of the file is ``map``.
+            only: Names of the cameras to take. If None, all are taken.
         """
 
         def add() -> None:
@@ -551,7 +554,7 @@ class CalibrationTools:
         self._edit(add)
 
     def idealize(self, ideal: bool) -> None:
-        """Take ideal cameras, or the real ones."""
+        """Use ideal cameras, or use the real ones again."""
         if not self._edit(lambda: set_ideal(self._document, *self._item, ideal)):
             self._ideal.value = not ideal
 
@@ -571,7 +574,8 @@ class CalibrationTools:
 
 
 class MotionPicture:
-    """A strip of the motion of a person; drawn when it changes. ``app``: the page."""
+    """A picture of the motion of a person as a strip. It is drawn when the motion changes. ``app``: the
+    page."""
 
     def __init__(self, app: Page) -> None:
         self._gui = app.gui
@@ -580,7 +584,7 @@ class MotionPicture:
         self._image: Any = None
 
     def show(self, actor: Actor | None) -> None:
-        """Show the motion of a person; nothing for None."""
+        """Show the motion of a person. If ``actor`` is None, show nothing."""
         self._folder.visible = actor is not None
         if actor is None or self._shown == (actor.motion.motion.path, actor.motion.mirror):
             return

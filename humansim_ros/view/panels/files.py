@@ -1,4 +1,5 @@
-"""Files next to the scene: a button that takes a file of the browser, and a choice of the files."""
+"""Files next to the scene: a button that uploads a file from the browser, and a list to choose a file
+from."""
 
 from __future__ import annotations
 
@@ -10,7 +11,7 @@ from humansim_ros.view.document import SceneDocument
 from humansim_ros.view.panels.page import Page, by_user
 from humansim_ros.view.uploads import KINDS, files_in, keep_file
 
-#: Runs a function in the thread of the page, which shows its errors.
+#: Runs a function in the thread of the page. The page shows its errors.
 Post = Callable[[Callable[[], None]], None]
 
 
@@ -24,13 +25,13 @@ def upload_button(
     label: str | None = None,
     order: float | None = None,
 ) -> Any:
-    """Add a button that keeps a file of the browser next to the scene.
+    """Add a button that uploads a file from the browser and keeps it next to the scene.
 
     Args:
         gui: Elements of the page.
         document: The scene.
         kind: Kind of the file, of :data:`humansim_ros.view.uploads.KINDS`.
-        take: Called with the name of the file that was kept, in the thread of the page.
+        take: Function that is called with the name of the kept file, in the thread of the page.
         post: Runs a function in that thread.
         label: Text of the button.
         order: Place of the button in its folder.
@@ -46,7 +47,8 @@ def upload_button(
         order=order,
     )
 
-    def uploaded(event: Any) -> None:  # in a thread of the server: to read a large file takes seconds
+    # runs in a thread of the server, because reading a large file takes seconds
+    def uploaded(event: Any) -> None:
         sent = event.target.value
         event.target._impl.value = type(sent)("", b"")  # its content is not kept in memory
         if event.client_id is None or not sent.name:
@@ -63,7 +65,7 @@ def upload_button(
 
 
 def _raise(error: HumansimError) -> Callable[[], None]:
-    """A function that raises an error, so that the thread of the page shows it."""
+    """Return a function that raises an error, so that the thread of the page shows the error."""
 
     def fail() -> None:
         raise error
@@ -79,9 +81,10 @@ class FileChoice:
         document: The scene.
         label: Label of the list.
         kind: Kind of the files.
-        chosen: Called with the name of a file when a user chooses or uploads one; empty for none.
+        chosen: Function that is called with the name of a file when a user chooses or uploads one. The name
+            is empty if no file is chosen.
         more: Other choices, such as names of built-ins.
-        upload: Text of the button; by the kind if None.
+        upload: Text of the button. If None, the text follows from the kind.
     """
 
     NONE = "(none)"
@@ -104,7 +107,7 @@ class FileChoice:
 
     @property
     def value(self) -> str:
-        """Name of the file that is chosen; empty for none."""
+        """Name of the chosen file; empty if no file is chosen."""
         return "" if self._list.value == self.NONE else str(self._list.value)
 
     def take(self, name: str) -> None:
@@ -113,7 +116,7 @@ class FileChoice:
         self._chosen(name)
 
     def refresh(self, name: str | None = None) -> None:
-        """Show the files that are there now. ``name``: the file to choose. If None, the same as before."""
+        """Update the list of files. ``name``: the file to choose. If None, the choice stays."""
         kept = self._list.value if name is None else name or self.NONE
         options = self._options()
         if kept not in options:

@@ -188,7 +188,7 @@ class HumanPanel:
     def _work(
         self, what: str, step: Callable[[], PersonDraft], then: Callable[[], None] | None = None
     ) -> None:
-        """Do a step in a thread, so that the page lives meanwhile."""
+        """Do a step in a thread, so that the page stays responsive."""
 
         def done(draft: PersonDraft) -> None:
             self._take(draft)
@@ -335,7 +335,8 @@ class HumanPanel:
         return self._app.server.viser.get_clients().items()
 
     def _look_again(self, views: Mapping[int, Array], times: int) -> None:
-        """Look at the person soon: a browser puts its view back when the scene is made again."""
+        """Set the view of the person again soon, because a browser resets its view when the scene is made
+        again."""
         threading.Timer(_SETTLED, lambda: self._app.post(lambda: self._look(views, times))).start()
 
     def _look(self, views: Mapping[int, Array], times: int) -> None:

@@ -65,7 +65,8 @@ class ImagesPanel:
         self._app.server.stream(images_message({}), "images")
 
     def _picked(self, query: Mapping[str, str]) -> None:
-        """A click in an image of the page, told by its script; in the server's thread."""
+        """Handle a click in an image, which the script of the page reports. Runs in the thread of the
+        server."""
         try:
             across, down = float(query["across"]), float(query["down"])
             camera = query["camera"]
@@ -75,7 +76,8 @@ class ImagesPanel:
             self._app.post(lambda: self._app.pick_pixel(camera, across, down))
 
     def _enlarged(self, query: Mapping[str, str]) -> None:
-        """A tile was made large, or small again (without a camera), told by the script; in its thread."""
+        """Handle that a tile became large, or small again (then without a camera). Runs in the thread of the
+        server."""
         tile = query.get("camera", ""), query.get("channel", "")
 
         def enlarge() -> None:

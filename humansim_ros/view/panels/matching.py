@@ -49,7 +49,7 @@ class MatchingTools:
         button.on_click(by_user(app.post, lambda: self.assign(self._role.value, self._joint.value)))
 
     def show(self, name: str, actor: Actor | None) -> None:
-        """Show the joints of a person; nothing for None."""
+        """Show the joints of a person. If ``actor`` is None, show nothing."""
         self._name, self._actor = name, actor
         self._folder.visible = actor is not None
         if actor is None or self._shown is actor.motion.match:
@@ -63,7 +63,7 @@ class MatchingTools:
         self._show_joint()
 
     def assign(self, role: str, joint: str) -> None:
-        """Let a joint of the file be a role; ``(none)`` takes its joint from it."""
+        """Assign a joint of the file to a role. ``(none)`` removes the joint of the role."""
         actor, name = self._actor, self._name
         if actor is None:
             return
@@ -115,11 +115,12 @@ def match_markdown(match: JointMatch, motion: Motion) -> str:
 
 
 def assigned(match: JointMatch, motion: Motion, role: str, joint: str | None) -> str:
-    """Joint table of a match with another joint for a role; a role that had this joint gets the other one.
+    """Joint table of a match with another joint for a role. If another role had this joint, the two roles
+    exchange joints.
 
     Args:
         match: The match.
-        motion: Its motion.
+        motion: Motion of the match.
         role: Role, such as ``LeftElbow``.
         joint: Name of a joint of the motion. If None, the role has no joint.
 

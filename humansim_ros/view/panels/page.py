@@ -82,8 +82,10 @@ class Page(Protocol):
         dark: Whether the page is dark.
         shown_cameras: Cameras with images that are shown.
         shown_channels: Channels that are shown.
-        through: Camera that is looked through, whose image alone is shown; None: all are shown.
-        enlarged: Camera and channel of the tile that is large. Its images keep their size. None: none is.
+        through: Camera that the user looks through. Only the image of this camera is shown. If None, all
+            images are shown.
+        enlarged: Camera and channel of the tile that is large. Its images keep their size. If None, no tile
+            is large.
         chosen_camera: Camera that was chosen, or ``all``. It stays when the source is replaced.
         options: Drawings in 3D. They stay when the source is replaced.
     """
@@ -150,7 +152,7 @@ class Page(Protocol):
 
 
 class Background:
-    """Steps that take seconds: one at a time, in a thread, so that the page lives meanwhile.
+    """Runs steps that take seconds, one at a time, in a thread, so that the page stays responsive.
 
     Args:
         app: The page; all methods run in its thread.

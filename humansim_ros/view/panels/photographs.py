@@ -67,7 +67,7 @@ class PhotographsPanel:
     # --- what users do (in the thread of the page)
 
     def act(self, query: Mapping[str, str]) -> None:
-        """Do an edit that a browser asks for. Raises HumansimError if it is not possible."""
+        """Make an edit that a browser requests. Raises HumansimError if the edit is not possible."""
         document = self._document
         action, view, point = (query.get(key, "") for key in ("do", "view", "point"))
         if action in ("set", "remove", "exchange"):
@@ -103,7 +103,7 @@ class PhotographsPanel:
     # --- the elements of the tab
 
     def update(self, frame: ViewFrame) -> None:
-        """Show a frame, and take the solution if there is one."""
+        """Show a frame. If a solution is ready, take it."""
         ended = self._source.solver.take()
         if ended is not None:
             fit, state, told, problem = ended
@@ -164,7 +164,7 @@ class PhotographsPanel:
         _set(self._same, "content", "\n\n".join(lines))
 
     def _serve_images(self, frame: ViewFrame) -> None:
-        """Serve the photographs of a frame to the script; photographs of the frame before are freed."""
+        """Serve the photographs of a frame to the script. Photographs of the frame before are freed."""
         images = self._source.photographs(frame.index)
         if images is self._images:
             return
@@ -218,13 +218,13 @@ class PhotographsPanel:
         }
 
     def _asked(self, query: Mapping[str, str]) -> None:
-        """An edit in a browser; in the server's thread."""
+        """Handle an edit in a browser. Runs in the thread of the server."""
         asked = dict(query)
         self._app.post(lambda: self.act(asked))
 
 
 def _set(handle: Any, name: str, value: object) -> None:
-    """Set a property of an element of the page, if it is another one."""
+    """Set a property of an element of the page if the value differs."""
     if getattr(handle, name) != value:
         setattr(handle, name, value)
 
@@ -249,7 +249,7 @@ def _plain(values: Array) -> list[float] | None:
 
 
 def _sides(names: tuple[str, ...], mirrored: tuple[int, ...]) -> list[int]:
-    """1 for points of the left, -1 of the right, 0 of neither."""
+    """For each point, 1 on the left side, -1 on the right side, and 0 on neither side."""
     return [
         0 if other == number else 1 if name[0] in "lL" else -1
         for number, (name, other) in enumerate(zip(names, mirrored, strict=True))

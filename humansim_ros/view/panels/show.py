@@ -85,11 +85,9 @@ _WITH_LENS, _WITHOUT = "its image, with its lens", "3D from its position"
 
 
 class ThroughPanel:
-    """Choice of a camera to look through.
-
-    The script ``page/through.js`` shows its image, or gives the 3D view its projection: both fill the same
-    rectangle of the page, whatever shape the page has, and clicks and names use that rectangle, too.
-    """
+    """Choice of a camera to look through. The script ``page/through.js`` shows the image of the camera, or
+    gives its projection to the 3D view. Both fill the same rectangle of the page, whatever shape the page
+    has. Clicks and names use that rectangle as well."""
 
     def __init__(self, app: Page) -> None:
         self._app = app
@@ -139,7 +137,7 @@ class ThroughPanel:
         self._folder.remove()
 
     def _serve_image(self, frame: ViewFrame) -> None:
-        """Serve the image of the camera, if there is a new one."""
+        """Serve the image of the camera if there is a new one."""
         images = frame.images.get(self._camera or "", {})
         if images and frame.images is not self._version:
             self._version = frame.images
@@ -155,7 +153,8 @@ class ThroughPanel:
         self._app.refresh()
 
     def _picked(self, query: Mapping[str, str]) -> None:
-        """A click in the image of the camera, told by the script; in the server's thread."""
+        """Handle a click in the image of the camera, which the script reports. Runs in the thread of the
+        server."""
         camera = self._camera
         try:
             across, down = float(query["across"]), float(query["down"])
@@ -180,13 +179,14 @@ def _names_in(camera: Camera, frame: ViewFrame) -> list[tuple[str, float, float]
 
 # --- the time
 
-#: Fewest frames that need a timeline, and digits of a number of a frame that a page sends.
+#: A timeline needs at least this number of frames. Most digits of a frame number that a page sends.
 _FEWEST, _DIGITS = 2, 12
-#: Seconds that tracks wait for images, which may never come, and then for the browser to draw them.
+#: Before reading tracks, wait at most this long for images, which may never come, and then for the browser to
+#: draw them, seconds.
 _PATIENCE, _DRAWING = 20.0, 3.0
-#: Seconds between two states of the timeline of a running graph.
+#: Seconds between two updates of the timeline of a running graph.
 _LIVE_EVERY = 0.8
-#: Seconds between two texts of the time while it plays.
+#: Seconds between two updates of the text of the time while the page plays.
 _TELL = 0.2
 _PLAY, _PAUSE = "Play", "Pause"
 _BACK, _ON = "◀ frame", "frame ▶"
@@ -314,7 +314,7 @@ class TracksPanel:
         self._publish({"frames": frames, "period": self._app.source.period * 1e-9})
 
     def update(self, frame: ViewFrame) -> None:
-        """Let tracks be read once the page has its images."""
+        """Start to read tracks once the page has its images."""
         app = self._app
         now = time.monotonic()
         if frame.image_index is not None:  # the browser begins to draw now
@@ -323,7 +323,7 @@ class TracksPanel:
             self._reader.begin()
 
     def follow(self) -> None:
-        """Show what has arrived of a running graph, also while the page keeps a frame."""
+        """Show what has arrived of a running graph, even while the page stays at a frame."""
         if self._app.player.frames is not None or time.monotonic() < self._due:
             return
         self._due = time.monotonic() + _LIVE_EVERY
@@ -365,7 +365,8 @@ class TracksPanel:
         self._app.send_state(tracks=None if table is None else self._version)
 
     def _sought(self, query: Mapping[str, str]) -> None:
-        """A click or drag on the timeline, told by its script; in the server's thread."""
+        """Handle a click or drag on the timeline, which the script reports. Runs in the thread of the
+        server."""
         text = query.get("frame", "")
         if text.isdecimal() and len(text) < _DIGITS:
             index = int(text)
@@ -373,7 +374,7 @@ class TracksPanel:
             self._app.post(lambda: seek(index))
 
     def _chosen(self, query: Mapping[str, str]) -> None:
-        """A joint was chosen for the curves; in the server's thread."""
+        """Handle that a joint was chosen for the curves. Runs in the thread of the server."""
         chosen = query.get("person", ""), query.get("joint", "")
 
         def choose() -> None:

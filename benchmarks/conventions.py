@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
 
-from humansim_ros.camera import read_calibration
+from humansim_ros.cameras import read_calibration
 
 Matrix = NDArray[np.float64]
 #: Axes of the world of a file in a world with z up; those of the first camera if None.

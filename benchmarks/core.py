@@ -29,21 +29,21 @@ import moderngl
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.camera import Camera
-from humansim_ros.export.glb import AnimatedHuman, glb_bytes
+from humansim_ros.cameras import Camera
+from humansim_ros.data.formats.glb import AnimatedHuman, glb_bytes
+from humansim_ros.files import Mesh
 from humansim_ros.geometry import ObjectPose
-from humansim_ros.mesh import Mesh
 from humansim_ros.render import ALL_CHANNELS, CHANNELS, AdjacentFrame, Body, GLRenderer
-from humansim_ros.render.body_buffers import ProjectedPoints, contour
-from humansim_ros.render.contact_shadow import ShadowCaster
-from humansim_ros.render.context import OpenGLContext
-from humansim_ros.render.edge_antialiasing import edge_crossings
-from humansim_ros.render.mesh_buffers import PosedMesh, Topology
-from humansim_ros.render.pyrender import import_pyrender
+from humansim_ros.render.device.contact_shadow import ShadowCaster
+from humansim_ros.render.device.context import OpenGLContext
+from humansim_ros.render.device.mesh_buffers import PosedMesh, Topology
+from humansim_ros.render.frame.body_buffers import ProjectedPoints, contour
+from humansim_ros.render.frame.pyrender import import_pyrender
+from humansim_ros.render.static.edge_antialiasing import edge_crossings
 from humansim_ros.scene import Scene
-from humansim_ros.scene.objects import SHAPES
+from humansim_ros.scene.core.objects import SHAPES
 from humansim_ros.types import Array
-from humansim_ros.view.stage import glb_of
+from humansim_ros.view.panels.stage import glb_of
 
 #: glTF has y up; Blender turns it back.
 _GLTF_FROM_MAP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])

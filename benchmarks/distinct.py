@@ -23,9 +23,9 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
 
-from humansim_ros.camera import Camera
+from humansim_ros.cameras import Camera
 from humansim_ros.geometry import WORLD_FROM_BODY, transform
-from humansim_ros.humans import Human, draw_person, make_person
+from humansim_ros.people import Human, draw_person, make_person
 from humansim_ros.render import Body, GLRenderer, Lighting
 
 #: Bands of height, and their height in metres.

@@ -34,8 +34,8 @@ sys.path[:0] = [str(ROOT), str(ROOT / "test")]
 from photographs.studio import Studio, make_studio, ring  # noqa: E402
 
 from humansim_ros.errors import HumansimWarning  # noqa: E402
-from humansim_ros.humans.human import write_human  # noqa: E402
 from humansim_ros.motion import write_bvh  # noqa: E402
+from humansim_ros.people.humans.human import write_human  # noqa: E402
 from humansim_ros.photographs import read_views  # noqa: E402
 from humansim_ros.photographs.fitting import fit_person  # noqa: E402
 from humansim_ros.photographs.person_fit import PersonFit, fit_motion  # noqa: E402

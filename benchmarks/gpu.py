@@ -27,7 +27,7 @@ ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT))
 
 from benchmarks.core import bare_draw_of  # noqa: E402
-from humansim_ros.camera import Camera  # noqa: E402
+from humansim_ros.cameras import Camera  # noqa: E402
 from humansim_ros.render import CHANNELS, Body, GLRenderer, RenderRequest  # noqa: E402
 from humansim_ros.scene import Scene  # noqa: E402
 

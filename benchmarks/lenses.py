@@ -21,13 +21,13 @@ import moderngl
 import numpy as np
 from core import workbench
 
-from humansim_ros.camera import Camera
-from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.cameras import Camera
+from humansim_ros.files.mesh.mesh import Mesh
 from humansim_ros.render import CHANNELS, Body, GLRenderer
-from humansim_ros.render.body_buffers import ProjectedPoints
-from humansim_ros.render.light_map import UNIT
-from humansim_ros.render.programs import lit_program, set_uniform, use_camera
-from humansim_ros.render.target import Rectangle
+from humansim_ros.render.device.programs import lit_program, set_uniform, use_camera
+from humansim_ros.render.device.target import Rectangle
+from humansim_ros.render.frame.body_buffers import ProjectedPoints
+from humansim_ros.render.static.light_map import UNIT
 from humansim_ros.scene import Scene
 
 #: Calibrations of real cameras; the fisheye's coefficients are made up.

@@ -45,16 +45,16 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, MultiDOFJointState
 
-from humansim_ros.apps.bench import CpuTime
-from humansim_ros.io.assets import resource_path
-from humansim_ros.io.machine import cores
-from humansim_ros.messages import serialised_stamp
+from humansim_ros.data.messages import serialised_stamp
+from humansim_ros.files.reading.assets import resource_path
+from humansim_ros.files.reading.machine import cores
+from humansim_ros.ros.graph.qos import DATA
 from humansim_ros.ros.processes.node_processes import scene_processes
+from humansim_ros.ros.processes.runtime import make_executor, prepare_transport
 from humansim_ros.ros.processes.supervisor import Supervisor
-from humansim_ros.ros.qos import DATA
-from humansim_ros.ros.runtime import make_executor, prepare_transport
+from humansim_ros.ros.tools.bench import CpuTime
 from humansim_ros.scene import Scene
-from humansim_ros.scene.scene import DEMO_SCENE
+from humansim_ros.scene.core.scene import DEMO_SCENE
 
 
 @dataclass(frozen=True)

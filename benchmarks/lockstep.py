@@ -24,11 +24,11 @@ import rclpy
 from sensor_msgs.msg import Image
 from slow_tracker import tracked_stamps
 
-from humansim_ros.io.assets import resource_path
-from humansim_ros.messages import serialised_stamp
-from humansim_ros.messages.frames import Frames
-from humansim_ros.ros.runtime import make_executor, prepare_transport
-from humansim_ros.scene.scene import DEMO_SCENE, Scene
+from humansim_ros.data.messages import serialised_stamp
+from humansim_ros.data.messages.frames import Frames
+from humansim_ros.files.reading.assets import resource_path
+from humansim_ros.ros.processes.runtime import make_executor, prepare_transport
+from humansim_ros.scene.core.scene import DEMO_SCENE, Scene
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -92,7 +92,7 @@ class Receiver:
             )
 
     def _add(self, camera: str, data: bytes) -> None:
-        from humansim_ros.messages import header
+        from humansim_ros.data.messages import header
 
         stamp = serialised_stamp(data)
         if self._frames.add(camera, stamp, None):

@@ -26,8 +26,8 @@ sys.path.insert(0, str(ROOT))
 
 from benchmarks.core import bare_draw_of, workbench  # noqa: E402
 from humansim_ros.cli.human import built_in_humans  # noqa: E402
-from humansim_ros.humans.loading import load_human  # noqa: E402
-from humansim_ros.io.assets import resource_path  # noqa: E402
+from humansim_ros.files.reading.assets import resource_path  # noqa: E402
+from humansim_ros.people.loading.loading import load_human  # noqa: E402
 from humansim_ros.scene import Scene, Simulation  # noqa: E402
 
 CAMERA = {"size": [640, 480], "position": [5.5, 5.0, 2.4], "look_at": [0, 0, 0.8], "fov_deg": 60}

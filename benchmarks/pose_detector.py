@@ -32,9 +32,9 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from humansim_ros.camera import Camera
-    from humansim_ros.humans.human import Human
-    from humansim_ros.scene.actor import HumanState
+    from humansim_ros.cameras import Camera
+    from humansim_ros.people.humans.human import Human
+    from humansim_ros.scene.core.actor import HumanState
 
 ROOT = Path(__file__).parent.parent
 JOINTS = {
@@ -94,15 +94,15 @@ def render_humans(folder: Path, options: argparse.Namespace) -> dict[str, list[l
     import numpy as np
 
     from humansim_ros.cli.human import built_in_humans
-    from humansim_ros.drawing.canvas import write_png
-    from humansim_ros.humans import draw_person, make_person
-    from humansim_ros.humans.loading import load_human
-    from humansim_ros.io.assets import resource_path
+    from humansim_ros.files.reading.assets import resource_path
+    from humansim_ros.people import draw_person, make_person
+    from humansim_ros.people.loading.loading import load_human
     from humansim_ros.render import GLRenderer
-    from humansim_ros.scene.actor import Actor
-    from humansim_ros.scene.config import MotionConfig
-    from humansim_ros.scene.room import furnished_room
-    from humansim_ros.scene.source import SceneSource
+    from humansim_ros.render.pictures.canvas import write_png
+    from humansim_ros.scene.config.config import MotionConfig
+    from humansim_ros.scene.core.actor import Actor
+    from humansim_ros.scene.core.source import SceneSource
+    from humansim_ros.scene.features.room import furnished_room
 
     def people() -> Iterator[tuple[str, str, Human, Sequence[float], Sequence[int]]]:
         for number in range(options.people):
@@ -167,7 +167,7 @@ def camera_beside(state: HumanState, human: Human, side: int, options: argparse.
     """Create a camera on a side of a human, at the distance at which it has its size in the image."""
     import numpy as np
 
-    from humansim_ros.camera import Camera
+    from humansim_ros.cameras import Camera
 
     middle = (state.vertices.min(0) + state.vertices.max(0)) / 2
     size = tuple(options.size)

@@ -25,12 +25,12 @@ os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT))
 
-from humansim_ros.apps.bench import CpuTime  # noqa: E402
-from humansim_ros.bags.reader import BagReader  # noqa: E402
-from humansim_ros.io.assets import resource_path  # noqa: E402
+from humansim_ros.data.bags.reader import BagReader  # noqa: E402
+from humansim_ros.files.reading.assets import resource_path  # noqa: E402
 from humansim_ros.ros.processes.node_processes import RecordOptions, scene_processes  # noqa: E402
+from humansim_ros.ros.processes.runtime import prepare_transport  # noqa: E402
 from humansim_ros.ros.processes.supervisor import Supervisor  # noqa: E402
-from humansim_ros.ros.runtime import prepare_transport  # noqa: E402
+from humansim_ros.ros.tools.bench import CpuTime  # noqa: E402
 
 TOPICS = ("/scene_time", "/camera_*/image_raw", "/camera_*/joints")
 #: Longest start of the nodes, seconds.

@@ -20,9 +20,10 @@ import numpy as np
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
-from humansim_ros.body import Skeleton, fit_skeleton, rig  # noqa: E402
-from humansim_ros.humans.loading import load_human  # noqa: E402
-from humansim_ros.mesh.mesh import Mesh  # noqa: E402
+from humansim_ros.files.mesh.mesh import Mesh  # noqa: E402
+from humansim_ros.motion import Skeleton  # noqa: E402
+from humansim_ros.people import fit_skeleton, rig  # noqa: E402
+from humansim_ros.people.loading.loading import load_human  # noqa: E402
 from humansim_ros.types import Array  # noqa: E402
 
 LOOPED = 300

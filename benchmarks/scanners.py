@@ -19,10 +19,10 @@ import numpy as np
 import trimesh
 
 from humansim_ros import Scene
-from humansim_ros.scanner.models import MODELS
+from humansim_ros.cameras.scanner.models import MODELS
+from humansim_ros.scene.core.state import SceneState
+from humansim_ros.scene.core.states import SceneStates
 from humansim_ros.scene.features.scanners.sweeps import Scanning
-from humansim_ros.scene.state import SceneState
-from humansim_ros.scene.states import SceneStates
 
 BODIES = ("adult_man", "adult_woman", "child")
 

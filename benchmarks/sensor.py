@@ -19,13 +19,12 @@ from typing import Any
 import cv2
 import numpy as np
 
-from humansim_ros.camera import Camera
-from humansim_ros.messages import image_points_message
+from humansim_ros.cameras import Camera, DepthSensor, DepthSensorConfig, Sensor, SensorConfig
+from humansim_ros.cameras.sensor.depth import aligned, metres, points_of
+from humansim_ros.data.messages import image_points_message
 from humansim_ros.render import Body, GLRenderer
-from humansim_ros.render.pixel_geometry import pixel_rays
+from humansim_ros.render.device.pixel_geometry import pixel_rays
 from humansim_ros.scene import Scene
-from humansim_ros.sensor import DepthSensor, DepthSensorConfig, Sensor, SensorConfig
-from humansim_ros.sensor.depth import aligned, metres, points_of
 
 EFFECTS: dict[str, dict[str, Any]] = {
     "no effect": {},

@@ -45,8 +45,8 @@ Contestants = dict[str, tuple[Callable[[Floats], object], str]]
 def ours(arrays: dict[str, NDArray[np.floating]]) -> Contestants:
     from scipy.sparse import csr_matrix
 
-    from humansim_ros.body.skinning import DualQuaternion, LinearBlend
-    from humansim_ros.mesh.normals import SurfaceNormals, SurfaceTangents
+    from humansim_ros.files.mesh.normals import SurfaceNormals, SurfaceTangents
+    from humansim_ros.motion.body.skinning import DualQuaternion, LinearBlend
 
     vertices, dense = arrays["vertices"], arrays["weights"]
     weights = csr_matrix(dense)
@@ -216,12 +216,12 @@ class Guest:
 
 def body(path: Path) -> dict[str, NDArray[np.floating]]:
     """The arrays that all contestants get, and the right results in double precision."""
-    from humansim_ros.body.skinning import skin
-    from humansim_ros.humans.loading import load_human
-    from humansim_ros.mesh.normals import SurfaceNormals
+    from humansim_ros.files.mesh.normals import SurfaceNormals
     from humansim_ros.motion import read_bvh
-    from humansim_ros.motion.info import to_world
-    from humansim_ros.motion.retarget import Retargeter
+    from humansim_ros.motion.body.skinning import skin
+    from humansim_ros.motion.pose.info import to_world
+    from humansim_ros.motion.pose.retarget import Retargeter
+    from humansim_ros.people.loading.loading import load_human
 
     human = load_human(path)
     world = to_world(read_bvh(ROOT / "assets" / "motions" / "walk.bvh"))

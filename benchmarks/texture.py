@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
-from humansim_ros.camera import Camera  # noqa: E402
-from humansim_ros.humans import Human, load_human  # noqa: E402
+from humansim_ros.cameras import Camera  # noqa: E402
+from humansim_ros.people import Human, load_human  # noqa: E402
 from humansim_ros.photographs.atlas_texture import texture_atlas  # noqa: E402
 from humansim_ros.photographs.surface import TexturedPerson, TextureView  # noqa: E402
 from humansim_ros.photographs.texturing import texture_thesis  # noqa: E402

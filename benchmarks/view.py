@@ -43,8 +43,8 @@ from websockets.sync.client import connect
 
 from humansim_ros import Scene
 from humansim_ros.view.app import ViewApp
-from humansim_ros.view.inputs import Opened
-from humansim_ros.view.scene_source import SceneViewSource
+from humansim_ros.view.sources.inputs import Opened
+from humansim_ros.view.sources.scene_source import SceneViewSource
 
 BODIES, MOTIONS = ("adult_woman", "adult_man", "child"), ("walk", "wave", "run")
 CAMERA = {
@@ -274,7 +274,7 @@ setInterval(() => {
 
 def publish_times(cameras: int, rate: float, counts: Any) -> None:
     """Publish images with the time in their pixels, until the process is killed. ``counts``: images."""
-    from humansim_ros.ros.runtime import prepare_transport
+    from humansim_ros.ros.processes.runtime import prepare_transport
 
     prepare_transport()
     import rclpy

@@ -1,25 +1,23 @@
-from humansim_ros.apps.api import evaluate as evaluate
-from humansim_ros.apps.api import export as export
-from humansim_ros.apps.api import record as record
-from humansim_ros.camera.calibration import read_calibration as read_calibration
-from humansim_ros.camera.calibration import write_calibration as write_calibration
-from humansim_ros.camera.camera import Camera as Camera
-from humansim_ros.camera.ideal import idealize as idealize
+from humansim_ros.cameras.camera.camera import Camera as Camera
+from humansim_ros.cameras.camera.ideal import idealize as idealize
+from humansim_ros.cameras.formats.calibration import read_calibration as read_calibration
+from humansim_ros.cameras.formats.calibration import write_calibration as write_calibration
+from humansim_ros.data.api import evaluate as evaluate
+from humansim_ros.data.api import export as export
+from humansim_ros.data.api import record as record
 from humansim_ros.errors import HumansimError as HumansimError
 from humansim_ros.errors import HumansimWarning as HumansimWarning
-from humansim_ros.humans.human import Human as Human
-from humansim_ros.humans.loading import load_human as load_human
-from humansim_ros.mesh.load import read_mesh as read_mesh
-from humansim_ros.mesh.mesh import Mesh as Mesh
-from humansim_ros.motion.bvh import read_bvh as read_bvh
-from humansim_ros.motion.bvh import write_bvh as write_bvh
-from humansim_ros.motion.files import read_motion as read_motion
-from humansim_ros.motion.kinematics import Motion as Motion
-from humansim_ros.render.channels import View as View
-from humansim_ros.scene.scene import Scene as Scene
-from humansim_ros.scene.simulation import Frame as Frame
-from humansim_ros.scene.simulation import Simulation as Simulation
+from humansim_ros.files.mesh.load import read_mesh as read_mesh
+from humansim_ros.files.mesh.mesh import Mesh as Mesh
+from humansim_ros.motion.body.kinematics import Motion as Motion
+from humansim_ros.motion.files.bvh import read_bvh as read_bvh
+from humansim_ros.motion.files.bvh import write_bvh as write_bvh
+from humansim_ros.motion.files.files import read_motion as read_motion
+from humansim_ros.people.humans.human import Human as Human
+from humansim_ros.people.loading.loading import load_human as load_human
+from humansim_ros.render.interface.channels import View as View
+from humansim_ros.scene.core.scene import Scene as Scene
+from humansim_ros.scene.core.simulation import Frame as Frame
+from humansim_ros.scene.core.simulation import Simulation as Simulation
 
 __version__: str
-
-def make_callable(folder: str) -> None: ...

@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-#: Hides the content of files in messages (a FileQuotes of io/quotes.py). If None, messages quote files.
+#: Hides the content of files in messages (a FileQuotes of files/reading/quotes.py). If None, messages quote
+#: files.
 HIDING: ContextVar[Any] = ContextVar("HIDING", default=None)
 
 

@@ -25,4 +25,4 @@ class Pictured:
 
 def drawing(module: str) -> Any:
     """Load a module of ``drawing`` on first use, since ``drawing`` imports the folders that call this."""
-    return import_module(f"humansim_ros.drawing.{module}")
+    return import_module(f"humansim_ros.scene.pictures.{module}")

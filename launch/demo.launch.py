@@ -12,9 +12,14 @@ from launch.logging import launch_config
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-from humansim_ros.apps.viewer_layouts import rviz_layout
-from humansim_ros.io.assets import resource_path
-from humansim_ros.ros.lockstep.settings import TIME_ARGUMENTS, time_options, true_or_false, whole_number
+from humansim_ros.files.reading.assets import resource_path
+from humansim_ros.ros.graph.transport import choose_transport, remove_dead_files
+from humansim_ros.ros.processes.lockstep_settings import (
+    TIME_ARGUMENTS,
+    time_options,
+    true_or_false,
+    whole_number,
+)
 from humansim_ros.ros.processes.node_processes import (
     CANNOT_WRITE,
     EVALUATE_ARGUMENTS,
@@ -30,8 +35,8 @@ from humansim_ros.ros.processes.node_processes import (
     render_threads,
     scene_processes,
 )
-from humansim_ros.ros.transport import choose_transport, remove_dead_files
-from humansim_ros.scene.names import BRIDGE_NODE, read_names
+from humansim_ros.ros.tools.viewer_layouts import rviz_layout
+from humansim_ros.scene.core.names import BRIDGE_NODE, read_names
 
 DEMO_SCENE = resource_path("config/scenes/demo.yaml")
 
@@ -83,7 +88,7 @@ def check_adapters(path: str) -> None:
     bridge does it, and all nodes stop after its error.
     """
     try:
-        from humansim_ros.messages.topics import check_adapters
+        from humansim_ros.data.messages.topics import check_adapters
         from humansim_ros.scene import Scene
     except ImportError:
         return

@@ -21,7 +21,7 @@ import pytest
 from conftest import SHARED_DATA
 from numpy.typing import NDArray
 
-from humansim_ros.camera import read_calibration
+from humansim_ros.cameras import read_calibration
 from humansim_ros.errors import CameraError
 
 Array = NDArray[np.float64]

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.camera import Camera
-from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.cameras import Camera
+from humansim_ros.files.mesh.mesh import Mesh
 
 Floats = NDArray[np.floating[Any]]
 #: Squares of the board along x and y, and pixels of a square's picture. A square is the unit of length.

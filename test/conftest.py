@@ -228,7 +228,7 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 @pytest.fixture(scope="session", autouse=True)
 def built_in_humans_once() -> Iterator[None]:
     """Read each human of the package once in a process: humans are never changed."""
-    from humansim_ros.humans import loading
+    from humansim_ros.people.loading import loading
 
     read, known = loading.read_human, {}
 
@@ -289,8 +289,8 @@ def ros() -> Iterator[None]:
 
     No other player is in their domain: those in this process do not look for one for two seconds.
     """
-    from humansim_ros.apps import bag_player
-    from humansim_ros.ros.lockstep import playing
+    from humansim_ros.ros.playing import lockstep as playing
+    from humansim_ros.ros.tools import bag_player
     from humansim_ros.testing.support import running_rclpy
 
     with running_rclpy(), pytest.MonkeyPatch.context() as patch:
@@ -320,7 +320,7 @@ def built_package(name: str) -> Path:
 @contextmanager
 def importable(*packages: str) -> Iterator[None]:
     """Context in which built packages of messages can be imported."""
-    from humansim_ros.messages import types
+    from humansim_ros.data.messages import types
 
     folders = [str(built_package(name)) for name in packages]
     sys.path[:0] = folders
@@ -349,8 +349,8 @@ def interfaces(built_interfaces: Path) -> Iterator[Path]:
 @pytest.fixture
 def tf(monkeypatch: pytest.MonkeyPatch) -> dict[str, list[Any]]:
     """Messages of nodes on /tf and /tf_static; tf2_msgs, which is not on PyPI, may be absent."""
-    from humansim_ros.ros import transforms
-    from humansim_ros.ros.node import SceneNode
+    from humansim_ros.ros.processes import transforms
+    from humansim_ros.ros.processes.node import SceneNode
 
     sent: dict[str, list[Any]] = defaultdict(list)
 
@@ -384,9 +384,9 @@ def cluster(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> 
         return
     import ray_stand_in
 
-    from humansim_ros.export import exporting
-    from humansim_ros.jobs import ray_cluster
-    from humansim_ros.record import cluster as recording
+    from humansim_ros.data import recording_cluster as recording
+    from humansim_ros.data.engine import ray_cluster
+    from humansim_ros.data.formats import exporting
 
     for module in (recording, exporting):
         monkeypatch.setattr(module, "connected", ray_stand_in.connected)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.motion import Motion, read_bvh
-from humansim_ros.motion.joint_tables import built_in_tables
+from humansim_ros.motion.matching.joint_tables import built_in_tables
 
 Array = NDArray[np.float64]
 #: Local rotations (F) of some joints, by role.

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from humansim_ros.camera import Camera
+from humansim_ros.cameras import Camera
 
 
 def opencv_pixels(camera: Camera, points: ArrayLike) -> NDArray[np.float64]:

@@ -10,9 +10,9 @@ import trimesh
 from keyframe_text import keyframes
 from numpy.typing import ArrayLike, NDArray
 
-from humansim_ros.camera import Camera
+from humansim_ros.cameras import Camera
 from humansim_ros.errors import RenderError
-from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.files.mesh.mesh import Mesh
 from humansim_ros.render import (
     Body,
     GLRenderer,

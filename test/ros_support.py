@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from waiting import PATIENCE, children, wait_until
 
-from humansim_ros.ros.transport import claim_domain, domain_environment
+from humansim_ros.ros.graph.transport import claim_domain, domain_environment
 
 # before anything imports rclpy
 os.environ.update(domain_environment(claim_domain()))
@@ -65,7 +65,7 @@ class Client:
 
     def _callback(self, topic: str) -> Callable[[Any], None]:
         def on_message(message: Any) -> None:
-            from humansim_ros.messages import to_nanoseconds
+            from humansim_ros.data.messages import to_nanoseconds
 
             stamp = to_nanoseconds(message.header.stamp) if hasattr(message, "header") else 0
             self.received[topic][stamp] = message

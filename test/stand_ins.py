@@ -118,7 +118,7 @@ def _walker(names: str, without: tuple[str, ...] = (), **more: str) -> StandIn:
         without: Roles that it lacks, without their side.
         more: Names of some roles; of left ones for both sides.
     """
-    from humansim_ros.motion.joint_tables import built_in_tables, right_name
+    from humansim_ros.motion.matching.joint_tables import built_in_tables, right_name
 
     table = next(table for table in built_in_tables() if table.name == names)
     used = {role: each[0] for role, each in table.joints.items()} | more

@@ -27,9 +27,9 @@ from humansim_ros import Camera, Scene, write_calibration
 from humansim_ros.cli import main as cli
 from humansim_ros.cli.doctor import EXTRAS
 from humansim_ros.cli.options import new_names
-from humansim_ros.export.formats import EXPORT_FORMATS
-from humansim_ros.io.assets import built_in_names
-from humansim_ros.scene.config import SceneConfig, check_config
+from humansim_ros.data.formats.formats import EXPORT_FORMATS
+from humansim_ros.files.reading.assets import built_in_names
+from humansim_ros.scene.config.config import SceneConfig, check_config
 
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 #: Pages whose steps depend on each other: test/test_tutorials.py follows them.

@@ -27,7 +27,7 @@ from measure import Score, TruthFrame, crossing_scene, measure, truth_frames
 from tracking import Detections, Person, PixelNoise, Tracker
 from triangulation import Rays, ransac
 
-from humansim_ros.camera import Trajectory
+from humansim_ros.cameras import Trajectory
 
 K = np.array([[530.0, 0, 319.5], [0, 540.0, 239.5], [0, 0, 1]])
 LENSES = {

@@ -19,8 +19,8 @@ from photographs.studio import make_studio
 from test_documented_commands import run_as_printed
 from waiting import PATIENCE
 
-from humansim_ros.camera import read_calibration
-from humansim_ros.humans import Human, load_human
+from humansim_ros.cameras import read_calibration
+from humansim_ros.people import Human, load_human
 from humansim_ros.photographs.fit_file import read_fit
 from humansim_ros.scene import Scene
 

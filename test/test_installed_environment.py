@@ -44,8 +44,8 @@ from geometry_msgs.msg import TransformStamped
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import CameraInfo
 from tf2_msgs.msg import TFMessage
-from humansim_ros.view.ros_source import RosViewSource
-from humansim_ros.view.source import FrameRequest
+from humansim_ros.view.sources.ros_source import RosViewSource
+from humansim_ros.view.sources.source import FrameRequest
 
 rclpy.init()
 node = rclpy.create_node("listener")
@@ -146,7 +146,7 @@ def test_ros2_run_and_launch_find_the_editable_install(checkout: Path) -> None:
         name = Path(path).name
         of_nodes = () if name == "humansim" else ("--ros-args", "-p", "scene:=none.yaml")
         assert f" {name} " in in_environment(checkout, path, "--help", *of_nodes)
-    root = "from humansim_ros.io.assets import resource_root; print(resource_root())"
+    root = "from humansim_ros.files.reading.assets import resource_root; print(resource_root())"
     assert Path(in_environment(checkout, "python", "-c", root).strip()) == checkout
 
 

@@ -21,11 +21,11 @@ import yaml
 from waiting import PATIENCE
 
 import humansim_ros
+from humansim_ros.data.messages.types import _PACKAGES
 from humansim_ros.errors import ResourceError, RosError, SceneError
-from humansim_ros.io.assets import resource_path, resource_root
-from humansim_ros.messages.types import _PACKAGES
-from humansim_ros.ros.lockstep.settings import TimeOptions
+from humansim_ros.files.reading.assets import resource_path, resource_root
 from humansim_ros.ros.processes import node_processes as processes
+from humansim_ros.ros.processes.lockstep_settings import TimeOptions
 from humansim_ros.ros.processes.node_processes import NodeProcess, scene_processes
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -44,7 +44,7 @@ SOURCE_FILES = (
     "setup.cfg",
     "setup.py",
 )
-PRINT_ROOT = "from humansim_ros.io.assets import resource_root; print(resource_root())"
+PRINT_ROOT = "from humansim_ros.files.reading.assets import resource_root; print(resource_root())"
 
 
 def setup_constants() -> dict[str, object]:
@@ -263,8 +263,10 @@ def test_resource_root_is_found_through_ament(tmp_path: Path, monkeypatch: pytes
     share = tmp_path / "share" / "humansim_ros"
     (share / "config").mkdir(parents=True)
     (share / "package.xml").touch()
-    monkeypatch.setattr("humansim_ros.io.assets.__file__", "/nowhere/humansim_ros/io/assets.py")
-    monkeypatch.setattr("humansim_ros.io.assets._pip_records", lambda: iter(()))
+    monkeypatch.setattr(
+        "humansim_ros.files.reading.assets.__file__", "/nowhere/humansim_ros/files/reading/assets.py"
+    )
+    monkeypatch.setattr("humansim_ros.files.reading.assets._pip_records", lambda: iter(()))
     monkeypatch.setattr("sys.prefix", "/nowhere")
     monkeypatch.setenv("AMENT_PREFIX_PATH", f"/opt/ros/jazzy:{tmp_path}")
     assert resource_root.__wrapped__() == share

@@ -31,7 +31,7 @@ from humansim_ros import (
     record,
 )
 from humansim_ros.errors import ChannelError, MeshError, MotionError
-from humansim_ros.io.assets import built_in_names
+from humansim_ros.files.reading.assets import built_in_names
 
 SCENE = {
     "room": None,
@@ -135,14 +135,10 @@ def test_scenes_are_recorded_and_exported_by_functions(tmp_path: Path) -> None:
         record(scene, tmp_path / "other")
 
 
-def test_functions_with_the_name_of_a_folder_are_both() -> None:
-    import humansim_ros.record.recording
-
-    for name in ("record", "export", "evaluate"):
-        folder = getattr(humansim_ros, name)
-        assert "on_progress" in inspect.signature(folder).parameters or name == "evaluate"
-        assert callable(folder) and inspect.unwrap(folder).__module__ == "humansim_ros.apps.api"
-    assert humansim_ros.record.recording.RecordingPlan  # type: ignore[attr-defined]
+def test_commands_are_functions() -> None:
+    for function in (record, export):
+        assert "on_progress" in inspect.signature(function).parameters
+        assert function.__module__ == "humansim_ros.data.api"
 
 
 def test_names_of_built_ins_are_read() -> None:

@@ -19,7 +19,7 @@ import yaml
 from conftest import ROOT
 from waiting import PATIENCE, wait_until
 
-from humansim_ros.render.channels import CHANNEL_TABLE
+from humansim_ros.render.interface.channels import CHANNEL_TABLE
 
 README = (ROOT / "README.md").read_text()
 BLOCKS = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
@@ -130,7 +130,8 @@ def test_the_page_of_topics_lists_topics_that_the_nodes_have() -> None:
 
 
 def test_the_scene_of_the_documents_loads_and_every_key_is_described(tmp_path: Path) -> None:
-    from humansim_ros.scene import Scene, camera_config, config
+    from humansim_ros.scene import Scene
+    from humansim_ros.scene.config import camera_config, config
 
     text = (ROOT / "docs" / "scene.md").read_text()
     example = re.search(r"```yaml\n(.*?)```", text, re.DOTALL)
@@ -153,7 +154,7 @@ NO_DEFAULT = re.compile(
 
 
 def test_the_defaults_of_the_page_of_scenes_are_those_of_the_schema() -> None:
-    from humansim_ros.scene.config import SceneConfig
+    from humansim_ros.scene.config.config import SceneConfig
 
     compared, section = 0, ""
     for row in re.findall(r"^\|(.*)\|$", (ROOT / "docs" / "scene.md").read_text(), re.MULTILINE):

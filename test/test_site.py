@@ -78,7 +78,7 @@ def test_the_page_of_topics_is_made_of_todays_topics(reference_pages: ModuleType
 
 
 def test_the_page_of_scene_keys_has_every_section_of_the_schema(reference_pages: ModuleType) -> None:
-    from humansim_ros.scene.config import SceneConfig
+    from humansim_ros.scene.config.config import SceneConfig
 
     text = (DOCS / "reference" / "scene_keys.md").read_text()
     schema = SceneConfig.model_json_schema()
@@ -110,6 +110,6 @@ def test_the_site_builds_without_a_warning_and_fetches_nothing_from_elsewhere(tm
         elsewhere = [address for address in parser.fetched if re.match(r"(\w+:)?//", address)]
         assert not elsewhere, f"{page.relative_to(tmp_path)} fetches {elsewhere}"
     camera = (tmp_path / "api" / "camera.html").read_text()
-    assert 'id="humansim_ros.camera.camera.Camera.project"' in camera
+    assert 'id="humansim_ros.cameras.camera.camera.Camera.project"' in camera
     assert ":meth:" not in camera
     assert (tmp_path / "source" / "examples" / "live_mocap.py.html").is_file()

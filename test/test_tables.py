@@ -11,7 +11,7 @@ from conftest import ROOT
 from pydantic import BaseModel
 
 import humansim_ros
-from humansim_ros.io.assets import read_table
+from humansim_ros.files.reading.assets import read_table
 
 _COMMANDS = "\n".join(path.read_text() for path in (ROOT / "humansim_ros" / "cli").glob("*.py"))
 _OPTIONS = [f"{command}.{name}" for command, rows in read_table("command_line").items() for name in rows]

@@ -30,9 +30,9 @@ os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 from kill_nodes import node_pid
 from slow_tracker import tracked_stamps
 
-from humansim_ros.bags.reader import BagReader
-from humansim_ros.io.assets import resource_path
-from humansim_ros.ros.lockstep.settings import TimeOptions
+from humansim_ros.data.bags.reader import BagReader
+from humansim_ros.files.reading.assets import resource_path
+from humansim_ros.ros.processes.lockstep_settings import TimeOptions
 from humansim_ros.ros.processes.node_processes import RecordOptions, scene_processes
 from humansim_ros.scene import Scene
 

@@ -50,34 +50,34 @@ import motion_files  # noqa: E402
 import motion_formats  # noqa: E402
 import pickle_files  # noqa: E402
 
-from humansim_ros.camera import Camera, read_calibration, write_calibration  # noqa: E402
-from humansim_ros.camera.checks import image_size  # noqa: E402
-from humansim_ros.camera.formats.all_formats import FORMATS  # noqa: E402
-from humansim_ros.camera.placement import read_floor_points  # noqa: E402
-from humansim_ros.camera.trajectory import End, Trajectory  # noqa: E402
+from humansim_ros.cameras import Camera, read_calibration, write_calibration  # noqa: E402
+from humansim_ros.cameras.camera.placement import read_floor_points  # noqa: E402
+from humansim_ros.cameras.camera.trajectory import End, Trajectory  # noqa: E402
+from humansim_ros.cameras.formats.all_formats import FORMATS  # noqa: E402
+from humansim_ros.cameras.formats.checks import image_size  # noqa: E402
 from humansim_ros.cli.camera import describe_camera  # noqa: E402
 from humansim_ros.cli.output import to_json  # noqa: E402
+from humansim_ros.data.datasets.recipe import Recipe  # noqa: E402
+from humansim_ros.data.evaluation.readers.box_files import read_box_file  # noqa: E402
+from humansim_ros.data.evaluation.readers.detections import read_image_estimates  # noqa: E402
+from humansim_ros.data.evaluation.readers.estimates import ESTIMATE_SUFFIXES, read_estimates  # noqa: E402
+from humansim_ros.data.evaluation.readers.pose_files import ReadOptions  # noqa: E402
 from humansim_ros.errors import HumansimError, HumansimWarning  # noqa: E402
-from humansim_ros.evaluate.readers.box_files import read_box_file  # noqa: E402
-from humansim_ros.evaluate.readers.detections import read_image_estimates  # noqa: E402
-from humansim_ros.evaluate.readers.estimates import ESTIMATE_SUFFIXES, read_estimates  # noqa: E402
-from humansim_ros.evaluate.readers.pose_files import ReadOptions  # noqa: E402
-from humansim_ros.export.recipe import Recipe  # noqa: E402
-from humansim_ros.humans.description import read_description  # noqa: E402
-from humansim_ros.humans.human import read_human  # noqa: E402
-from humansim_ros.humans.loading import make_human  # noqa: E402
-from humansim_ros.io.motion_formats import MOTION_FORMATS  # noqa: E402
-from humansim_ros.keypoints import keypoint_set  # noqa: E402
-from humansim_ros.mesh.load import read_materials_z_up, read_mesh  # noqa: E402
-from humansim_ros.mesh.mesh import MESH_SUFFIXES  # noqa: E402
+from humansim_ros.files.mesh.load import read_materials_z_up, read_mesh  # noqa: E402
+from humansim_ros.files.mesh.mesh import MESH_SUFFIXES  # noqa: E402
 from humansim_ros.motion import read_bvh, read_motion  # noqa: E402
-from humansim_ros.motion.joint_matching import match_motion  # noqa: E402
-from humansim_ros.motion.joint_tables import load_table  # noqa: E402
-from humansim_ros.motion.keyframes import read_keyframes  # noqa: E402
-from humansim_ros.motion.limits import load_limits  # noqa: E402
+from humansim_ros.motion.files.keyframes import read_keyframes  # noqa: E402
+from humansim_ros.motion.files.motion_formats import MOTION_FORMATS  # noqa: E402
+from humansim_ros.motion.matching.joint_matching import match_motion  # noqa: E402
+from humansim_ros.motion.matching.joint_tables import load_table  # noqa: E402
+from humansim_ros.motion.pose.limits import load_limits  # noqa: E402
+from humansim_ros.people import keypoint_set  # noqa: E402
+from humansim_ros.people.humans.human import read_human  # noqa: E402
+from humansim_ros.people.loading.description import read_description  # noqa: E402
+from humansim_ros.people.loading.loading import make_human  # noqa: E402
 from humansim_ros.photographs.views import read_points  # noqa: E402
 from humansim_ros.scene import Scene  # noqa: E402
-from humansim_ros.scene.environment import load_panorama  # noqa: E402
+from humansim_ros.scene.core.environment import load_panorama  # noqa: E402
 
 _MEMORY = 4 << 30
 #: Longest time for a file in seconds, and additional seconds per byte.

@@ -62,15 +62,15 @@ from std_msgs.msg import Header, String  # noqa: E402
 from std_srvs.srv import SetBool, Trigger  # noqa: E402
 from visualization_msgs.msg import MarkerArray  # noqa: E402
 
-from humansim_ros import messages  # noqa: E402
-from humansim_ros.ros.guarded_node import GuardedNode  # noqa: E402
+from humansim_ros.data import messages  # noqa: E402
+from humansim_ros.ros.graph.guarded_node import GuardedNode  # noqa: E402
+from humansim_ros.ros.graph.qos import CAMERA_ALIVE  # noqa: E402
 from humansim_ros.ros.nodes.bridge import BridgeNode  # noqa: E402
 from humansim_ros.ros.nodes.camera import CameraNode  # noqa: E402
 from humansim_ros.ros.nodes.camera_rig import CameraRigNode  # noqa: E402
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode  # noqa: E402
 from humansim_ros.ros.nodes.scanner import ScannerNode  # noqa: E402
 from humansim_ros.ros.nodes.skinner import SkinnerNode  # noqa: E402
-from humansim_ros.ros.qos import CAMERA_ALIVE  # noqa: E402
 
 SCENE = """\
 rate: 20

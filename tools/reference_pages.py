@@ -37,8 +37,8 @@ def table(titles: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
 _KEYS_HEAD = """# Keys of scene files
 
 All keys of a [scene file](../scene.md), with the values that they take. `tools/doc_pages.py` makes this page
-from the schema (`humansim_ros/scene/config.py`) by which files are checked. In the names of sections, `*`
-stands for a name that you choose.
+from the schema (`humansim_ros/scene/config/config.py`) by which files are checked. In the names of sections,
+`*` stands for a name that you choose.
 """
 
 
@@ -66,7 +66,7 @@ _GUIDES = {
 
 def scene_keys_page() -> str:
     """docs/reference/scene_keys.md."""
-    from humansim_ros.scene.config import SceneConfig
+    from humansim_ros.scene.config.config import SceneConfig
 
     sections = list(_sections(SceneConfig, ""))
     first: dict[type, str] = {}
@@ -107,7 +107,7 @@ def _anchor(heading: str) -> str:
 
 
 def _section(path: str, model: type[Any], others: Sequence[str], first: Mapping[type, str]) -> Iterator[str]:
-    from humansim_ros.io.schema_errors import allowed
+    from humansim_ros.files.yaml.schema_messages import allowed
 
     level = min(2 + path.replace(".*", "").count("."), 4)
     yield f"{'#' * level} {path or 'The file'}\n"
@@ -159,7 +159,7 @@ def _and(words: Iterable[str]) -> str:
 _TOPICS_HEAD = """# Topics and messages
 
 All topics of a scene, from the table by which nodes publish and recordings are written
-(`humansim_ros/messages/topics.py`). `tools/doc_pages.py` makes this page; the meanings come from
+(`humansim_ros/data/messages/topics.py`). `tools/doc_pages.py` makes this page; the meanings come from
 [the table of topics](../topics.md) and from [ground truth](../ground_truth.md), which defines every number.
 Names are relative to the namespace of the nodes.
 
@@ -196,7 +196,7 @@ def _all_topics() -> list[Any]:
     """Topics of a scene that has some of everything."""
     import yaml
 
-    from humansim_ros.messages.topics import scene_topics
+    from humansim_ros.data.messages.topics import scene_topics
     from humansim_ros.scene import Scene
 
     with tempfile.TemporaryDirectory() as folder:
@@ -207,7 +207,7 @@ def _all_topics() -> list[Any]:
 
 def _pattern(name: str) -> str:
     """Name of a topic with placeholders, as the documents write it."""
-    from humansim_ros.keypoints import KEYPOINT_SETS
+    from humansim_ros.people import KEYPOINT_SETS
 
     name = re.sub(r"^humans/\w+", "humans/<id>", name)
     name = re.sub(r"^objects/\w+", "objects/<name>", name)
@@ -243,7 +243,7 @@ def channel_topics() -> dict[str, str]:
 
 def topics_page() -> str:
     """docs/reference/topics.md. Raises KeyError for a topic that docs/topics.md does not name."""
-    from humansim_ros.ros.qos import DATA
+    from humansim_ros.ros.graph.qos import DATA
 
     known, images = described_topics(), channel_topics()
     groups: dict[str, dict[tuple[str, ...], list[str]]] = {
@@ -292,12 +292,12 @@ def topics_page() -> str:
 
 def _clouds() -> Iterator[str]:
     """Fields of the point clouds."""
-    from humansim_ros import messages
+    from humansim_ros.data import messages
 
     yield "## Fields of the point clouds\n"
     yield (
         "Points are NumPy structured arrays with padding between fields; all numbers are little-endian.\n"
-        "`humansim_ros.messages` has a reader for each; see [ground truth](../ground_truth.md).\n"
+        "`humansim_ros.data.messages` has a reader for each; see [ground truth](../ground_truth.md).\n"
     )
     clouds = {
         "<camera>/joints": (messages.JOINT_POINT, messages.read_joint_view),

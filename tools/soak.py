@@ -32,10 +32,10 @@ os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from humansim_ros.io.assets import resource_path  # noqa: E402
+from humansim_ros.files.reading.assets import resource_path  # noqa: E402
 from humansim_ros.ros.processes.node_processes import RecordOptions, scene_processes  # noqa: E402
+from humansim_ros.ros.processes.runtime import prepare_transport  # noqa: E402
 from humansim_ros.ros.processes.supervisor import Supervisor  # noqa: E402
-from humansim_ros.ros.runtime import prepare_transport  # noqa: E402
 
 COMPRESSED = ("/*/image_raw/compressed", "/*/depth/image/compressedDepth")
 RAW = ("/*/image_raw", "/*/depth/image")

@@ -1,3 +1,3 @@
-from humansim_ros.apps.api import Comparison as Comparison
-from humansim_ros.apps.viewer_layouts import foxglove_layout as foxglove_layout
-from humansim_ros.apps.viewer_layouts import rviz_layout as rviz_layout
+from humansim_ros.data import Comparison as Comparison
+from humansim_ros.ros import foxglove_layout as foxglove_layout
+from humansim_ros.ros import rviz_layout as rviz_layout

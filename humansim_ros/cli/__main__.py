@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from humansim_ros.ros.processes.stop_signals import StopRequest, end_process_on_stop
+from humansim_ros.ros.processes import StopRequest, end_process_on_stop
 
 
 def main() -> int:

@@ -34,9 +34,8 @@ from humansim_ros.cli.output import check_output, print_text, print_warning, rep
 from humansim_ros.errors import CameraError, HumansimError, HumansimWarning
 
 if TYPE_CHECKING:
-    from humansim_ros.camera import Camera
-    from humansim_ros.camera.calibration import Calibration
-    from humansim_ros.camera.ideal import Ideal
+    from humansim_ros.cameras.camera import Camera, Ideal
+    from humansim_ros.cameras.formats import Calibration
 
 
 def show(
@@ -50,8 +49,7 @@ def show(
     camera: CameraOption = None,
 ) -> None:
     """Print the cameras of a calibration: K, lens, pose, field of view, and implausible values."""
-    from humansim_ros.camera.calibration import Calibration
-    from humansim_ros.camera.checks import check_rig, note_principal_points
+    from humansim_ros.cameras.formats import Calibration, check_rig, note_principal_points
 
     reading = Reading(size, image, unit, up)
     with warnings.catch_warnings(record=True) as caught:
@@ -88,7 +86,7 @@ def convert(
     camera: CameraOption = None,
 ) -> None:
     """Write the cameras of calibrations in another format. Warns about values that are lost."""
-    from humansim_ros.camera.calibration import write_calibration
+    from humansim_ros.cameras.formats import write_calibration
 
     cameras = select_cameras(Reading(size, image, unit, up).cameras(files), camera, files[0])
     for path in write_calibration(output, cameras, to):
@@ -111,7 +109,7 @@ def describe_camera(name: str, camera: Camera) -> dict[str, Any]:
     """Facts about a camera for ``humansim camera show --json``."""
     import numpy as np
 
-    from humansim_ros.camera.checks import baseline, check_camera, field_of_view
+    from humansim_ros.cameras.formats import baseline, check_camera, field_of_view
 
     view = field_of_view(camera)
     angles = {key: math.degrees(value) for key, value in vars(view).items()}
@@ -198,7 +196,7 @@ class Reading:
     def load(self, file: str, extrinsics: str | None = None) -> Calibration:
         """Load a calibration file, folder or URL. ``extrinsics``: file with extrinsics, if ``file`` has
         none."""
-        from humansim_ros.camera.calibration import load_calibration
+        from humansim_ros.cameras.formats import load_calibration
 
         size = None if self.size is None else parse_size(self.size)
         return load_calibration(
@@ -210,12 +208,10 @@ class Reading:
         writes."""
         if not _has_rig(file):
             return self.load(file)
-        from humansim_ros.camera.calibration import Calibration
-        from humansim_ros.camera.formats.scene import SCENE
-        from humansim_ros.scene.camera import build_cameras
+        from humansim_ros.cameras.formats import SCENE, Calibration
         from humansim_ros.scene.config import load_config
-        from humansim_ros.scene.features.robot.robot import Robot
-        from humansim_ros.scene.source import SceneSource
+        from humansim_ros.scene.core import SceneSource, build_cameras
+        from humansim_ros.scene.features import Robot
 
         if any(option is not None for option in vars(self).values()):
             message = "a scene has size, unit and up axis in its section 'rig': leave these options out"
@@ -230,7 +226,7 @@ class Reading:
     def cameras(self, files: Sequence[str]) -> dict[str, Camera]:
         """Cameras from calibrations and scenes with a rig, or from pairs of files with intrinsics and
         extrinsics."""
-        from humansim_ros.camera.calibration import has_only_extrinsics, join_calibrations, paired
+        from humansim_ros.cameras.formats import has_only_extrinsics, join_calibrations, paired
 
         outer = [file for file in files if len(files) % 2 == 0 and has_only_extrinsics(file)]
         inner = [file for file in files if file not in outer]
@@ -241,7 +237,7 @@ class Reading:
 
 def _has_rig(file: str) -> bool:
     """Whether a file is a scene with a ``rig``. The cameras of a rig are in another file."""
-    from humansim_ros.io.yaml import read_yaml
+    from humansim_ros.files.yaml import read_yaml
 
     if "://" in file or Path(file).suffix.lower() not in (".yaml", ".yml") or not Path(file).is_file():
         return False
@@ -292,7 +288,7 @@ def idealize(
     camera: CameraOption = None,
 ) -> None:
     """Convert cameras and images to ideal cameras: no distortion, no skew, a centred principal point."""
-    from humansim_ros.camera.ideal import idealize as make_ideal
+    from humansim_ros.cameras.camera import idealize as make_ideal
 
     calibration = Reading(size, image, unit, up).load(file)
     real = select_cameras(calibration.cameras, camera, file)
@@ -322,7 +318,7 @@ def rig(
     model: Annotated[LensChoice | None, option("camera rig.model")] = None,
 ) -> None:
     """Arrange cameras around a target. Writes a scene for `humansim run`, and camera_info files."""
-    from humansim_ros.camera import rigs
+    from humansim_ros.cameras.camera import rigs
 
     layouts = {"--ring": ring, "--grid": grid, "--dome": dome, "--stereo": stereo}
     given = [option for option, value in layouts.items() if value is not None]
@@ -364,8 +360,8 @@ def plot(
     camera: CameraOption = None,
 ) -> None:
     """Draw the cameras of calibrations from above and from the side, or their coverage of the floor."""
-    from humansim_ros.drawing.canvas import write_png
-    from humansim_ros.drawing.rigs import coverage_image, rig_image
+    from humansim_ros.render.pictures import write_png
+    from humansim_ros.scene.pictures import coverage_image, rig_image
 
     check_output(output, ".png")
     cameras = select_cameras(Reading(size, image, unit, up).cameras(files), camera, files[0])
@@ -387,7 +383,7 @@ def _make_folder(folder: Path) -> None:
 
 def _write_ideal(file: str, output: Path, read: Calibration, cameras: Mapping[str, Camera]) -> None:
     """Write ideal cameras in the format of the real ones."""
-    from humansim_ros.camera.calibration import resolve_url, write_calibration
+    from humansim_ros.cameras.formats import resolve_url, write_calibration
 
     source = resolve_url(file) if "://" in file else Path(file)
     several = source.is_dir() or (read.format is not None and read.format.name == "colmap")
@@ -423,9 +419,8 @@ def _convert_image(ideal: Ideal, path: Path, target: Path, nearest: bool) -> Non
     import cv2
     import numpy as np
 
-    from humansim_ros.camera.checks import image_size
-    from humansim_ros.io.files import read_bytes, write_file
-    from humansim_ros.io.images import MAX_IMAGE_BYTES
+    from humansim_ros.cameras.formats import image_size
+    from humansim_ros.files.reading import MAX_IMAGE_BYTES, read_bytes, write_file
 
     if path.suffix.lower() not in (".png", *_JPEG):
         raise CameraError("images are .png or .jpg", path=path)
@@ -474,9 +469,8 @@ def _write_rig(
     output: Path, cameras: Mapping[str, Camera], look_at: tuple[float, float, float], radius: float
 ) -> None:
     """Write scene.yaml with the cameras, and camera_info files without poses."""
-    from humansim_ros.camera.calibration import write_calibration
-    from humansim_ros.camera.formats.scene import SCENE
-    from humansim_ros.io.files import write_file
+    from humansim_ros.cameras.formats import SCENE, write_calibration
+    from humansim_ros.files.reading import write_file
 
     folder = output / "camera_info"
     _make_folder(folder)

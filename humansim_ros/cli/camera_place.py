@@ -23,12 +23,11 @@ from humansim_ros.cli.options import (
 )
 from humansim_ros.cli.output import check_output, print_text, print_warning, to_json
 from humansim_ros.errors import CameraError, HumansimError, unknown
-from humansim_ros.io.files import write_file
+from humansim_ros.files.reading import write_file
 
 if TYPE_CHECKING:
-    from humansim_ros.camera import Camera
-    from humansim_ros.camera.calibration import Calibration
-    from humansim_ros.camera.placement import FoundPlacement
+    from humansim_ros.cameras.camera import Camera, FoundPlacement
+    from humansim_ros.cameras.formats import Calibration
     from humansim_ros.types import Array
 
 #: Stature of the person that cameras should see, and margin at its ends that is not tested, metres.
@@ -73,7 +72,7 @@ class _Method:
 
     def find(self, calibration: Calibration, file: str) -> FoundPlacement:
         """Find the placement of a calibration."""
-        from humansim_ros.camera import placement
+        from humansim_ros.cameras.camera import placement
 
         cameras = _posed(calibration, file)
         name = self.camera if self.camera is not None else next(iter(cameras))
@@ -117,7 +116,7 @@ def place(
     as_json: JsonOption = False,
 ) -> None:
     """Find the pose of a calibration in the room: by a tilt, floor points, a board, or level cameras."""
-    from humansim_ros.camera import placement
+    from humansim_ros.cameras.camera import placement
 
     if not all(map(math.isfinite, (tilt_deg or 0, roll_deg, height or 0, yaw_deg, *at))):
         raise HumansimError("the options must be finite numbers")
@@ -155,8 +154,8 @@ def place(
         room = room_around(placed, (x, y))
         write_file(output, f"rate: 30\nroom: {room}\nhumans:\n  person: {person}\n{section}")
     if picture is not None:
-        from humansim_ros.drawing.canvas import write_png
-        from humansim_ros.drawing.rigs import rig_image
+        from humansim_ros.render.pictures import write_png
+        from humansim_ros.scene.pictures import rig_image
 
         write_png(picture, rig_image(placed, found.points))
     written = [str(path) for path in (output, picture) if path is not None]
@@ -189,13 +188,13 @@ def _posed(calibration: Calibration, file: str) -> dict[str, Camera]:
 
 def _in_metres(calibration: Calibration) -> Array:
     """Matrix (3, 3) from the unit and axes of the file to metres and z up."""
-    from humansim_ros.camera.calibration import Z_UP_FROM_FILE
+    from humansim_ros.cameras.formats import Z_UP_FROM_FILE
 
     return calibration.unit * Z_UP_FROM_FILE[calibration.up]
 
 
 def _floor_points(calibration: Calibration, path: Path | None, texts: Sequence[str]) -> list[Any]:
-    from humansim_ros.camera.placement import parse_floor_point, read_floor_points
+    from humansim_ros.cameras.camera import parse_floor_point, read_floor_points
 
     in_metres = _in_metres(calibration)
     points = [] if path is None else read_floor_points(path, in_metres)
@@ -206,7 +205,7 @@ def _board_pose(calibration: Calibration, camera: Camera, text: str | None) -> A
     """Pose (4, 4) of the board in the world of the file, metres."""
     import numpy as np
 
-    from humansim_ros.camera.calibration import Z_UP_FROM_FILE
+    from humansim_ros.cameras.formats import Z_UP_FROM_FILE
     from humansim_ros.geometry import rotation_vector_to_matrix, transform
 
     if text is None:
@@ -240,7 +239,7 @@ def _facts(
     """
     import numpy as np
 
-    from humansim_ros.camera.placement import look_target
+    from humansim_ros.cameras.camera import look_target
 
     x, y, _ = (round(float(value), 3) + 0.0 for value in look_target(placed))
     heights = np.linspace(_MARGIN, _STATURE - _MARGIN, 9)

@@ -17,13 +17,11 @@ from typing import Literal
 
 import typer
 
-from humansim_ros.cli.options import (
-    JsonOption,
-)
+from humansim_ros.cli.options import JsonOption
 from humansim_ros.cli.output import print_text, to_json
 from humansim_ros.errors import HumansimError
-from humansim_ros.io.converters import FBX_VARIABLE, find_converter
-from humansim_ros.ros.transport import files_of_fast_dds, free_memory
+from humansim_ros.files.reading import FBX_VARIABLE, find_converter
+from humansim_ros.ros.graph import files_of_fast_dds, free_memory
 
 #: Result of a check: usable, usable with a drawback, not usable.
 State = Literal["ok", "warning", "wrong"]
@@ -68,7 +66,7 @@ import humansim_ros
 from humansim_ros.render import GLRenderer
 from humansim_ros import Camera, load_human
 from humansim_ros.render import Body
-from humansim_ros.io.assets import resource_path
+from humansim_ros.files.reading.assets import resource_path
 child = load_human(resource_path("assets/humans/child.npz"))
 # another camera for each picture: the renderer keeps pictures
 cameras = [Camera.look_at((0.1 * n, 1, 3), (0, 0.6, 0), size=(640, 480), up=(0, 1, 0)) for n in range(6)]

@@ -18,7 +18,7 @@ from humansim_ros.cli.options import (
 )
 from humansim_ros.cli.output import check_output, print_text, time_left, to_json
 from humansim_ros.errors import ChallengeError, EvaluationError
-from humansim_ros.io.files import write_file
+from humansim_ros.files.reading import write_file
 
 #: Largest time offset that is accepted, seconds: more than a wall clock (seconds since 1970) can be ahead of
 #: scene time.
@@ -41,7 +41,7 @@ def evaluate(
     report: Annotated[Path | None, option("evaluate.report")] = None,
 ) -> None:
     """Compare poses or boxes of people, detections in images, or the path of a robot, with the truth."""
-    from humansim_ros.apps import api
+    from humansim_ros.data import api
 
     for path in (output, report):
         check_output(path)
@@ -96,18 +96,15 @@ def challenge(
     resume: ResumeOption = False,
 ) -> None:
     """Run a tracker through difficulties of three strengths, and show where it breaks."""
-    from humansim_ros.challenge.report import show_table, write_pages
-    from humansim_ros.challenge.results import CaseResult, Report
+    from humansim_ros.ros.challenge import CaseResult, Report, show_table, write_pages
 
     other = None if compare is None else Report.read(compare)
     if tracker is None:
         report = Report.read(output)
     else:
-        from humansim_ros.challenge.case import ChallengeOptions
-        from humansim_ros.challenge.run import open_report, run_challenge
-        from humansim_ros.challenge.suite import load_suite
-        from humansim_ros.jobs.frame_job import FrameProgress
-        from humansim_ros.ros.runtime import require_ros
+        from humansim_ros.data.engine import FrameProgress
+        from humansim_ros.ros.challenge import ChallengeOptions, load_suite, open_report, run_challenge
+        from humansim_ros.ros.processes import require_ros
 
         require_ros()
         chosen = load_suite(suite, only or (), quick)

@@ -19,14 +19,14 @@ from humansim_ros.cli.options import (
 )
 from humansim_ros.cli.output import costs_text, frame_progress, print_text, rate_text, run_frames_shown
 from humansim_ros.cli.scene import warn_about_mistakes
+from humansim_ros.data.engine import PART_FRAMES
 from humansim_ros.errors import MAX_FRAMES, ExportError
-from humansim_ros.jobs.ray_cluster import PART_FRAMES
-from humansim_ros.ros.processes.stop_signals import Stopped
+from humansim_ros.ros.processes import Stopped
 
 if TYPE_CHECKING:
-    from humansim_ros.export.data_set import DataSet
-    from humansim_ros.export.exporting import Export
-    from humansim_ros.jobs.frame_job import FrameProgress
+    from humansim_ros.data.datasets import DataSet
+    from humansim_ros.data.engine import FrameProgress
+    from humansim_ros.data.formats import Export
 
 
 class _ImageFormat(str, Enum):
@@ -36,7 +36,7 @@ class _ImageFormat(str, Enum):
 
 def _print_formats(wanted: bool) -> None:
     if wanted:
-        from humansim_ros.export.formats import EXPORT_FORMATS
+        from humansim_ros.data.formats import EXPORT_FORMATS
 
         width = max(map(len, EXPORT_FORMATS))
         print_text("\n".join(f"{row.name:<{width}}  {row.title}" for row in EXPORT_FORMATS.values()))
@@ -64,14 +64,12 @@ def export(
 
     A recipe is a YAML file with the key ``recipe`` (docs/datasets.md).
     """
-    from humansim_ros.apps.work import export_source, recipe_data_set
-    from humansim_ros.evaluate.readers.estimates import is_bag
-    from humansim_ros.export.exporting import Export
-    from humansim_ros.export.formats import chosen_formats
-    from humansim_ros.export.plan import ExportPlan, parse_range
-    from humansim_ros.io.machine import cores
-    from humansim_ros.record.output import is_url
-    from humansim_ros.scene import Scene
+    from humansim_ros.data import export_source, recipe_data_set
+    from humansim_ros.data.engine import is_url
+    from humansim_ros.data.evaluation import is_bag
+    from humansim_ros.data.formats import Export, ExportPlan, chosen_formats, parse_range
+    from humansim_ros.files.reading import cores
+    from humansim_ros.scene.core import Scene
 
     if is_url(output):
         raise ExportError("an export needs a folder; with --ray one that all hosts share", key="--output")
@@ -107,7 +105,7 @@ def export(
 
 def _export_recipe(data_set: DataSet, jobs: int, resume: bool, ray: str | None) -> None:
     """Export many scenes of a recipe."""
-    from humansim_ros.export.data_set import write_data_set
+    from humansim_ros.data.datasets import write_data_set
 
     output, total = data_set.root, data_set.recipe.config.scenes
     state = run_frames_shown(
@@ -130,7 +128,7 @@ def _export_recipe(data_set: DataSet, jobs: int, resume: bool, ray: str | None) 
 
 def _export_on_ray(job: Export, address: str, jobs: int | None, shard_frames: int, resume: bool) -> None:
     """Export with the workers of a Ray cluster."""
-    from humansim_ros.export.exporting import export_on_cluster
+    from humansim_ros.data.formats import export_on_cluster
 
     with frame_progress("exporting", job.cameras) as display:
         try:
@@ -145,7 +143,7 @@ def _export_on_ray(job: Export, address: str, jobs: int | None, shard_frames: in
 
 def _export(job: Export, jobs: int, resume: bool) -> None:
     """Export with processes of this machine."""
-    from humansim_ros.export.exporting import export
+    from humansim_ros.data.formats import export
 
     total = len(job.plan.frames)
     state = run_frames_shown(

@@ -24,12 +24,11 @@ from humansim_ros.cli.options import (
 from humansim_ros.cli.options import built_in_humans as completed_humans
 from humansim_ros.cli.output import check_output, print_text, to_json
 from humansim_ros.errors import HumansimError, MeshError
-from humansim_ros.io.assets import resource_path
+from humansim_ros.files.reading import resource_path
 
 if TYPE_CHECKING:
-    from humansim_ros.humans.human import Human
-    from humansim_ros.photographs.person_fit import PersonFit
-    from humansim_ros.photographs.views import PhotoSet
+    from humansim_ros.people.humans import Human
+    from humansim_ros.photographs import PersonFit, PhotoSet
 
 #: Facts about the built-in humans, which tools/assets/list_humans.py writes.
 BUILT_IN_FACTS = "assets/humans/humans.json"
@@ -84,7 +83,7 @@ def joints(as_json: JsonOption = False) -> None:
     """List the joints of humans with their places, and their names in H-Anim 2, SMPL, COCO and OpenPose."""
     from dataclasses import asdict
 
-    from humansim_ros.body.joint_names import JOINT_NAMES, SETS
+    from humansim_ros.motion.body import JOINT_NAMES, SETS
 
     if as_json:
         print_text(to_json([asdict(row) for row in JOINT_NAMES]))
@@ -146,8 +145,8 @@ def make(
     picture: PictureOption = None,
 ) -> None:
     """Make a person: by seed, from surveys of people, and by what is given."""
-    from humansim_ros.humans.loading import make_person
-    from humansim_ros.humans.makehuman.population import AGES, draw_person
+    from humansim_ros.people.loading import make_person
+    from humansim_ros.people.makehuman import AGES, draw_person
 
     check_output(output, ".npz")
     check_output(picture, ".png")
@@ -193,9 +192,8 @@ def rig(
     """Fit a skeleton to a mesh and compute weights. A mesh that has weights keeps them."""
     from pydantic import ValidationError
 
-    from humansim_ros.humans.description import MeshHuman
-    from humansim_ros.humans.loading import make_human
-    from humansim_ros.io.schema_errors import schema_error
+    from humansim_ros.files.yaml import schema_error
+    from humansim_ros.people.loading import MeshHuman, make_human
 
     check_output(output, ".npz")
     check_output(picture, ".png")
@@ -211,7 +209,7 @@ def rig(
 
 def built_in_humans() -> list[str]:
     """Names of the humans in assets/humans."""
-    from humansim_ros.io.assets import built_in_names
+    from humansim_ros.files.reading import built_in_names
 
     return built_in_names("humans")
 
@@ -256,13 +254,13 @@ def _info_lines(facts: dict[str, Any]) -> Iterator[str]:
 
 def load_named(name: str, outfit: str | None = None) -> Human:
     """Load a built-in human or a file. ``outfit``: name of its outfit. If None, the first outfit."""
-    from humansim_ros.humans.loading import find_human, load_human
+    from humansim_ros.people.loading import find_human, load_human
 
     return load_human(find_human(name), outfit)
 
 
 def _write(human: Human, output: Path, picture: Path | None) -> None:
-    from humansim_ros.humans.human import write_human
+    from humansim_ros.people.humans import write_human
 
     write_human(output, human)
     print_text(f"wrote {output}")
@@ -271,8 +269,8 @@ def _write(human: Human, output: Path, picture: Path | None) -> None:
 
 
 def _draw(human: Human, output: Path) -> None:
-    from humansim_ros.drawing.canvas import write_png
-    from humansim_ros.drawing.people import human_sheet
+    from humansim_ros.render.pictures import write_png
+    from humansim_ros.scene.pictures import human_sheet
 
     write_png(output, human_sheet(human))
     print_text(f"wrote {output}")
@@ -304,13 +302,9 @@ def fit(
     """Fit a human to calibrated photographs: pose, place, stature, proportions."""
     # set before NumPy is loaded: its threads cost more than they save for matrices of some hundred rows
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from humansim_ros.humans.human import write_human
-    from humansim_ros.motion.bvh import write_bvh
-    from humansim_ros.photographs.detector import detect_points
-    from humansim_ros.photographs.fit_file import write_fit
-    from humansim_ros.photographs.fitting import fit_person
-    from humansim_ros.photographs.person_fit import fit_motion
-    from humansim_ros.photographs.views import read_views
+    from humansim_ros.motion.files import write_bvh
+    from humansim_ros.people.humans import write_human
+    from humansim_ros.photographs import detect_points, fit_motion, fit_person, read_views, write_fit
 
     check_output(output, ".yaml")
     check_output(picture, ".png")
@@ -324,8 +318,8 @@ def fit(
     print_text("\n".join(_lines(found, photos)))
     print_text(f"wrote {output}")
     if picture is not None:
-        from humansim_ros.drawing.canvas import write_png
-        from humansim_ros.photographs.reports import draw_report
+        from humansim_ros.photographs import draw_report
+        from humansim_ros.render.pictures import write_png
 
         # for a sequence, another fit would take long
         masks = any(photo.mask_path is not None for photo in photos.frames[0])
@@ -353,10 +347,8 @@ def texture(
     picture: PictureOption = None,
 ) -> None:
     """Texture a fitted human from the photographs."""
-    from humansim_ros.humans.human import write_human
-    from humansim_ros.photographs.fit_file import read_fit
-    from humansim_ros.photographs.texturing import texture_person
-    from humansim_ros.photographs.views import read_views
+    from humansim_ros.people.humans import write_human
+    from humansim_ros.photographs import read_fit, read_views, texture_person
 
     check_output(output, ".npz")
     check_output(picture, ".png")
@@ -368,8 +360,8 @@ def texture(
     print_text(f"{textured.human.name}: {seen:.0%} of the faces are seen by a camera")
     print_text(f"wrote {output}")
     if picture is not None:
-        from humansim_ros.drawing.canvas import write_png
-        from humansim_ros.photographs.reports import draw_sheet
+        from humansim_ros.photographs import draw_sheet
+        from humansim_ros.render.pictures import write_png
 
         write_png(picture, draw_sheet(textured))
         print_text(f"wrote {picture}")
@@ -389,7 +381,7 @@ def _lines(fit: PersonFit, photos: PhotoSet) -> list[str]:
         else "no points",
     ]
     if any(photo.mask_path is not None for photo in photos.frames[0]):
-        from humansim_ros.photographs.silhouettes import silhouette_iou
+        from humansim_ros.photographs import silhouette_iou
 
         overlap = silhouette_iou(fit, photos, 0)
         lines.append("silhouettes: " + ", ".join(f"{name} {value:.3f}" for name, value in overlap.items()))

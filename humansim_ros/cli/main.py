@@ -13,11 +13,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from humansim_ros.cli.options import (
-    join_numbers,
-    new_names,
-    option,
-)
+from humansim_ros.cli.options import join_numbers, new_names, option
 from humansim_ros.cli.output import (
     flush_errors,
     flush_output,

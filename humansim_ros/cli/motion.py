@@ -23,21 +23,15 @@ from humansim_ros.cli.options import (
     parse_size,
 )
 from humansim_ros.cli.options import built_in_motions as completed_motions
-from humansim_ros.cli.output import (
-    check_output,
-    print_text,
-    print_warning,
-    progress_bar,
-    to_json,
-)
+from humansim_ros.cli.output import check_output, print_text, print_warning, progress_bar, to_json
 from humansim_ros.errors import HumansimError, MotionError, some_of
-from humansim_ros.io.assets import resource_path
-from humansim_ros.io.motion_formats import MOTION_TITLES
+from humansim_ros.files.reading import resource_path
+from humansim_ros.motion.files import MOTION_TITLES
 
 if TYPE_CHECKING:
-    from humansim_ros.motion import Motion
-    from humansim_ros.motion.posed_bones import PosedBones
-    from humansim_ros.motion.world_motion import WorldMotion
+    from humansim_ros.motion.body import Motion
+    from humansim_ros.motion.files import PosedBones
+    from humansim_ros.motion.motion import WorldMotion
 
 
 class PositionsChoice(Enum):
@@ -87,7 +81,7 @@ def info(
 ) -> None:
     """Describe a motion file: joints, unit, axes, joint match, foot sliding, warnings."""
     from humansim_ros.motion.files import find_motion
-    from humansim_ros.motion.info import describe_motion, read_with_warnings
+    from humansim_ros.motion.pose import describe_motion, read_with_warnings
 
     _check_unit(unit)
     read = read_with_warnings(Path(find_motion(file)), positions.value)
@@ -143,13 +137,10 @@ def retarget(
 
     import numpy as np
 
-    from humansim_ros.body import hanim_skeleton
-    from humansim_ros.motion.contacts import FootContacts
-    from humansim_ros.motion.info import to_world
-    from humansim_ros.motion.limits import load_limits
-    from humansim_ros.motion.posed_bones import PosedBones, check_suffix, write_bones
-    from humansim_ros.motion.retarget import Retargeter
-    from humansim_ros.motion.world_motion import Placement
+    from humansim_ros.motion.body import hanim_skeleton
+    from humansim_ros.motion.files import PosedBones, check_suffix, write_bones
+    from humansim_ros.motion.motion import Placement
+    from humansim_ros.motion.pose import FootContacts, Retargeter, load_limits, to_world
 
     _check_unit(unit)
     if not np.isfinite([*position, yaw_deg]).all():
@@ -194,8 +185,7 @@ def table(
     min_confidence: MinConfidenceOption = None,
 ) -> None:
     """Print or write the joint match: the joint that drives each bone, and the confidence."""
-    from humansim_ros.motion.joint_match import table_text, write_table
-    from humansim_ros.motion.joint_matching import match_motion
+    from humansim_ros.motion.matching import match_motion, table_text, write_table
 
     motion = _read(file, positions)
     match = match_motion(motion, joint_names, min_confidence)
@@ -238,14 +228,14 @@ def render(
     min_confidence: MinConfidenceOption = None,
 ) -> None:
     """Draw a motion as images or video: stick figures (left blue, right red) and a human."""
-    from humansim_ros.drawing.people import (
+    from humansim_ros.motion.pose import to_world
+    from humansim_ros.scene.pictures import (
         Artist,
         SkinnedArtist,
         StickFigureArtist,
         check_suffix,
         write_motion_image,
     )
-    from humansim_ros.motion.info import to_world
 
     _check_unit(unit)
     panel = parse_size(size)
@@ -293,7 +283,7 @@ def _read(file: str, positions: PositionsChoice) -> Motion:
 
 
 def _warn_of(world: WorldMotion) -> None:
-    from humansim_ros.motion.world_motion import playing_warnings
+    from humansim_ros.motion.motion import playing_warnings
 
     for text in playing_warnings(world):
         print_warning(f"{world.motion.path}: {text}")

@@ -11,8 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from humansim_ros.errors import CameraError, HumansimError, SceneError
-from humansim_ros.io.assets import built_in_names, read_table, resource_path
-from humansim_ros.io.files import exists, read_bytes
+from humansim_ros.files.reading import built_in_names, exists, read_bytes, read_table, resource_path
 
 
 def split_commas(values: list[str] | None) -> list[str]:
@@ -87,7 +86,7 @@ def joint_tables(incomplete: str) -> list[str]:
 
 def built_in_channels(incomplete: str) -> list[str]:
     """Channels, for the last one of several that are separated by commas."""
-    from humansim_ros.render.channels import ALL_CHANNELS
+    from humansim_ros.render.interface import ALL_CHANNELS
 
     return _last_of_list(incomplete, ALL_CHANNELS)
 

@@ -17,10 +17,10 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from humansim_ros.errors import HumansimError, escaped
-from humansim_ros.ros.processes.stop_signals import Stopped
+from humansim_ros.ros.processes import Stopped
 
 if TYPE_CHECKING:
-    from humansim_ros.jobs.frame_job import FrameProgress
+    from humansim_ros.data.engine import FrameProgress
 
 
 #: By suffix of an output: other suffixes of the same format, and its name in messages.
@@ -182,7 +182,7 @@ def run_frames_shown(
         interrupted: Returns the text for an interruption, from the number of finished frames.
         unit: What is counted.
     """
-    from humansim_ros.jobs.workers import WorkerDiedError
+    from humansim_ros.data.engine import WorkerDiedError
 
     done = 0
 

@@ -7,24 +7,16 @@ from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from humansim_ros.cli.options import (
-    JobsOption,
-    RayOption,
-    ResumeOption,
-    TopicsOption,
-    argument,
-    option,
-)
+from humansim_ros.cli.options import JobsOption, RayOption, ResumeOption, TopicsOption, argument, option
 from humansim_ros.cli.output import costs_text, frame_progress, print_text, rate_text, run_frames_shown
 from humansim_ros.cli.scene import warn_about_mistakes
+from humansim_ros.data.engine import PART_FRAMES
 from humansim_ros.errors import MAX_FRAMES, BagError
-from humansim_ros.jobs.ray_cluster import PART_FRAMES
-from humansim_ros.ros.processes.stop_signals import Stopped
+from humansim_ros.ros.processes import Stopped
 
 if TYPE_CHECKING:
-    from humansim_ros.jobs.frame_job import FrameProgress
-    from humansim_ros.record.cluster import ClusterRecording
-    from humansim_ros.record.recording import SceneRecording
+    from humansim_ros.data import ClusterRecording, SceneRecording
+    from humansim_ros.data.engine import FrameProgress
 
 
 class _Storage(str, Enum):
@@ -68,11 +60,10 @@ def record(
     shard_frames: Annotated[int, option("record.shard_frames")] = PART_FRAMES,
 ) -> None:
     """Record a scene into a bag of rosbag2, frame by frame, without nodes: no frame is lost."""
-    from humansim_ros.io.machine import cores
-    from humansim_ros.record.cluster import cluster_recordings
-    from humansim_ros.record.output import is_url
-    from humansim_ros.record.recording import SceneRecording
-    from humansim_ros.scene import Scene
+    from humansim_ros.data import SceneRecording, cluster_recordings
+    from humansim_ros.data.engine import is_url
+    from humansim_ros.files.reading import cores
+    from humansim_ros.scene.core import Scene
 
     if (frames is None) == (seconds is None):
         raise BagError("give either --frames or --seconds", key="record")
@@ -114,7 +105,7 @@ def record(
 
 def _record_here(recording: SceneRecording, output: Path, jobs: int, resume: bool) -> None:
     """Record with processes of this machine."""
-    from humansim_ros.record.recording import record
+    from humansim_ros.data import record
 
     cameras = len({topic.camera for topic in recording.table if topic.camera and topic.per_frame})
 
@@ -132,7 +123,7 @@ def _record_on_ray(
     recordings: Sequence[ClusterRecording], output: str, address: str, jobs: int | None, resume: bool
 ) -> None:
     """Record with the workers of a Ray cluster."""
-    from humansim_ros.record.cluster import record_on_cluster
+    from humansim_ros.data import record_on_cluster
 
     # its numbers count camera-frames
     with frame_progress("recording", 1, "camera-frames") as display:

@@ -36,9 +36,8 @@ from humansim_ros.cli.options import (
 from humansim_ros.cli.output import check_output, print_error, print_text, to_json
 from humansim_ros.cli.scene import SceneOptions, warn_about_mistakes
 from humansim_ros.errors import HumansimError
-from humansim_ros.io.assets import resource_path
-from humansim_ros.ros.lockstep.settings import SETTINGS
-from humansim_ros.ros.processes.stop_signals import Stopped
+from humansim_ros.files.reading import resource_path
+from humansim_ros.ros.processes import SETTINGS, Stopped
 
 
 def _setting(name: str, metavar: str, end: str = ".") -> Any:
@@ -80,17 +79,17 @@ def run(
     output: Annotated[Path | None, option("run.output")] = None,
 ) -> None:
     """Start all nodes of a scene as processes. Ctrl-C stops them; a second Ctrl-C kills them."""
-    from humansim_ros.io.files import temporary_folder
-    from humansim_ros.ros.lockstep.settings import TimeOptions
-    from humansim_ros.ros.processes.node_processes import (
+    from humansim_ros.files.reading import temporary_folder
+    from humansim_ros.ros.processes import (
         QUIT,
         WRONG_INPUT,
         EvaluateOptions,
+        NodeStarter,
         RecordOptions,
+        TimeOptions,
         relative_namespace,
         scene_processes,
     )
-    from humansim_ros.ros.processes.node_starter import NodeStarter
 
     start = time.monotonic()
     with temporary_folder() as folder, ExitStack() as stack:
@@ -100,12 +99,10 @@ def run(
             path = options.write(given_path, folder)
         # it imports the package and loads the scene at the same time as this process
         starter = stack.enter_context(NodeStarter(str(path.resolve())))
-        from humansim_ros.apps.first_images import FirstImages
-        from humansim_ros.messages.topics import check_adapters
-        from humansim_ros.ros.processes.supervisor import Supervisor
-        from humansim_ros.ros.runtime import prepare_transport
-        from humansim_ros.scene import Scene
-        from humansim_ros.scene.names import BRIDGE_NODE
+        from humansim_ros.data.messages import check_adapters
+        from humansim_ros.ros.processes import Supervisor, prepare_transport
+        from humansim_ros.ros.tools import FirstImages
+        from humansim_ros.scene.core import BRIDGE_NODE, Scene
 
         _check_machine()
         loaded = options.load(given_path, path) if options else Scene.load(path)
@@ -136,7 +133,7 @@ def run(
         check_adapters(loaded, installed=BRIDGE_NODE in names)
         cameras = [name for name in loaded.cameras if name in names]
         first = FirstImages(cameras, list(loaded.actors), start, namespace)
-        helpers = [("humansim_ros.apps.first_images", first.to_argument())] if cameras else []
+        helpers = [("humansim_ros.ros.tools.first_images", first.to_argument())] if cameras else []
         with Supervisor(node_processes, starter=starter, helpers=helpers) as nodes:
             try:
                 print_text(f"starting {', '.join(names)}; Ctrl-C stops")
@@ -172,7 +169,7 @@ def demo(
     seconds: Annotated[float, option("demo.seconds")] = 10.0,
 ) -> None:
     """Run a scene, subscribe to its topics like a client, and draw the received messages."""
-    from humansim_ros.apps.demo import record_demo
+    from humansim_ros.ros.tools import record_demo
 
     _check_machine()
     path = scene or resource_path("config/scenes/demo.yaml")
@@ -183,8 +180,8 @@ def demo(
 
 def _check_machine() -> None:
     """Raise an error if ROS or OpenGL is missing, once and before a process starts."""
-    from humansim_ros.render.context import OpenGLContext
-    from humansim_ros.ros.runtime import prepare_logs, require_ros
+    from humansim_ros.render.device import OpenGLContext
+    from humansim_ros.ros.processes import prepare_logs, require_ros
 
     require_ros()
     prepare_logs()
@@ -195,7 +192,7 @@ def _time_options(scene: Any, options: Any, folder: Path) -> Any:
     """Options, with a file for the summary of lockstep. Raises RosError for lockstep options without
     lockstep."""
     from humansim_ros.errors import RosError
-    from humansim_ros.scene.names import LOCKSTEP
+    from humansim_ros.scene.core import LOCKSTEP
 
     if options.lockstep is None and scene.config.time.mode == LOCKSTEP:
         options = replace(options, lockstep=True)
@@ -209,14 +206,14 @@ def _time_options(scene: Any, options: Any, folder: Path) -> Any:
 
 def _summary(options: Any) -> Any:
     """Summary of a run in lockstep. None before its end, and in real time."""
-    from humansim_ros.ros.lockstep.rules import LockstepSummary
+    from humansim_ros.ros.processes import LockstepSummary
 
     return LockstepSummary.read(Path(options.summary)) if options.summary else None
 
 
 def _restart_note(options: Any) -> Callable[[], None]:
     """Function that tells the player of a lockstep run that a node is started again."""
-    from humansim_ros.ros.lockstep.rules import RestartFile
+    from humansim_ros.ros.processes import RestartFile
 
     return RestartFile(options.summary).write if options.summary else lambda: None
 
@@ -263,8 +260,8 @@ def bench(
 
     Runs the nodes of `humansim run` as fast as they can, with one subscriber to all images.
     """
-    from humansim_ros.apps.bench import measure
-    from humansim_ros.ros.runtime import require_ros
+    from humansim_ros.ros.processes import require_ros
+    from humansim_ros.ros.tools import measure
 
     require_ros()
     path = scene or resource_path("config/scenes/demo.yaml")
@@ -286,14 +283,14 @@ def play(
 
     The space bar pauses, Ctrl-C stops.
     """
-    from humansim_ros.ros.runtime import prepare_transport, require_ros
+    from humansim_ros.ros.processes import prepare_transport, require_ros
 
     require_ros()
     prepare_transport(network=network)
     import rclpy
     from rclpy.signals import SignalHandlerOptions
 
-    from humansim_ros.apps.bag_player import BagPlayer, PlayOptions
+    from humansim_ros.ros.tools import BagPlayer, PlayOptions
 
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     try:

@@ -23,10 +23,10 @@ from humansim_ros.cli.options import (
 )
 from humansim_ros.cli.output import check_output, print_text, print_warning, report_write_errors, to_json
 from humansim_ros.errors import HumansimError, unknown
-from humansim_ros.io.files import exists, expand_user
+from humansim_ros.files.reading import exists, expand_user
 
 if TYPE_CHECKING:
-    from humansim_ros.scene import Scene
+    from humansim_ros.scene.core import Scene
 
 
 @dataclass(frozen=True)
@@ -58,9 +58,8 @@ class SceneOptions:
 
         from humansim_ros.errors import SceneError
         from humansim_ros.scene.config import LIVE, load_config, map_files
-        from humansim_ros.scene.draft import Draft
-        from humansim_ros.scene.features.variety.feature import FEATURE
-        from humansim_ros.scene.source import SceneSource, found_name
+        from humansim_ros.scene.core import Draft, SceneSource, found_name
+        from humansim_ros.scene.features import FEATURE
 
         source, scene = SceneSource.of_file(path), load_config(path)
         if scene.variety is not None:
@@ -96,9 +95,8 @@ class SceneOptions:
 
     def load(self, path: Path, changed: Path) -> Scene:
         """Load the copy of a scene. Errors name the option, or the file and line of the original scene."""
-        from humansim_ros.scene import Scene
         from humansim_ros.scene.config import load_config
-        from humansim_ros.scene.source import SceneSource
+        from humansim_ros.scene.core import Scene, SceneSource
 
         config = load_config(changed)
         with self.naming_options(next(iter(config.humans))):
@@ -145,8 +143,9 @@ def check(
     as_json: JsonOption = False,
 ) -> None:
     """Find probable mistakes in a scene: cameras that see nobody, people in walls … Exit code 1 if any."""
-    from humansim_ros.messages.topics import check_adapters
-    from humansim_ros.scene import Scene, check_scene
+    from humansim_ros.data.messages import check_adapters
+    from humansim_ros.scene.checks import check_scene
+    from humansim_ros.scene.core import Scene
 
     loaded = Scene.load(scene)
     check_adapters(loaded)
@@ -166,7 +165,7 @@ def check(
 def warn_about_mistakes(scene: Scene, options: SceneOptions | None = None) -> None:
     """Print the findings of a quick check as warnings, for commands that play a scene. ``options``: options
     that have replaced parts of the scene."""
-    from humansim_ros.scene import check_scene
+    from humansim_ros.scene.checks import check_scene
 
     human = next(iter(scene.actors), "")
     for finding in check_scene(scene, quick=True):
@@ -188,10 +187,10 @@ def snapshot(
     no_plan: Annotated[bool, option("snapshot.no_plan")] = False,
 ) -> None:
     """Draw on one sheet what every camera of a scene sees, with the joints, and the scene from above."""
-    from humansim_ros.drawing.canvas import write_png
-    from humansim_ros.drawing.snapshot import snapshot as draw
-    from humansim_ros.render import ALL_CHANNELS
-    from humansim_ros.scene import Scene
+    from humansim_ros.render.interface import ALL_CHANNELS
+    from humansim_ros.render.pictures import write_png
+    from humansim_ros.scene.core import Scene
+    from humansim_ros.scene.pictures import snapshot as draw
 
     check_output(output, ".png")
     words = " ".join(channels or ["rgb"]).split()
@@ -219,7 +218,7 @@ def schema(
 
 def list_meshes(as_json: JsonOption = False) -> None:
     """List the built-in meshes, which objects of a scene may use by name."""
-    from humansim_ros.scene.objects import BUILT_IN_MESHES, FURNITURE, SHAPES
+    from humansim_ros.scene.core import BUILT_IN_MESHES, FURNITURE, SHAPES
 
     if as_json:
         meshes = {

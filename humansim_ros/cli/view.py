@@ -42,9 +42,8 @@ def view(
         )
     import cv2
 
-    from humansim_ros.evaluate.evaluation import DEFAULT_GATE
-    from humansim_ros.evaluate.live import LiveOptions
-    from humansim_ros.view.inputs import TopicOptions, new_scene, open_graph, open_source
+    from humansim_ros.data.evaluation import DEFAULT_GATE, LiveOptions
+    from humansim_ros.view.sources import TopicOptions, new_scene, open_graph, open_source
 
     topics = None
     if estimate or keypoints is not None or names is not None or body or scale != 1 or axes is not None:
@@ -68,7 +67,7 @@ def view(
         # before the imports of the page, so that images are rendered at the same time
         source.prepare(tuple(source.cameras), source.channels[:1], alone=True)
         cv2.setNumThreads(-1)
-    from humansim_ros.view.app import ViewApp
+    from humansim_ros.view import ViewApp
 
     app = ViewApp(opened, port)
     try:

@@ -1,7 +1,5 @@
-"""Humans: mesh, skeleton, weights and outfits; read from files, or made from meshes and sliders."""
+"""Old path of names that have moved; 0.4.0 removes it."""
 
-from humansim_ros.humans.human import Human
-from humansim_ros.humans.loading import load_human, make_human, make_person
-from humansim_ros.humans.makehuman.population import draw_person
+from humansim_ros.lazy import lazy_exports
 
-__all__ = ["Human", "draw_person", "load_human", "make_human", "make_person"]
+__getattr__, __dir__, __all__ = lazy_exports(__name__, __file__, have_moved=True)

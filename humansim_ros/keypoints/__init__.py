@@ -1,7 +1,5 @@
-"""Keypoint sets of detectors and motion capture: tables of their keypoints, and the places of these on a
-human."""
+"""Old path of names that have moved; 0.4.0 removes it."""
 
-from humansim_ros.keypoints.locator import KeypointLocator
-from humansim_ros.keypoints.sets import KEYPOINT_SETS, KeypointSet, keypoint_set
+from humansim_ros.lazy import lazy_exports
 
-__all__ = ["KEYPOINT_SETS", "KeypointLocator", "KeypointSet", "keypoint_set"]
+__getattr__, __dir__, __all__ = lazy_exports(__name__, __file__, have_moved=True)

@@ -1,6 +1,5 @@
-"""Surface meshes: OBJ and glTF files, materials, normals, textures."""
+"""Old path of names that have moved; 0.4.0 removes it."""
 
-from humansim_ros.mesh.load import read_mesh
-from humansim_ros.mesh.mesh import Material, Mesh
+from humansim_ros.lazy import lazy_exports
 
-__all__ = ["Material", "Mesh", "read_mesh"]
+__getattr__, __dir__, __all__ = lazy_exports(__name__, __file__, have_moved=True)

@@ -1,4 +1,4 @@
-"""Motions: files, forward kinematics, joint matching and retargeting."""
+"""Motions: files, skeletons, skinning, joint matching and retargeting."""
 
 from humansim_ros.lazy import lazy_exports
 

@@ -1,3 +1,4 @@
+from humansim_ros.photographs.detector import detect_points as detect_points
 from humansim_ros.photographs.fit_file import read_fit as read_fit
 from humansim_ros.photographs.fit_file import write_fit as write_fit
 from humansim_ros.photographs.fitting import fit_person as fit_person
@@ -5,8 +6,14 @@ from humansim_ros.photographs.person_fit import PersonFit as PersonFit
 from humansim_ros.photographs.person_fit import Proportions as Proportions
 from humansim_ros.photographs.person_fit import fit_motion as fit_motion
 from humansim_ros.photographs.person_fit import with_proportions as with_proportions
+from humansim_ros.photographs.reports import draw_report as draw_report
+from humansim_ros.photographs.reports import draw_sheet as draw_sheet
+from humansim_ros.photographs.silhouettes import silhouette_iou as silhouette_iou
 from humansim_ros.photographs.surface import TexturedPerson as TexturedPerson
 from humansim_ros.photographs.texturing import texture_person as texture_person
+from humansim_ros.photographs.views import MAX_BYTES as MAX_BYTES
 from humansim_ros.photographs.views import Photo as Photo
 from humansim_ros.photographs.views import PhotoSet as PhotoSet
+from humansim_ros.photographs.views import default_points as default_points
 from humansim_ros.photographs.views import read_views as read_views
+from humansim_ros.photographs.views import write_points as write_points

@@ -15,10 +15,9 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from humansim_ros.errors import HumansimWarning, PhotographError
-from humansim_ros.humans.human import Human
-from humansim_ros.io.images import encode_image
-from humansim_ros.mesh.mesh import Mesh, padded
-from humansim_ros.mesh.texels import SurfaceTexels, rasterise_uv, subdivide
+from humansim_ros.files.mesh import Mesh, SurfaceTexels, padded, rasterise_uv, subdivide
+from humansim_ros.files.reading import encode_image
+from humansim_ros.people.humans import Human
 from humansim_ros.photographs.surface import (
     Surface,
     SurfaceSight,
@@ -29,7 +28,7 @@ from humansim_ros.photographs.surface import (
     lookup,
     see_surface,
 )
-from humansim_ros.render.gl import GLRenderer
+from humansim_ros.render.frame import GLRenderer
 from humansim_ros.types import Array, Float32Array, Image, Indices
 
 #: Pixel values below this are too dark for ratios of colours: noise is too large a share of them.

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from humansim_ros.errors import PhotographError, printable
-from humansim_ros.io.files import temporary_folder
+from humansim_ros.files.reading import temporary_folder
 from humansim_ros.photographs.views import PhotoSet, default_points, read_points, read_views, write_points
 from humansim_ros.types import Array
 

@@ -10,12 +10,10 @@ import yaml
 from pydantic import Field
 
 from humansim_ros.errors import MAX_COORDINATE, PhotographError, located
+from humansim_ros.files.reading import atomic_path
+from humansim_ros.files.yaml import Section, read_yaml, validated
 from humansim_ros.geometry import matrix_to_quaternion, quaternion_to_matrix, transform, unit_quaternions
-from humansim_ros.io.files import atomic_path
-from humansim_ros.io.schema import Section
-from humansim_ros.io.schema_errors import validated
-from humansim_ros.io.yaml import read_yaml
-from humansim_ros.keypoints.sets import keypoint_set
+from humansim_ros.people.keypoints import keypoint_set
 from humansim_ros.photographs.person_fit import (
     GREATEST_OFFSET,
     LARGEST,

@@ -11,8 +11,8 @@ from dataclasses import replace
 import numpy as np
 
 from humansim_ros.errors import HumansimWarning, PhotographError, some_of
-from humansim_ros.humans.human import Human
-from humansim_ros.io.assets import built_in_names, find_asset
+from humansim_ros.files.reading import built_in_names, find_asset
+from humansim_ros.people.humans import Human
 from humansim_ros.photographs.person_fit import (
     PersonFit,
     Proportions,

@@ -12,17 +12,13 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_solve, cholesky
 from scipy.spatial.distance import cdist
 
-from humansim_ros.body.skeleton import Skeleton
 from humansim_ros.errors import MeshError
-from humansim_ros.humans.description import MeshHuman
-from humansim_ros.humans.human import Human
-from humansim_ros.humans.loading import load_human, make_human
-from humansim_ros.humans.smpl import count_betas
-from humansim_ros.io.assets import find_asset
-from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.mesh.normals import mean_normals
-from humansim_ros.motion.kinematics import Motion
-from humansim_ros.motion.posed_bones import PosedBones
+from humansim_ros.files.mesh import Mesh, mean_normals
+from humansim_ros.files.reading import find_asset
+from humansim_ros.motion.body import Motion, Skeleton
+from humansim_ros.motion.files import PosedBones
+from humansim_ros.people.humans import Human
+from humansim_ros.people.loading import MeshHuman, count_betas, load_human, make_human
 from humansim_ros.types import Array, Float32Array, Indices
 
 #: Smallest and largest factor of the proportions.
@@ -249,8 +245,8 @@ class PersonFit:
         proportions: Proportions of the person.
         bones: Names of the B bones.
         root: (F, 4, 4) rigid transforms from body space to ``map``.
-        rotations: (F, B, 4) quaternions xyzw of the bones, as :meth:`~humansim_ros.body.Skeleton.pose` takes
-            them. The rotation of the first bone is the identity: ``root`` has its rotation.
+        rotations: (F, B, 4) quaternions xyzw of the bones, as :meth:`~humansim_ros.motion.Skeleton.pose`
+            takes them. The rotation of the first bone is the identity: ``root`` has its rotation.
         period: Nanoseconds between frames.
         keypoints: Name of the set of the points.
         views: Names of the V views.

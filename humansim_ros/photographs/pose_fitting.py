@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, cho_solve_banded, cholesky_banded
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.camera.camera import Camera
+from humansim_ros.cameras.camera import Camera
 from humansim_ros.geometry import fit_similarity, from_y_axis, quaternion_to_matrix, unit_vectors
 from humansim_ros.photographs.person_fit import PersonFit
 from humansim_ros.photographs.pose_model import Attachments, BodyState, PoseModel, plain_name
@@ -173,7 +173,7 @@ def fit_poses(
     """Fit the states of F frames to the points of their views. All frames get the proportions of the first
     state.
 
-    Joints beyond their limits (:mod:`humansim_ros.motion.limits`) are pulled back to them.
+    Joints beyond their limits (:mod:`humansim_ros.motion.pose.limits`) are pulled back to them.
 
     Args:
         model: Model of the body.

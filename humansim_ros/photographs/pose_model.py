@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.body.skeleton import Skeleton, side_of
 from humansim_ros.errors import MotionError
 from humansim_ros.geometry import (
     matrix_to_quaternion,
@@ -17,10 +16,10 @@ from humansim_ros.geometry import (
     rotation_vector_to_matrix,
     transform,
 )
-from humansim_ros.humans.human import Human
-from humansim_ros.keypoints.locator import KeypointLocator
-from humansim_ros.keypoints.sets import KeypointSet
-from humansim_ros.motion.limits import JointLimits, load_limits
+from humansim_ros.motion.body import Skeleton, side_of
+from humansim_ros.motion.pose import JointLimits, load_limits
+from humansim_ros.people.humans import Human
+from humansim_ros.people.keypoints import KeypointLocator, KeypointSet
 from humansim_ros.photographs.person_fit import Proportions
 from humansim_ros.types import Array, Indices
 

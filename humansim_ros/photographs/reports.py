@@ -9,7 +9,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.drawing.canvas import (
+from humansim_ros.files.mesh import Mesh, padded
+from humansim_ros.people.humans import Human
+from humansim_ros.photographs.person_fit import PersonFit
+from humansim_ros.photographs.silhouettes import Faces, intersection_over_union, render_faces
+from humansim_ros.photographs.surface import TexturedPerson
+from humansim_ros.photographs.views import Photo, PhotoSet
+from humansim_ros.render.pictures import (
     GRID,
     INK,
     PAPER,
@@ -21,14 +27,7 @@ from humansim_ros.drawing.canvas import (
     text_size,
     title_bar,
 )
-from humansim_ros.drawing.people import HumanArtist, row, titled_rows
-from humansim_ros.drawing.views import joint_colors
-from humansim_ros.humans.human import Human
-from humansim_ros.mesh.mesh import Mesh, padded
-from humansim_ros.photographs.person_fit import PersonFit
-from humansim_ros.photographs.silhouettes import Faces, intersection_over_union, render_faces
-from humansim_ros.photographs.surface import TexturedPerson
-from humansim_ros.photographs.views import Photo, PhotoSet
+from humansim_ros.scene.pictures import HumanArtist, joint_colors, row, titled_rows
 from humansim_ros.types import Array, Color, Image
 
 #: Colours of the body before and after the step, of given points, and of points that are left out.

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from humansim_ros.camera.camera import Camera
+from humansim_ros.cameras.camera import Camera
 from humansim_ros.errors import HumansimWarning
-from humansim_ros.humans.human import Human
-from humansim_ros.keypoints.sets import keypoint_set
-from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.files.mesh import Mesh
+from humansim_ros.people.humans import Human
+from humansim_ros.people.keypoints import keypoint_set
 from humansim_ros.photographs.person_fit import (
     GREATEST_OFFSET,
     PersonFit,
@@ -35,8 +35,8 @@ from humansim_ros.photographs.pose_fitting import (
 )
 from humansim_ros.photographs.pose_model import Attachments, BodyState, PoseModel
 from humansim_ros.photographs.views import EmptyMaskError, PhotoSet
-from humansim_ros.render.gl import make_renderer
-from humansim_ros.render.renderer import Body
+from humansim_ros.render.frame import make_renderer
+from humansim_ros.render.interface import Body
 from humansim_ros.types import Array, Float32Array, Indices
 
 #: Number of points along the outlines of a mask: for pose and factors, and for the surface.

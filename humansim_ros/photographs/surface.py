@@ -15,14 +15,13 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
-from humansim_ros.camera.camera import Camera
+from humansim_ros.cameras.camera import Camera
 from humansim_ros.errors import PhotographError
+from humansim_ros.files.mesh import Mesh, SurfaceTexels
 from humansim_ros.geometry import unit_vectors
-from humansim_ros.humans.human import Human
-from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.mesh.texels import SurfaceTexels
-from humansim_ros.render.gl import GLRenderer
-from humansim_ros.render.renderer import Body
+from humansim_ros.people.humans import Human
+from humansim_ros.render.frame import GLRenderer
+from humansim_ros.render.interface import Body
 from humansim_ros.types import Array, Float32Array, Image, Indices
 
 

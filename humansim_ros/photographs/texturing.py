@@ -10,16 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.errors import PhotographError
-from humansim_ros.humans.human import Human
-from humansim_ros.io.images import encode_image
-from humansim_ros.mesh.mesh import Mesh, padded
-from humansim_ros.mesh.texels import pack_images
+from humansim_ros.files.mesh import Mesh, pack_images, padded
+from humansim_ros.files.reading import encode_image
+from humansim_ros.people.humans import Human
 from humansim_ros.photographs.atlas_texture import texture_atlas
 from humansim_ros.photographs.person_fit import PersonFit
 from humansim_ros.photographs.surface import TexturedPerson, TextureView, check_views
 from humansim_ros.photographs.views import PhotoSet
-from humansim_ros.render.gl import GLRenderer
-from humansim_ros.render.renderer import Body
+from humansim_ros.render.frame import GLRenderer
+from humansim_ros.render.interface import Body
 from humansim_ros.types import Array, Indices
 
 #: Name of the outfit of textured people.

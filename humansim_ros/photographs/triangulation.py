@@ -12,12 +12,11 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.camera.camera import Camera
+from humansim_ros.cameras.camera import Camera
 from humansim_ros.errors import HumansimWarning, PhotographError, some_of
 from humansim_ros.geometry import unit_vectors
-from humansim_ros.humans.loading import load_human
-from humansim_ros.keypoints.locator import KeypointLocator
-from humansim_ros.keypoints.sets import KeypointSet
+from humansim_ros.people.keypoints import KeypointLocator, KeypointSet
+from humansim_ros.people.loading import load_human
 from humansim_ros.photographs.views import PhotoSet
 from humansim_ros.types import Array, Indices
 
@@ -398,8 +397,8 @@ def triangulate(
         PhotographError: There are fewer than two views.
 
     Example:
-        >>> from humansim_ros.camera import Camera
-        >>> from humansim_ros.keypoints import keypoint_set
+        >>> from humansim_ros.cameras import Camera
+        >>> from humansim_ros.people import keypoint_set
         >>> cameras = [Camera.look_at((3, y, 1), (0, 0, 1)) for y in (-1, 1)]
         >>> body = np.random.default_rng(0).uniform(-0.5, 0.5, (17, 3)) + (0, 0, 1)
         >>> points = np.array([np.column_stack([camera.project(body)[0], np.ones(17)]) for camera in cameras])

@@ -16,22 +16,21 @@ import yaml
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
-from humansim_ros.camera.calibration import load_calibration
-from humansim_ros.camera.camera import Camera
-from humansim_ros.errors import (
-    MAX_COORDINATE,
-    HumansimError,
-    PhotographError,
-    located,
-    unknown,
-    warn_about,
+from humansim_ros.cameras.camera import Camera
+from humansim_ros.cameras.formats import load_calibration
+from humansim_ros.errors import MAX_COORDINATE, HumansimError, PhotographError, located, unknown, warn_about
+from humansim_ros.files.reading import (
+    MAX_IMAGE_BYTES,
+    atomic_path,
+    decode_image,
+    exists,
+    missing_file,
+    read_bytes,
+    read_json,
+    resolve_relative,
 )
-from humansim_ros.io.files import atomic_path, exists, missing_file, read_bytes, read_json, resolve_relative
-from humansim_ros.io.images import MAX_IMAGE_BYTES, decode_image
-from humansim_ros.io.schema import Axis, Section
-from humansim_ros.io.schema_errors import validated
-from humansim_ros.io.yaml import line_of, read_yaml
-from humansim_ros.keypoints.sets import KeypointSet, keypoint_set
+from humansim_ros.files.yaml import Axis, Section, line_of, read_yaml, validated
+from humansim_ros.people.keypoints import KeypointSet, keypoint_set
 from humansim_ros.types import Array, Image
 
 MAX_BYTES = 1 << 28

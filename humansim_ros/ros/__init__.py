@@ -1,1 +1,5 @@
-"""The ROS 2 nodes: messages, publishers, node processes."""
+"""Nodes, their processes, and programs with nodes."""
+
+from humansim_ros.lazy import lazy_exports
+
+__getattr__, __dir__, __all__ = lazy_exports(__name__, __file__)

@@ -1,4 +1,4 @@
-"""Scenes: the scene file, the scene made of it, and the simulation that plays it."""
+"""Scenes: the scene file, the scene made of it, the simulation that plays it, and its truth."""
 
 from humansim_ros.lazy import lazy_exports
 

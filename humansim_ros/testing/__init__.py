@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:
-    from humansim_ros.scene.scene import Scene
+    from humansim_ros.scene.core import Scene
     from humansim_ros.testing.graph import SceneGraph as SceneGraph
 
 __all__ = ["SceneGraph"]
@@ -47,7 +47,7 @@ def pytest_configure(config: pytest.Config) -> None:
 def humansim_domain() -> Iterator[int]:
     """ROS domain for the tests of this process. No other test process on this machine uses it. Until the end
     of the session, ROS_DOMAIN_ID is set to this domain, and other hosts do not see it."""
-    from humansim_ros.ros.transport import claim_domain, domain_environment
+    from humansim_ros.ros.graph import claim_domain, domain_environment
     from humansim_ros.testing.support import environment
 
     domain = claim_domain()
@@ -60,7 +60,7 @@ def humansim_scene(request: pytest.FixtureRequest) -> Scene:
     """Scene of the test: by default two people and two small cameras. The marker ``humansim_scene`` or an
     indirect parameter names another scene: a file relative to the file of the test, a mapping with the keys
     of a scene file, or a Scene."""
-    from humansim_ros.io.assets import resource_path
+    from humansim_ros.files.reading import resource_path
 
     marker = request.node.get_closest_marker("humansim_scene")
     if hasattr(request, "param"):
@@ -80,7 +80,7 @@ def humansim_graph(
     marker ``humansim_graph`` takes the options of :class:`SceneGraph`. If ROS 2 is missing, the test is
     skipped."""
     from humansim_ros.errors import RosError
-    from humansim_ros.ros.runtime import require_ros
+    from humansim_ros.ros.processes import require_ros
 
     marker = request.node.get_closest_marker("humansim_graph")
     options: Mapping[str, Any] = marker.kwargs if marker else {}
@@ -100,7 +100,7 @@ def humansim_graph(
 def _load(scene: Any, folder: Path) -> Scene:
     """Load a scene from a file or a mapping. A Scene is returned unchanged. ``folder``: folder for relative
     files."""
-    from humansim_ros.scene.scene import Scene
+    from humansim_ros.scene.core import Scene
 
     if isinstance(scene, (str, os.PathLike)):
         return Scene.load(folder / scene)

@@ -18,15 +18,26 @@ from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from sensor_msgs.msg import TimeReference
 from std_msgs.msg import Header
 
+from humansim_ros.data.messages import (
+    TimedTopics,
+    header,
+    message_type,
+    read_frame_number,
+    scene_topics,
+    to_nanoseconds,
+)
 from humansim_ros.errors import RosError
-from humansim_ros.messages import header, read_frame_number, to_nanoseconds
-from humansim_ros.messages.topics import TimedTopics, scene_topics
-from humansim_ros.messages.types import message_type
-from humansim_ros.ros.lockstep.settings import TEST_NODE
-from humansim_ros.ros.nodes.in_process import InProcessNodes
-from humansim_ros.ros.processes.node_processes import relative_namespace
-from humansim_ros.ros.qos import DATA, FRAME_DONE, REPORTS, SCENE_TIME, offered_profile, subscription_profile
-from humansim_ros.scene import Scene
+from humansim_ros.ros.graph import (
+    DATA,
+    FRAME_DONE,
+    REPORTS,
+    SCENE_TIME,
+    offered_profile,
+    subscription_profile,
+)
+from humansim_ros.ros.nodes import InProcessNodes
+from humansim_ros.ros.processes import TEST_NODE, relative_namespace
+from humansim_ros.scene.core import Scene
 from humansim_ros.testing.support import patience, running_rclpy
 
 #: Longest wait for callbacks, seconds: if all nodes have one rclpy context, and if there are several

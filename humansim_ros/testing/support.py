@@ -30,7 +30,7 @@ def running_rclpy() -> Iterator[None]:
     for ever. If the context is initialised already, it belongs to other code, and nothing is done."""
     import rclpy
 
-    from humansim_ros.ros.runtime import prepare_transport
+    from humansim_ros.ros.processes import prepare_transport
 
     if rclpy.ok():
         yield

@@ -1,1 +1,5 @@
-"""The page of ``humansim view``: scenes, bags and running graphs in a browser, live and in 3D."""
+"""The page in the browser."""
+
+from humansim_ros.lazy import lazy_exports
+
+__getattr__, __dir__, __all__ = lazy_exports(__name__, __file__)

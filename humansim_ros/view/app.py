@@ -15,7 +15,7 @@ import numpy as np
 
 from humansim_ros.errors import HumansimError, printable
 from humansim_ros.types import Array
-from humansim_ros.view.inputs import Opened, TopicOptions
+from humansim_ros.view.edit.scene_file import file_signature
 from humansim_ros.view.panels.commands import CommandsPanel
 from humansim_ros.view.panels.editor import EditorPanel
 from humansim_ros.view.panels.human import HumanPanel
@@ -23,13 +23,13 @@ from humansim_ros.view.panels.images import ImagesPanel, NumbersPanel
 from humansim_ros.view.panels.page import Player, plain_markdown
 from humansim_ros.view.panels.photographs import PhotographsPanel
 from humansim_ros.view.panels.show import ALL, ShowPanel, ThroughPanel, TimelinePanel, TracksPanel
-from humansim_ros.view.photo_source import PhotoSource
-from humansim_ros.view.picking import hit_person, person_info
-from humansim_ros.view.scene_file import file_signature
-from humansim_ros.view.scene_source import SceneViewSource
-from humansim_ros.view.server import MOST_UPLOAD, PageServer, size_of_upload
-from humansim_ros.view.source import FrameRequest, ViewFrame, ViewSource
-from humansim_ros.view.stage import Options, Stage
+from humansim_ros.view.panels.stage import Options, Stage
+from humansim_ros.view.server.server import MOST_UPLOAD, PageServer, size_of_upload
+from humansim_ros.view.sources.inputs import Opened, TopicOptions
+from humansim_ros.view.sources.photo_source import PhotoSource
+from humansim_ros.view.sources.picking import hit_person, person_info
+from humansim_ros.view.sources.scene_source import SceneViewSource
+from humansim_ros.view.sources.source import FrameRequest, ViewFrame, ViewSource
 
 _LOG = logging.getLogger(__name__)
 #: Frames per second of the page.

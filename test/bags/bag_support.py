@@ -11,9 +11,9 @@ from mcap.reader import NonSeekingReader, SeekingReader
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
-from humansim_ros.bags.chunks import BagMessage, Chunk, Compression, encode_chunk
-from humansim_ros.bags.topics import BagTopic, Qos
-from humansim_ros.bags.writer import BagWriter
+from humansim_ros.data.bags.chunks import BagMessage, Chunk, Compression, encode_chunk
+from humansim_ros.data.bags.topics import BagTopic, Qos
+from humansim_ros.data.bags.writer import BagWriter
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 TOPICS = (

@@ -12,7 +12,7 @@ import pytest
 from conftest import ROOT
 from waiting import PATIENCE
 
-from humansim_ros.bags.topics import (
+from humansim_ros.data.bags.topics import (
     BagTopic,
     Qos,
     check_topics,
@@ -125,8 +125,8 @@ class Hide:
         if name.partition(".")[0] == sys.argv[1]:
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 sys.meta_path.insert(0, Hide())
-from humansim_ros.bags.reader import BagReader
-from humansim_ros.bags.writer import BagWriter
+from humansim_ros.data.bags.reader import BagReader
+from humansim_ros.data.bags.writer import BagWriter
 from humansim_ros.errors import BagError
 for use in (BagWriter, BagReader):
     try:

@@ -16,8 +16,8 @@ import pytest
 from bag_support import TOPICS, append_frame, by_mcap, by_rosbags, chunks_of, content_of
 from mcap.reader import SeekingReader
 
-from humansim_ros.bags.mcap_file import BLOCK, LARGE_CHUNK, RECORD, DirectFile, padding
-from humansim_ros.bags.writer import BagWriter
+from humansim_ros.data.bags.mcap_file import BLOCK, LARGE_CHUNK, RECORD, DirectFile, padding
+from humansim_ros.data.bags.writer import BagWriter
 from humansim_ros.errors import BagError
 
 #: Sizes of the images of successive frames: small and large chunks in turn.

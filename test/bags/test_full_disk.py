@@ -15,9 +15,9 @@ from commands import largest_file
 from mcap.reader import SeekingReader
 from waiting import PATIENCE
 
-from humansim_ros.bags.mcap_file import BLOCK, LARGE_CHUNK, DirectFile
-from humansim_ros.bags.metadata import Storage
-from humansim_ros.bags.writer import BagWriter
+from humansim_ros.data.bags.mcap_file import BLOCK, LARGE_CHUNK, DirectFile
+from humansim_ros.data.bags.metadata import Storage
+from humansim_ros.data.bags.writer import BagWriter
 from humansim_ros.errors import BagError
 
 PROGRAM = Path(__file__).with_name("write_until_error.py")

@@ -13,12 +13,12 @@ from mcap.writer import Writer as McapLibraryWriter
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 
-from humansim_ros.bags.chunks import Compression
-from humansim_ros.bags.mcap_file import MAGIC
-from humansim_ros.bags.metadata import Storage
-from humansim_ros.bags.reader import BagReader
-from humansim_ros.bags.topics import described
-from humansim_ros.bags.writer import BagWriter
+from humansim_ros.data.bags.chunks import Compression
+from humansim_ros.data.bags.mcap_file import MAGIC
+from humansim_ros.data.bags.metadata import Storage
+from humansim_ros.data.bags.reader import BagReader
+from humansim_ros.data.bags.topics import described
+from humansim_ros.data.bags.writer import BagWriter
 from humansim_ros.errors import BagError, HumansimWarning
 
 FRAMES = range(30)

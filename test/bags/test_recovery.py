@@ -18,11 +18,11 @@ import pytest
 from bag_support import TOPICS, append_frame, by_mcap, by_rosbags, content_of
 from waiting import PATIENCE
 
-from humansim_ros.bags.chunks import Compression
-from humansim_ros.bags.mcap_file import DirectFile
-from humansim_ros.bags.metadata import Storage
-from humansim_ros.bags.reader import BagReader
-from humansim_ros.bags.writer import BagWriter
+from humansim_ros.data.bags.chunks import Compression
+from humansim_ros.data.bags.mcap_file import DirectFile
+from humansim_ros.data.bags.metadata import Storage
+from humansim_ros.data.bags.reader import BagReader
+from humansim_ros.data.bags.writer import BagWriter
 from humansim_ros.errors import BagError, HumansimWarning
 
 PROGRAM = Path(__file__).with_name("write_endlessly.py")
@@ -250,7 +250,7 @@ def test_a_bag_whose_end_was_interrupted_is_finished_later(
     folder = tmp_path / "bag"
     writer = BagWriter(folder, TOPICS)
     append_frame(writer, 0)
-    monkeypatch.setattr("humansim_ros.bags.mcap_file.Statistics", Mock(side_effect=KeyboardInterrupt))
+    monkeypatch.setattr("humansim_ros.data.bags.mcap_file.Statistics", Mock(side_effect=KeyboardInterrupt))
     with pytest.raises(KeyboardInterrupt):
         writer.close()
     monkeypatch.undo()

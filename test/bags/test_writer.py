@@ -15,9 +15,9 @@ from mcap.reader import SeekingReader
 from rosbags.interfaces import QosDurability, QosReliability
 from rosbags.rosbag2 import Reader
 
-from humansim_ros.bags.chunks import BagMessage, Compression, encode_chunk
-from humansim_ros.bags.topics import BagTopic, described
-from humansim_ros.bags.writer import BagWriter
+from humansim_ros.data.bags.chunks import BagMessage, Compression, encode_chunk
+from humansim_ros.data.bags.topics import BagTopic, described
+from humansim_ros.data.bags.writer import BagWriter
 from humansim_ros.errors import BagError
 
 
@@ -160,7 +160,7 @@ def test_wrong_options_are_refused(options: dict[str, Any], message: str, tmp_pa
 
 
 def test_metadata_is_renewed_while_chunks_come(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("humansim_ros.bags.writer._RENEWAL", 0.0)
+    monkeypatch.setattr("humansim_ros.data.bags.writer._RENEWAL", 0.0)
     with BagWriter(tmp_path / "bag", TOPICS) as writer:
         for frame in range(3):
             append_frame(writer, frame)

@@ -9,9 +9,9 @@ from itertools import count
 
 from bag_support import TOPICS, append_frame
 
-from humansim_ros.bags.mcap_file import DirectFile
-from humansim_ros.bags.metadata import Storage
-from humansim_ros.bags.writer import BagWriter
+from humansim_ros.data.bags.mcap_file import DirectFile
+from humansim_ros.data.bags.metadata import Storage
+from humansim_ros.data.bags.writer import BagWriter
 
 
 def main() -> None:

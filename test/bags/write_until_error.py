@@ -9,7 +9,7 @@ from pathlib import Path
 
 from bag_support import TOPICS, append_frame
 
-from humansim_ros.bags.writer import BagWriter
+from humansim_ros.data.bags.writer import BagWriter
 from humansim_ros.errors import BagError
 
 

@@ -11,9 +11,9 @@ import pytest
 import trimesh
 from conftest import ROOT
 
-from humansim_ros.body.skinning import skin
-from humansim_ros.humans.human import Human
-from humansim_ros.humans.loading import load_human
+from humansim_ros.motion.body.skinning import skin
+from humansim_ros.people.humans.human import Human
+from humansim_ros.people.loading.loading import load_human
 
 _SPEC = importlib.util.spec_from_file_location(
     "deformation", ROOT / "tools" / "figures" / "deformation_figures.py"

@@ -18,14 +18,16 @@ from mesh_files import MESHES, mesh_path
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from humansim_ros.body import Skeleton, fit_skeleton, fit_to_skeleton, hanim_skeleton, landmarks, rig
-from humansim_ros.body import fitting as fitting_module
-from humansim_ros.body.fitting import body_from_file
-from humansim_ros.body.landmarks import known_joints, solid, surface_points
 from humansim_ros.errors import HumansimWarning, MeshError
-from humansim_ros.humans.loading import load_human
-from humansim_ros.mesh.load import read_mesh
-from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.files.mesh.load import read_mesh
+from humansim_ros.files.mesh.mesh import Mesh
+from humansim_ros.motion import Skeleton, hanim_skeleton
+from humansim_ros.people import fit_skeleton, fit_to_skeleton, rig
+from humansim_ros.people.loading.loading import load_human
+from humansim_ros.people.rigging import fitting as fitting_module
+from humansim_ros.people.rigging import landmarks
+from humansim_ros.people.rigging.fitting import body_from_file
+from humansim_ros.people.rigging.landmarks import known_joints, solid, surface_points
 from humansim_ros.types import Array
 
 #: Shared files of MakeHuman's body.

@@ -13,21 +13,21 @@ from mesh_files import mesh_path
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
-from humansim_ros.body import Skeleton, fit_skeleton, fit_to_skeleton, hanim_skeleton, rig, skin
-from humansim_ros.body import heat_weights as heat
-from humansim_ros.body.rigging import RigRule
-from humansim_ros.body.skeleton import side_of
-from humansim_ros.body.skinning import dominant_bones, triangle_parts, without_details
 from humansim_ros.errors import MeshError
-from humansim_ros.humans.human import Human
-from humansim_ros.humans.loading import load_human
-from humansim_ros.mesh.load import read_mesh
-from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.motion import read_bvh
-from humansim_ros.motion.file_frame import detect_file_frame
-from humansim_ros.motion.joint_matching import match_names
-from humansim_ros.motion.retarget import Retargeter
-from humansim_ros.motion.world_motion import WorldMotion
+from humansim_ros.files.mesh.load import read_mesh
+from humansim_ros.files.mesh.mesh import Mesh
+from humansim_ros.motion import Skeleton, hanim_skeleton, read_bvh, skin
+from humansim_ros.motion.body.skeleton import side_of
+from humansim_ros.motion.body.skinning import dominant_bones, triangle_parts, without_details
+from humansim_ros.motion.matching.file_frame import detect_file_frame
+from humansim_ros.motion.matching.joint_matching import match_names
+from humansim_ros.motion.motion.world_motion import WorldMotion
+from humansim_ros.motion.pose.retarget import Retargeter
+from humansim_ros.people import fit_skeleton, fit_to_skeleton, rig
+from humansim_ros.people.humans.human import Human
+from humansim_ros.people.loading.loading import load_human
+from humansim_ros.people.rigging import heat_weights as heat
+from humansim_ros.people.rigging.rigging import RigRule
 from humansim_ros.types import Array
 
 SKELETON = hanim_skeleton()

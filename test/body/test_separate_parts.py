@@ -9,12 +9,12 @@ import pytest
 from numpy.typing import NDArray
 
 from humansim_ros import load_human
-from humansim_ros.body.fitting import fit_skeleton
-from humansim_ros.body.rigging import rig
-from humansim_ros.body.skinning import dominant_bones, without_details
 from humansim_ros.errors import HumansimWarning, MeshError
-from humansim_ros.humans.human import Human
-from humansim_ros.mesh.mesh import Mesh, padded
+from humansim_ros.files.mesh.mesh import Mesh, padded
+from humansim_ros.motion.body.skinning import dominant_bones, without_details
+from humansim_ros.people.humans.human import Human
+from humansim_ros.people.rigging.fitting import fit_skeleton
+from humansim_ros.people.rigging.rigging import rig
 
 Array = NDArray[np.float64]
 ARM = ("shoulder", "elbow", "wrist")

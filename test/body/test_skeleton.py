@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.body import Skeleton, hanim_skeleton
 from humansim_ros.errors import MeshError
+from humansim_ros.motion import Skeleton, hanim_skeleton
 from humansim_ros.types import Array
 
 #: Table 4.1 of CTU-CMP-2007-02, typed in for this test: bone, head, tail, parent.

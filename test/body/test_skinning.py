@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 from scipy.sparse import csr_matrix
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.body import Skeleton, hanim_skeleton, skin
-from humansim_ros.body.skinning import SKINNERS, DualQuaternion, LinearBlend, make_skinner
 from humansim_ros.errors import MeshError
-from humansim_ros.mesh.mesh import normalise_weights
+from humansim_ros.files.mesh.mesh import normalise_weights
+from humansim_ros.motion import Skeleton, hanim_skeleton, skin
+from humansim_ros.motion.body.skinning import SKINNERS, DualQuaternion, LinearBlend, make_skinner
 from humansim_ros.types import Array
 
 SKELETON = hanim_skeleton()

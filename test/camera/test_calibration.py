@@ -15,8 +15,8 @@ from conftest import if_shared
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.camera import Camera, read_calibration, resolve_url
-from humansim_ros.camera.calibration import Z_UP_FROM_FILE, load_calibration
+from humansim_ros.cameras import Camera, read_calibration, resolve_url
+from humansim_ros.cameras.formats.calibration import Z_UP_FROM_FILE, load_calibration
 from humansim_ros.errors import CameraError, HumansimWarning
 from humansim_ros.types import Array
 

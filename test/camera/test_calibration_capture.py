@@ -16,7 +16,7 @@ from scipy.optimize import fsolve
 from scipy.spatial.transform import Rotation
 from wanted_cameras import CAMERAS, FISHEYE, FLIP, SIZE, D, Wanted, assert_same, read
 
-from humansim_ros.camera import read_calibration
+from humansim_ros.cameras import read_calibration
 from humansim_ros.errors import CameraError, HumansimWarning
 from humansim_ros.types import Array
 

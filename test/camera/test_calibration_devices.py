@@ -15,7 +15,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 from wanted_cameras import CAMERAS, FLIP, SIZE, D, Wanted, assert_same, read
 
-from humansim_ros.camera import Camera, read_calibration, write_calibration
+from humansim_ros.cameras import Camera, read_calibration, write_calibration
 from humansim_ros.errors import HumansimWarning
 
 W, H = SIZE

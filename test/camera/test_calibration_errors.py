@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from calibration_files import assert_refused, assert_refused_within, changed
 
-from humansim_ros.camera import Camera, read_calibration, write_calibration
-from humansim_ros.camera.formats.all_formats import FORMATS
+from humansim_ros.cameras import Camera, read_calibration, write_calibration
+from humansim_ros.cameras.formats.all_formats import FORMATS
 from humansim_ros.errors import CameraError, HumansimWarning
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*image size is not in the file")

@@ -19,7 +19,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 from wanted_cameras import CAMERAS, FISHEYE, SIZE, D, Wanted, assert_same, read
 
-from humansim_ros.camera import read_calibration
+from humansim_ros.cameras import read_calibration
 from humansim_ros.cli.camera import Reading
 from humansim_ros.errors import CameraError, HumansimWarning
 from humansim_ros.types import Array

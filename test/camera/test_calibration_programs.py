@@ -20,9 +20,9 @@ import yaml
 from numpy.testing import assert_allclose
 from wanted_cameras import CAMERAS, FISHEYE, FLIP, SIZE, TOLERANCE, D, Wanted, assert_same, read
 
-from humansim_ros.camera import Camera, read_calibration
-from humansim_ros.camera.calibration import load_calibration
-from humansim_ros.camera.formats.syntax import tomllib
+from humansim_ros.cameras import Camera, read_calibration
+from humansim_ros.cameras.formats.calibration import load_calibration
+from humansim_ros.cameras.formats.syntax import tomllib
 from humansim_ros.errors import CameraError, HumansimWarning
 from humansim_ros.types import Array
 

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from calibration_files import assert_refused, assert_refused_within, changed
 
-from humansim_ros.camera import Camera, read_calibration, write_calibration
+from humansim_ros.cameras import Camera, read_calibration, write_calibration
 from humansim_ros.errors import CameraError
 
 FORMATS = ("anipose", "4dassociation", "transforms", "qualisys", "realsense", "open3d", "kalibr", "shelf")

@@ -8,7 +8,7 @@ import pytest
 from chessboard import BARREL, CORNERS, VIEWS, Floats, assert_finds, board, calibrate, found, held_up
 from render_scenes import EVEN, renderer_or_skip
 
-from humansim_ros.camera import Camera
+from humansim_ros.cameras import Camera
 from humansim_ros.render import Body
 
 MODELS = {

@@ -13,7 +13,7 @@ import pytest
 from conftest import ROOT
 from numpy.testing import assert_allclose
 
-from humansim_ros.camera import read_calibration
+from humansim_ros.cameras import read_calibration
 from humansim_ros.errors import HumansimWarning
 
 sys.path.append(str(ROOT / "benchmarks"))

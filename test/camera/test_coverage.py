@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from humansim_ros.camera import Camera, Coverage
-from humansim_ros.camera.rigs import Optics, ring
+from humansim_ros.cameras import Camera, Coverage
+from humansim_ros.cameras.camera.rigs import Optics, ring
 from humansim_ros.errors import CameraError
 
 TARGET = np.array([0.5, -1.0, 1.1])

@@ -11,7 +11,7 @@ import pytest
 from conftest import SHARED_DATA, needs_shared_data
 from numpy.testing import assert_allclose
 
-from humansim_ros.camera import Camera, read_calibration
+from humansim_ros.cameras import Camera, read_calibration
 from humansim_ros.errors import CameraError
 
 FOLDER = SHARED_DATA / "fourth" / "calib"

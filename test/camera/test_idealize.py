@@ -19,12 +19,12 @@ from opencv_support import opencv_pixels
 from scipy.linalg import rq
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.camera import Camera
-from humansim_ros.camera.calibration import read_calibration, write_calibration
-from humansim_ros.camera.ideal import Fit, Ideal, idealize, rectify
+from humansim_ros.cameras import Camera
+from humansim_ros.cameras.camera.ideal import Fit, Ideal, idealize, rectify
+from humansim_ros.cameras.formats.calibration import read_calibration, write_calibration
 from humansim_ros.errors import CameraError, RenderError
 from humansim_ros.render import GLRenderer
-from humansim_ros.scene.room import furnished_room
+from humansim_ros.scene.features.room import furnished_room
 from humansim_ros.types import Array
 
 SIZE = (320, 240)

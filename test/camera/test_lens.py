@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from opencv_support import opencv_pixels
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.camera import Camera
-from humansim_ros.camera.lens import MODELS, Lens
+from humansim_ros.cameras import Camera
+from humansim_ros.cameras.camera.lens import MODELS, Lens
 from humansim_ros.errors import CameraError
 from humansim_ros.types import Array
 

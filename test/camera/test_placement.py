@@ -9,9 +9,9 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.camera import Camera
-from humansim_ros.camera.placement import RigPlacement, common_point
-from humansim_ros.camera.rigs import Optics, ring, stereo
+from humansim_ros.cameras import Camera
+from humansim_ros.cameras.camera.placement import RigPlacement, common_point
+from humansim_ros.cameras.camera.rigs import Optics, ring, stereo
 from humansim_ros.types import Array
 
 

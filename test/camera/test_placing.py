@@ -11,8 +11,8 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 from test_placement import moved_rig
 
-from humansim_ros.camera import Camera, read_calibration
-from humansim_ros.camera.placement import (
+from humansim_ros.cameras import Camera, read_calibration
+from humansim_ros.cameras.camera.placement import (
     FloorPoint,
     FoundPlacement,
     place_by_board,
@@ -22,7 +22,7 @@ from humansim_ros.camera.placement import (
     triangulate,
     turned,
 )
-from humansim_ros.camera.rigs import Optics, dome, grid, ring, stereo
+from humansim_ros.cameras.camera.rigs import Optics, dome, grid, ring, stereo
 from humansim_ros.errors import CameraError
 
 LENS = Optics(distortion=(-0.2, 0.06, 1e-3, -5e-4))

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 pytest.importorskip("sensor_msgs", reason="ROS 2 is not installed (pip install '.[ros]')")
 
-from humansim_ros.camera import Camera
-from humansim_ros.camera.camera import Region
+from humansim_ros.cameras import Camera
+from humansim_ros.cameras.camera.camera import Region
+from humansim_ros.data.messages import camera_info_message
 from humansim_ros.errors import CameraError, HumansimError
-from humansim_ros.messages import camera_info_message
 from humansim_ros.scene import Frame, Scene, Simulation
 
 LENSES = {

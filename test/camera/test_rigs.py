@@ -8,8 +8,8 @@ import pytest
 from scipy.spatial import SphericalVoronoi
 from scipy.spatial.distance import pdist, squareform
 
-from humansim_ros.camera import Camera
-from humansim_ros.camera.rigs import Optics, dome, grid, ring, stereo
+from humansim_ros.cameras import Camera
+from humansim_ros.cameras.camera.rigs import Optics, dome, grid, ring, stereo
 from humansim_ros.errors import CameraError
 
 TARGET = np.array([0.5, -1.0, 1.1])

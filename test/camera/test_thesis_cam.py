@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.camera import Camera
-from humansim_ros.camera.ideal import idealize
-from humansim_ros.camera.thesis_cam import (
+from humansim_ros.cameras import Camera
+from humansim_ros.cameras.camera.ideal import idealize
+from humansim_ros.cameras.formats.thesis_cam import (
     CamFile,
     aspect_of,
     calibration_matrix,

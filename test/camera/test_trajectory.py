@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
-from humansim_ros.camera import Camera
-from humansim_ros.camera.trajectory import Trajectory
+from humansim_ros.cameras import Camera
+from humansim_ros.cameras.camera.trajectory import Trajectory
 from humansim_ros.errors import CameraError, HumansimWarning
 
 RNG = np.random.default_rng(7)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.camera import Camera, read_calibration
+from humansim_ros.cameras import Camera, read_calibration
 from humansim_ros.types import Array
 
 SIZE = (640, 480)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from humansim_ros.challenge.results import CaseResult, Report
-from humansim_ros.challenge.suite import Suite, load_suite
+from humansim_ros.ros.challenge.results import CaseResult, Report
+from humansim_ros.ros.challenge.suite import Suite, load_suite
 
 SUITE = """
 name: small

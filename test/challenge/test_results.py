@@ -10,9 +10,17 @@ from pathlib import Path
 import pytest
 from challenge_support import made_report, small_suite
 
-from humansim_ros.challenge.report import PAGE, PICTURE, color_of, html_page, picture, show_table, write_pages
-from humansim_ros.challenge.results import RESULTS, CaseResult, Report
 from humansim_ros.errors import ChallengeError, HumansimError
+from humansim_ros.ros.challenge.report import (
+    PAGE,
+    PICTURE,
+    color_of,
+    html_page,
+    picture,
+    show_table,
+    write_pages,
+)
+from humansim_ros.ros.challenge.results import RESULTS, CaseResult, Report
 
 _SVG = "{http://www.w3.org/2000/svg}"
 

@@ -17,10 +17,13 @@ import ros_support  # noqa: F401  # a ROS domain of this process
 from challenge_support import SUITE, small_suite
 from waiting import existing, has_ended, wait_until
 
-from humansim_ros.challenge import run
-from humansim_ros.challenge.case import MAX_MESSAGES, CaseOrder, _scores, measured
-from humansim_ros.challenge.results import CaseResult, Report
-from humansim_ros.challenge.run import (
+from humansim_ros.data.evaluation.stream import EstimateStream
+from humansim_ros.data.messages.people import Pose, PoseFrame
+from humansim_ros.errors import ChallengeError, HumansimError
+from humansim_ros.ros.challenge import run
+from humansim_ros.ros.challenge.case import MAX_MESSAGES, CaseOrder, _scores, measured
+from humansim_ros.ros.challenge.results import CaseResult, Report
+from humansim_ros.ros.challenge.run import (
     CaseProcess,
     ChallengeOptions,
     TrackerProcess,
@@ -29,10 +32,7 @@ from humansim_ros.challenge.run import (
     patience_with,
     run_challenge,
 )
-from humansim_ros.challenge.suite import Case, Suite
-from humansim_ros.errors import ChallengeError, HumansimError
-from humansim_ros.evaluate.stream import EstimateStream
-from humansim_ros.messages.people import Pose, PoseFrame
+from humansim_ros.ros.challenge.suite import Case, Suite
 from humansim_ros.scene import Scene
 
 FAKE = f"{sys.executable} {Path(__file__).with_name('fake_tracker.py')} {{topic}} {{scene}}"

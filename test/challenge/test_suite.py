@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from challenge_support import SUITE, small_suite
 
-from humansim_ros.challenge.suite import load_suite, overlaid
 from humansim_ros.errors import ChallengeError
-from humansim_ros.scene.camera_config import FaultsConfig
+from humansim_ros.ros.challenge.suite import load_suite, overlaid
+from humansim_ros.scene.config.camera_config import FaultsConfig
 
 DIFFICULTIES = """people occluders crossing look_alike fast unusual cameras resolution blur noise low_light
     lens"""

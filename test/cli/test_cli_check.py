@@ -25,7 +25,7 @@ cameras:
 @pytest.fixture(autouse=True)
 def gpu(monkeypatch: pytest.MonkeyPatch) -> None:
     """The rate is not checked: the number of cores is that of the machine."""
-    monkeypatch.setattr("humansim_ros.scene.checks.has_gpu", lambda: True)
+    monkeypatch.setattr("humansim_ros.scene.checks.checks.has_gpu", lambda: True)
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *arguments: Any) -> int:

@@ -12,8 +12,8 @@ from commands import humansim
 
 from humansim_ros import Scene, evaluate
 from humansim_ros.cli import main as cli
-from humansim_ros.evaluate.truth import scene_truth
-from humansim_ros.keypoints import keypoint_set
+from humansim_ros.data.evaluation.truth import scene_truth
+from humansim_ros.people import keypoint_set
 
 SCENE = """\
 room: null

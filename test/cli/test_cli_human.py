@@ -14,7 +14,7 @@ from commands import Done, humansim
 from conftest import if_shared
 from mesh_files import mesh_path
 
-from humansim_ros.humans.loading import load_human
+from humansim_ros.people.loading.loading import load_human
 
 
 def human(*arguments: object) -> Done:

@@ -22,9 +22,8 @@ from scipy.spatial.transform import Rotation
 from stand_ins import ALL, NO_PERSON, STAND_INS, motion_path
 from waiting import PATIENCE
 
-from humansim_ros.body import hanim_skeleton
 from humansim_ros.cli import main as cli
-from humansim_ros.motion import read_bvh
+from humansim_ros.motion import hanim_skeleton, read_bvh
 
 REFERENCE = ROOT / "test" / "data" / "blender_fk.npz"
 SKELETON = hanim_skeleton()

@@ -16,8 +16,8 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from humansim_ros import Scene, Simulation, read_calibration, write_calibration
-from humansim_ros.camera import Camera
-from humansim_ros.camera.rigs import Optics, ring
+from humansim_ros.cameras import Camera
+from humansim_ros.cameras.camera.rigs import Optics, ring
 from humansim_ros.cli.main import main
 
 #: A ring around a person at the origin, at different heights.

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from commands import humansim
 
-from humansim_ros.camera import read_calibration
-from humansim_ros.camera.rigs import Optics, stereo
+from humansim_ros.cameras import read_calibration
+from humansim_ros.cameras.camera.rigs import Optics, stereo
 from humansim_ros.scene import Scene
 
 TARGET = np.array([0.5, -1.0, 1.1])

@@ -12,7 +12,7 @@ from conftest import ROOT
 from waiting import PATIENCE
 
 from humansim_ros.cli import options as completion
-from humansim_ros.export.formats import EXPORT_FORMATS
+from humansim_ros.data.formats.formats import EXPORT_FORMATS
 
 HEAVY = ("cv2", "moderngl", "scipy")
 

@@ -19,7 +19,7 @@ from waiting import PATIENCE
 
 from humansim_ros.cli import doctor as checks
 from humansim_ros.cli.doctor import Diagnosis
-from humansim_ros.io import converters
+from humansim_ros.files.reading import converters
 
 
 def command(*arguments: str, **variables: str) -> subprocess.CompletedProcess[str]:

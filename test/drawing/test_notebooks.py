@@ -22,11 +22,11 @@ from humansim_ros import (
     load_human,
     read_motion,
 )
-from humansim_ros.drawing import notebooks
-from humansim_ros.drawing.notebooks import plot_frame
-from humansim_ros.drawing.views import joint_colors
 from humansim_ros.errors import ChannelError, HumansimError, RenderError
 from humansim_ros.pictures import Pictured
+from humansim_ros.scene.pictures import notebooks
+from humansim_ros.scene.pictures.notebooks import plot_frame
+from humansim_ros.scene.pictures.views import joint_colors
 
 formatters = pytest.importorskip("IPython.core.formatters")
 pytest.importorskip("matplotlib")
@@ -129,7 +129,7 @@ def test_an_object_without_picture_is_shown_as_text(monkeypatch: pytest.MonkeyPa
         data, _ = formatters.DisplayFormatter().format(camera)
     assert data == {"text/plain": repr(camera)}
     # whatever goes wrong: no OpenGL, no memory, a broken library
-    monkeypatch.setitem(sys.modules, "humansim_ros.drawing.notebooks", None)
+    monkeypatch.setitem(sys.modules, "humansim_ros.scene.pictures.notebooks", None)
     with pytest.warns(HumansimWarning, match="no picture"):
         assert formatters.DisplayFormatter().format(read_motion("walk"))[0].keys() == {"text/plain"}
 
@@ -144,7 +144,7 @@ def test_a_new_class_without_a_picture_is_shown_as_text() -> None:
 
 def test_pictures_load_the_drawing_only_when_they_are_shown() -> None:
     names = "h.Camera, h.Motion, h.View, h.Human"
-    code = f"import sys, humansim_ros as h; {names}; print('humansim_ros.drawing' in sys.modules)"
+    code = f"import sys, humansim_ros as h; {names}; print('humansim_ros.scene.pictures' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
 

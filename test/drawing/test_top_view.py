@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from humansim_ros import Scene
-from humansim_ros.camera.rigs import Optics, dome, ring
-from humansim_ros.drawing.canvas import INK, distinct_hues, hsv_colors
-from humansim_ros.drawing.rigs import coverage_image, rig_image
-from humansim_ros.drawing.top_view import CHEST, coverage_colors, top_view
+from humansim_ros.cameras.camera.rigs import Optics, dome, ring
 from humansim_ros.errors import CameraError
+from humansim_ros.render.pictures.canvas import INK, distinct_hues, hsv_colors
+from humansim_ros.scene.pictures.rigs import coverage_image, rig_image
+from humansim_ros.scene.pictures.top_view import CHEST, coverage_colors, top_view
 
 CAMERAS = {
     "south": {"position": [0.5, -3, 2], "look_at": [0, 0, 0.8], "fov_deg": 50},

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from humansim_ros.evaluate.pose_sequence import PoseSequence
+from humansim_ros.data.evaluation.pose_sequence import PoseSequence
 from humansim_ros.types import Array
 
 NAMES = (

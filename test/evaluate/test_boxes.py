@@ -10,10 +10,10 @@ from scipy.optimize import linprog
 from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 from scipy.spatial.transform import Rotation
 
+from humansim_ros.data.evaluation.boxes import BoxTracks, evaluate_boxes
+from humansim_ros.data.evaluation.readers.box_files import read_box_file
+from humansim_ros.data.evaluation.tracking import box_overlap
 from humansim_ros.errors import EvaluationError, HumansimWarning
-from humansim_ros.evaluate.boxes import BoxTracks, evaluate_boxes
-from humansim_ros.evaluate.readers.box_files import read_box_file
-from humansim_ros.evaluate.tracking import box_overlap
 from humansim_ros.types import Array
 
 

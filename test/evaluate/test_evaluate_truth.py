@@ -11,17 +11,16 @@ import pytest
 from evaluate_support import NAMES, PERIOD, changed, walking
 
 from humansim_ros import Scene
-from humansim_ros.bags.chunks import BagMessage, encode_chunk
-from humansim_ros.bags.topics import BagTopic, message_types
-from humansim_ros.bags.writer import BagWriter
-from humansim_ros.camera.trajectory import Trajectory
-from humansim_ros.errors import BagError, EvaluationError, HumansimWarning
-from humansim_ros.evaluate.evaluation import evaluate_poses
-from humansim_ros.evaluate.joint_names import set_of_names
-from humansim_ros.evaluate.pose_sequence import PoseSequence
-from humansim_ros.evaluate.readers.estimates import read_bag_topic
-from humansim_ros.evaluate.readers.pose_files import ReadOptions
-from humansim_ros.evaluate.truth import (
+from humansim_ros.cameras.camera.trajectory import Trajectory
+from humansim_ros.data.bags.chunks import BagMessage, encode_chunk
+from humansim_ros.data.bags.topics import BagTopic, message_types
+from humansim_ros.data.bags.writer import BagWriter
+from humansim_ros.data.evaluation.evaluation import evaluate_poses
+from humansim_ros.data.evaluation.joint_names import set_of_names
+from humansim_ros.data.evaluation.pose_sequence import PoseSequence
+from humansim_ros.data.evaluation.readers.estimates import read_bag_topic
+from humansim_ros.data.evaluation.readers.pose_files import ReadOptions
+from humansim_ros.data.evaluation.truth import (
     FIRST_STAMP,
     bag_truth,
     camera_counts,
@@ -29,7 +28,8 @@ from humansim_ros.evaluate.truth import (
     scene_truth,
     with_camera_counts,
 )
-from humansim_ros.keypoints import KeypointLocator, keypoint_set
+from humansim_ros.errors import BagError, EvaluationError, HumansimWarning
+from humansim_ros.people import KeypointLocator, keypoint_set
 
 SCENE = {
     "room": None,
@@ -59,7 +59,7 @@ def test_truth_of_a_scene_is_that_of_its_frames(scene: Scene) -> None:
 def test_truth_of_many_frames_is_computed_in_blocks(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     span = (FIRST_STAMP, FIRST_STAMP + 20 * PERIOD)
     whole = scene_truth(scene, span)
-    monkeypatch.setattr("humansim_ros.evaluate.truth._BLOCK", 7)
+    monkeypatch.setattr("humansim_ros.data.evaluation.truth._BLOCK", 7)
     parts = scene_truth(scene, span)
     for one, other in zip(whole.people, parts.people, strict=True):
         np.testing.assert_allclose(one["anna"], other["anna"], atol=1e-12)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from evaluate_support import NAMES, PERIOD, changed, pose, walking
 
+from humansim_ros.data.evaluation.alignment import axes_matrix
+from humansim_ros.data.evaluation.evaluation import evaluate_poses
+from humansim_ros.data.evaluation.pose_sequence import PoseSequence, SequenceBuilder
 from humansim_ros.errors import EvaluationError, HumansimWarning
-from humansim_ros.evaluate.alignment import axes_matrix
-from humansim_ros.evaluate.evaluation import evaluate_poses
-from humansim_ros.evaluate.pose_sequence import PoseSequence, SequenceBuilder
 from humansim_ros.types import Array
 
 

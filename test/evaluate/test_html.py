@@ -12,11 +12,11 @@ import pytest
 from evaluate_support import NAMES, changed, walking
 from numpy.typing import NDArray
 
-from humansim_ros.camera import Camera
+from humansim_ros.cameras import Camera
+from humansim_ros.data.evaluation.evaluation import evaluate_poses
+from humansim_ros.data.evaluation.html import _ticks, bar_plot, html_report, line_plot, pose_plot
+from humansim_ros.data.evaluation.pictures import ESTIMATE_COLOR, TRUTH_COLOR, Shape, draw_over
 from humansim_ros.errors import HumansimWarning
-from humansim_ros.evaluate.evaluation import evaluate_poses
-from humansim_ros.evaluate.html import _ticks, bar_plot, html_report, line_plot, pose_plot
-from humansim_ros.evaluate.pictures import ESTIMATE_COLOR, TRUTH_COLOR, Shape, draw_over
 from humansim_ros.types import Array
 
 

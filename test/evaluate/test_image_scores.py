@@ -14,21 +14,21 @@ import pytest
 from scipy.optimize import linear_sum_assignment
 
 from humansim_ros.errors import EvaluationError, HumansimWarning
-from humansim_ros.keypoints import keypoint_set
+from humansim_ros.people import keypoint_set
 
 pytest.importorskip("pycocotools")
 from pycocotools.coco import COCO
 from pycocotools.cocoeval import COCOeval
 
-from humansim_ros.evaluate.images import (
+from humansim_ros.data.evaluation.images import (
     _KEYPOINT_SCORES,
     Detections2D,
     ImageTruth,
     PartScore,
     evaluate_images,
 )
-from humansim_ros.evaluate.readers.detections import encoded_mask
-from humansim_ros.export.coco import divided_keypoints, joined_keypoints
+from humansim_ros.data.evaluation.readers.detections import encoded_mask
+from humansim_ros.data.formats.coco import divided_keypoints, joined_keypoints
 
 SIZE = (80, 60)
 COCO17 = keypoint_set("coco17")

@@ -8,8 +8,8 @@ from evaluate_support import NAMES, STANDING
 from scipy.spatial import procrustes
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.evaluate.joint_names import limbs_of
-from humansim_ros.evaluate.metrics import (
+from humansim_ros.data.evaluation.joint_names import limbs_of
+from humansim_ros.data.evaluation.metrics import (
     Detections,
     acceleration_errors,
     auc,

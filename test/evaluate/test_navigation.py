@@ -15,13 +15,13 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from humansim_ros import Scene, Simulation, evaluate, record
-from humansim_ros.bags.chunks import BagMessage, encode_chunk
-from humansim_ros.bags.topics import BagTopic, message_types
-from humansim_ros.bags.writer import BagWriter
+from humansim_ros.data.bags.chunks import BagMessage, encode_chunk
+from humansim_ros.data.bags.topics import BagTopic, message_types
+from humansim_ros.data.bags.writer import BagWriter
+from humansim_ros.data.evaluation.navigation import evaluate_navigation
+from humansim_ros.data.evaluation.nearby import PeopleNearby, RobotPath, scene_nearby
+from humansim_ros.data.evaluation.readers.robot_paths import is_robot_path, read_robot_path
 from humansim_ros.errors import EvaluationError, HumansimWarning
-from humansim_ros.evaluate.navigation import evaluate_navigation
-from humansim_ros.evaluate.nearby import PeopleNearby, RobotPath, scene_nearby
-from humansim_ros.evaluate.readers.robot_paths import is_robot_path, read_robot_path
 from humansim_ros.types import Array
 
 sys.path.append(str(ROOT / "tools"))

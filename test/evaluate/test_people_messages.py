@@ -10,18 +10,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from humansim_ros import Scene, Simulation, evaluate, messages
-from humansim_ros.bags.chunks import BagMessage, encode_chunk
-from humansim_ros.bags.topics import BagTopic, described, message_types
-from humansim_ros.bags.writer import BagWriter
+from humansim_ros import Scene, Simulation, evaluate
+from humansim_ros.data import messages
+from humansim_ros.data.bags.chunks import BagMessage, encode_chunk
+from humansim_ros.data.bags.topics import BagTopic, described, message_types
+from humansim_ros.data.bags.writer import BagWriter
+from humansim_ros.data.evaluation.readers.estimates import bag_transforms
+from humansim_ros.data.messages.adapters import adapter_topics
+from humansim_ros.data.messages.cdr import serialised
+from humansim_ros.data.messages.people import DETECTIONS_2D, MESSAGE_TYPES
+from humansim_ros.data.messages.transforms import TF, Transforms, read_links
+from humansim_ros.data.messages.types import made_type, readable_type
 from humansim_ros.errors import EvaluationError, HumansimWarning, RosError
-from humansim_ros.evaluate.readers.estimates import bag_transforms
-from humansim_ros.messages.adapters import adapter_topics
-from humansim_ros.messages.cdr import serialised
-from humansim_ros.messages.people import DETECTIONS_2D, MESSAGE_TYPES
-from humansim_ros.messages.transforms import TF, Transforms, read_links
-from humansim_ros.messages.types import made_type, readable_type
-from humansim_ros.scene.simulation import Frame
+from humansim_ros.scene.core.simulation import Frame
 
 FRAMES = 12
 SCENE: dict[str, Any] = {
@@ -387,9 +388,9 @@ def test_a_topic_with_another_version_of_the_message_is_refused(tmp_path: Path) 
 
 
 def test_the_page_matches_people_of_one_point(tmp_path: Path) -> None:
-    from humansim_ros.evaluate.live import LiveOptions
-    from humansim_ros.messages.people import read_people
-    from humansim_ros.view.topic_people import beside_truth
+    from humansim_ros.data.evaluation.live import LiveOptions
+    from humansim_ros.data.messages.people import read_people
+    from humansim_ros.view.sources.topic_people import beside_truth
 
     scene = scene_with(tmp_path / "scene.yaml", {"detections_3d": {}, "people": {}})
     topic = next(each for each in adapter_topics(scene) if each.name == "people")

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from evaluate_support import NAMES, PERIOD, pose, walking
 
+from humansim_ros.data.evaluation.joint_names import read_names
+from humansim_ros.data.evaluation.pose_sequence import PoseSequence
+from humansim_ros.data.evaluation.readers.estimates import read_estimates
+from humansim_ros.data.evaluation.readers.pose_files import ReadOptions
+from humansim_ros.data.messages.people import Pose, read_people
 from humansim_ros.errors import EvaluationError, HumansimWarning
-from humansim_ros.evaluate.joint_names import read_names
-from humansim_ros.evaluate.pose_sequence import PoseSequence
-from humansim_ros.evaluate.readers.estimates import read_estimates
-from humansim_ros.evaluate.readers.pose_files import ReadOptions
-from humansim_ros.messages.people import Pose, read_people
 from humansim_ros.types import Array
 
 OPTIONS = ReadOptions(period=PERIOD, start=1)

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from evaluate_support import NAMES, PERIOD, pose, walking
 
+from humansim_ros.data.evaluation.evaluation import evaluate_poses
+from humansim_ros.data.evaluation.live import LiveEvaluation, LiveOptions
+from humansim_ros.data.evaluation.pose_sequence import PoseSequence
+from humansim_ros.data.evaluation.report import show, to_data
+from humansim_ros.data.evaluation.stream import MAX_JOINTS, EstimateStream
+from humansim_ros.data.messages.people import Pose, PoseFrame
 from humansim_ros.errors import EvaluationError, HumansimWarning
-from humansim_ros.evaluate.evaluation import evaluate_poses
-from humansim_ros.evaluate.live import LiveEvaluation, LiveOptions
-from humansim_ros.evaluate.pose_sequence import PoseSequence
-from humansim_ros.evaluate.report import show, to_data
-from humansim_ros.evaluate.stream import MAX_JOINTS, EstimateStream
-from humansim_ros.messages.people import Pose, PoseFrame
 
 TRUTH = walking(20)
 

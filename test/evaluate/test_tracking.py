@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from conftest import TESTS
 
-from humansim_ros.evaluate.tracking import TrackedFrame, similarity, tracking_scores
+from humansim_ros.data.evaluation.tracking import TrackedFrame, similarity, tracking_scores
 
 CASES = json.loads((TESTS / "data" / "trackeval.json").read_text())["cases"]
 

@@ -9,10 +9,10 @@ from typing import Any
 import yaml
 
 from humansim_ros import Scene
-from humansim_ros.export.exporting import Export, export
-from humansim_ros.export.formats import chosen_formats
-from humansim_ros.export.plan import ExportPlan, parse_range
-from humansim_ros.export.source import SimulatedSource
+from humansim_ros.data.formats.exporting import Export, export
+from humansim_ros.data.formats.formats import chosen_formats
+from humansim_ros.data.formats.plan import ExportPlan, parse_range
+from humansim_ros.data.formats.source import SimulatedSource
 
 #: Two people, a labelled box, a camera with noise and one with a distorted lens.
 SCENE = """

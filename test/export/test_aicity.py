@@ -12,9 +12,9 @@ import pytest
 from export_support import exported, small_scene
 
 from humansim_ros import Scene, evaluate
+from humansim_ros.data.evaluation.boxes import scene_boxes
+from humansim_ros.data.evaluation.readers.box_files import read_box_file
 from humansim_ros.errors import EvaluationError, ExportError, HumansimWarning
-from humansim_ros.evaluate.boxes import scene_boxes
-from humansim_ros.evaluate.readers.box_files import read_box_file
 
 
 @pytest.mark.slow

@@ -18,15 +18,15 @@ from commands import largest_file
 from export_support import SCENE, content, index_of, job, small_scene
 
 from humansim_ros import HumansimError, HumansimWarning, Scene
-from humansim_ros.bags.reader import BagReader
-from humansim_ros.bags.writer import BagWriter
 from humansim_ros.cli.main import main
+from humansim_ros.data.bags.reader import BagReader
+from humansim_ros.data.bags.writer import BagWriter
+from humansim_ros.data.formats.bag import BagSource, recorded_patterns
+from humansim_ros.data.formats.exporting import Export, export
+from humansim_ros.data.formats.formats import BODIES, EXPORT_FORMATS, chosen_formats
+from humansim_ros.data.formats.plan import ExportPlan
+from humansim_ros.data.recording import RecordingPlan, SceneRecording, record
 from humansim_ros.errors import ExportError
-from humansim_ros.export.bag import BagSource, recorded_patterns
-from humansim_ros.export.exporting import Export, export
-from humansim_ros.export.formats import BODIES, EXPORT_FORMATS, chosen_formats
-from humansim_ros.export.plan import ExportPlan
-from humansim_ros.record.recording import RecordingPlan, SceneRecording, record
 
 FRAMES = 4
 #: Formats that a bag can be exported to: all but those of bodies.
@@ -243,8 +243,8 @@ def test_labels_as_png_give_the_files_of_the_scene(tmp_path: Path, exports: tupl
     ],
 )
 def test_labels_that_are_not_exact_are_refused(name: str, form: str, message: str) -> None:
-    from humansim_ros.export.bag import _reader_of
-    from humansim_ros.messages.types import CompressedImage
+    from humansim_ros.data.formats.bag import _reader_of
+    from humansim_ros.data.messages.types import CompressedImage
 
     suffix = ".jpg" if "jpeg" in form else ".png"
     data = cv2.imencode(suffix, np.full((8, 8), 3, np.uint8))[1]
@@ -306,7 +306,7 @@ def test_each_frame_of_a_moving_camera_has_its_pose(tmp_path: Path) -> None:
 
 def copy_without(bag: Path, to: Path, left_out: Callable[[str, int], bool]) -> Path:
     """A copy of a bag. ``left_out``: whether a message of a topic and log time is left out."""
-    from humansim_ros.bags.chunks import encode_chunk
+    from humansim_ros.data.bags.chunks import encode_chunk
 
     with BagReader(bag) as reader, BagWriter(to, list(reader.topics)) as writer:
         for message in reader.messages():
@@ -387,7 +387,7 @@ def test_the_command_exports_all_frames_of_a_bag(
 
 def test_a_damaged_message_is_named(tmp_path: Path, bag: Path) -> None:
     """Its stamp can be read, but its image is cut."""
-    from humansim_ros.bags.chunks import encode_chunk
+    from humansim_ros.data.bags.chunks import encode_chunk
 
     with BagReader(bag) as reader, BagWriter(tmp_path / "bag", list(reader.topics)) as writer:
         for message in reader.messages():

@@ -12,10 +12,10 @@ import pytest
 from export_support import exported, job, small_scene
 
 from humansim_ros import Frame, Scene, Simulation
+from humansim_ros.data.formats.exporting import export
 from humansim_ros.errors import ExportError
-from humansim_ros.export.exporting import export
-from humansim_ros.keypoints import keypoint_set
-from humansim_ros.truth import OUTSIDE
+from humansim_ros.people import keypoint_set
+from humansim_ros.scene import OUTSIDE
 
 CHANNELS = ("depth", "instance", "part", "amodal")
 COCO17 = keypoint_set("coco17")

@@ -10,8 +10,8 @@ import yaml
 from export_support import SCENE, exported, index_of
 
 from humansim_ros import Scene
-from humansim_ros.export.croissant import card_header
-from humansim_ros.export.writer import ExportScene
+from humansim_ros.data.formats.croissant import card_header
+from humansim_ros.data.formats.writer import ExportScene
 
 
 @pytest.fixture(scope="module")

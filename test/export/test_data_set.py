@@ -27,15 +27,15 @@ from test_recipe import written
 import humansim_ros
 from humansim_ros import Scene, Simulation
 from humansim_ros.cli.__main__ import main
+from humansim_ros.data.datasets.data_set import DataSet, SceneResult, SceneWorker, _begin, write_data_set
+from humansim_ros.data.datasets.recipe import Recipe
+from humansim_ros.data.formats.exporting import Export, export
+from humansim_ros.data.formats.formats import chosen_formats
+from humansim_ros.data.formats.plan import ExportPlan, read_index
+from humansim_ros.data.formats.source import SimulatedSource
+from humansim_ros.data.formats.statistics import HISTOGRAMS, Totals
+from humansim_ros.data.formats.writer import LICENSES
 from humansim_ros.errors import ExportError, HumansimError
-from humansim_ros.export.data_set import DataSet, SceneResult, SceneWorker, _begin, write_data_set
-from humansim_ros.export.exporting import Export, export
-from humansim_ros.export.formats import chosen_formats
-from humansim_ros.export.plan import ExportPlan, read_index
-from humansim_ros.export.recipe import Recipe
-from humansim_ros.export.source import SimulatedSource
-from humansim_ros.export.statistics import HISTOGRAMS, Totals
-from humansim_ros.export.writer import LICENSES
 
 CHANGES: dict[str, Any] = {
     "scenes": 3,
@@ -324,8 +324,8 @@ def test_whole_scenes_of_a_task_that_failed_count(
         shutil.copytree(whole / "test/scene_000001", root / "test/scene_000001")
         return {}, ["its worker died"]
 
-    monkeypatch.setattr("humansim_ros.export.data_set.connected", lambda *_: nullcontext())
-    monkeypatch.setattr("humansim_ros.export.data_set.run_parts", killed)
+    monkeypatch.setattr("humansim_ros.data.datasets.data_set.connected", lambda *_: nullcontext())
+    monkeypatch.setattr("humansim_ros.data.datasets.data_set.run_parts", killed)
     with pytest.raises(ExportError, match=r"its worker died\n1 of 3 scenes could not be written \(2\)"):
         write_data_set(data_set(tmp_path, root), resume=True, ray="local")
     index = json.loads((root / "index.json").read_text())
@@ -439,7 +439,7 @@ def test_a_killed_export_continues_with_the_same_files(whole: Path, tmp_path: Pa
 
 @pytest.mark.nightly
 def test_the_recipe_of_the_package_works(tmp_path: Path) -> None:
-    from humansim_ros.io.assets import resource_path
+    from humansim_ros.files.reading.assets import resource_path
 
     done = humansim(
         *("export", resource_path("config/recipes/people.yaml"), "-o", tmp_path / "out", "--scenes", "2")

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from humansim_ros import Camera, Scene
-from humansim_ros.export.positions import Human36mWriter, PanopticWriter, human36m_text, panoptic_text
-from humansim_ros.export.writer import ExportFolder, ExportFrame, ExportScene, ExportSettings
+from humansim_ros.data.formats.positions import Human36mWriter, PanopticWriter, human36m_text, panoptic_text
+from humansim_ros.data.formats.writer import ExportFolder, ExportFrame, ExportScene, ExportSettings
 
 
 @pytest.fixture

@@ -17,13 +17,13 @@ from export_support import SCENE, content, exported, index_of, job, small_scene
 from waiting import PATIENCE
 
 from humansim_ros import HumansimError, Scene
-from humansim_ros.camera import load_calibration
+from humansim_ros.cameras import load_calibration
 from humansim_ros.cli.main import main
+from humansim_ros.data.engine.frame_job import FrameProgress
+from humansim_ros.data.formats.exporting import export
+from humansim_ros.data.formats.formats import EXPORT_FORMATS
+from humansim_ros.data.formats.plan import parse_range
 from humansim_ros.errors import ExportError
-from humansim_ros.export.exporting import export
-from humansim_ros.export.formats import EXPORT_FORMATS
-from humansim_ros.export.plan import parse_range
-from humansim_ros.jobs.frame_job import FrameProgress
 
 FORMATS = "images,depth-png,labels"
 
@@ -242,7 +242,7 @@ def test_frames_are_from_a_up_to_but_not_including_b() -> None:
 def test_a_format_without_its_library_names_the_extra(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, scene: Scene
 ) -> None:
-    monkeypatch.setattr("humansim_ros.export.formats.find_spec", lambda name: None)
+    monkeypatch.setattr("humansim_ros.data.formats.formats.find_spec", lambda name: None)
     with pytest.raises(
         ExportError, match=r"depth-exr needs OpenEXR; .* pip install 'humansim_ros\[export\]'"
     ):

@@ -11,12 +11,12 @@ import pytest
 from commands import humansim
 from export_support import SCENE, content, exported, index_of, job
 
+from humansim_ros.data.engine.ray_cluster import ClusterPart, write_part
+from humansim_ros.data.formats.exporting import Export, export_on_cluster
+from humansim_ros.data.formats.plan import INDEX
+from humansim_ros.data.formats.source import SimulatedSource
+from humansim_ros.data.formats.writer import ExportFolder
 from humansim_ros.errors import ExportError, HumansimError
-from humansim_ros.export.exporting import Export, export_on_cluster
-from humansim_ros.export.plan import INDEX
-from humansim_ros.export.source import SimulatedSource
-from humansim_ros.export.writer import ExportFolder
-from humansim_ros.jobs.ray_cluster import ClusterPart, write_part
 
 FORMATS, FRAMES = "images,labels,webdataset", "2:7"
 

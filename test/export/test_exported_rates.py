@@ -15,17 +15,17 @@ import yaml
 from export_support import SCENE, job
 
 from humansim_ros import Scene
-from humansim_ros.bags.chunks import encode_chunk
-from humansim_ros.bags.reader import BagReader
-from humansim_ros.bags.writer import BagWriter
+from humansim_ros.data.bags.chunks import encode_chunk
+from humansim_ros.data.bags.reader import BagReader
+from humansim_ros.data.bags.writer import BagWriter
+from humansim_ros.data.evaluation.export_truth import SceneImages
+from humansim_ros.data.formats.bag import BagSource, recorded_patterns
+from humansim_ros.data.formats.exporting import Export, export
+from humansim_ros.data.formats.formats import chosen_formats
+from humansim_ros.data.formats.plan import ExportPlan
+from humansim_ros.data.recording import RecordingPlan, SceneRecording, record
 from humansim_ros.errors import ExportError, HumansimWarning
-from humansim_ros.evaluate.export_truth import SceneImages
-from humansim_ros.export.bag import BagSource, recorded_patterns
-from humansim_ros.export.exporting import Export, export
-from humansim_ros.export.formats import chosen_formats
-from humansim_ros.export.plan import ExportPlan
-from humansim_ros.keypoints import keypoint_set
-from humansim_ros.record.recording import RecordingPlan, SceneRecording, record
+from humansim_ros.people import keypoint_set
 
 rosbags_highlevel = pytest.importorskip("rosbags.highlevel")
 FRAMES, PERIOD = 9, 50_000_000

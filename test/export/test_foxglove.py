@@ -17,8 +17,8 @@ from export_support import content, exported, small_scene
 from scipy.spatial.transform import Rotation
 
 from humansim_ros import Scene, Simulation
-from humansim_ros.export import formats
-from humansim_ros.keypoints import keypoint_set
+from humansim_ros.data.formats import formats
+from humansim_ros.people import keypoint_set
 
 mcap_reader = pytest.importorskip("mcap.reader", reason="mcap reads the file")
 

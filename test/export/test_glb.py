@@ -17,14 +17,14 @@ from scipy.sparse import csr_matrix
 from scipy.spatial.transform import Rotation
 
 from humansim_ros import Scene, load_human, read_motion
+from humansim_ros.data.formats.animation import AnimatedHuman, influences
+from humansim_ros.data.formats.glb import glb_bytes
 from humansim_ros.errors import HumansimWarning
-from humansim_ros.export.animation import AnimatedHuman, influences
-from humansim_ros.export.glb import glb_bytes
+from humansim_ros.files import Mesh
+from humansim_ros.files.mesh.mesh import split_seams
 from humansim_ros.geometry import WORLD_FROM_BODY
-from humansim_ros.humans import Human
-from humansim_ros.mesh import Mesh
-from humansim_ros.mesh.mesh import split_seams
-from humansim_ros.scene.actor import HumanState
+from humansim_ros.people import Human
+from humansim_ros.scene.core.actor import HumanState
 
 RATE, FRAMES = 30.0, 6
 COMPONENTS = {5121: np.uint8, 5125: np.uint32, 5126: np.float32}

@@ -14,7 +14,7 @@ import pytest
 from export_support import SCENE, exported, small_scene
 
 from humansim_ros import Frame, Scene, Simulation
-from humansim_ros.export.images import kitti_flow, millimetres
+from humansim_ros.data.formats.images import kitti_flow, millimetres
 
 FORMATS = "images,depth-png,depth-exr,depth-npy,labels,body-parts,materials,flow-flo,flow-kitti"
 CHANNELS = ("rgb", "depth", "instance", "part", "body_part", "material", "flow", "flow_hidden")

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from humansim_ros.data.formats.positions import MarkerPaths, c3d_bytes, trc_text
 from humansim_ros.errors import ExportError
-from humansim_ros.export.positions import MarkerPaths, c3d_bytes, trc_text
-from humansim_ros.io.marker_files import read_c3d_points
+from humansim_ros.motion.files.marker_files import read_c3d_points
 
 NAMES = ("nose", "left_wrist", "right_wrist")
 

@@ -12,10 +12,9 @@ import numpy as np
 import pytest
 
 from humansim_ros import Scene, read_calibration
-from humansim_ros.camera.formats.syntax import tomllib  # tomli before Python 3.11
-from humansim_ros.errors import ExportError
-from humansim_ros.export import openpose
-from humansim_ros.export.openpose import (
+from humansim_ros.cameras.formats.syntax import tomllib
+from humansim_ros.data.formats import openpose
+from humansim_ros.data.formats.openpose import (
     AniposeWriter,
     OpenPoseWriter,
     calibration_text,
@@ -24,9 +23,10 @@ from humansim_ros.export.openpose import (
     openpose_text,
     pose2sim_order,
 )
-from humansim_ros.export.writer import ExportFolder, ExportFrame, ExportScene, ExportSettings
-from humansim_ros.keypoints import keypoint_set
-from humansim_ros.truth import OCCLUDED, OUTSIDE, VISIBLE
+from humansim_ros.data.formats.writer import ExportFolder, ExportFrame, ExportScene, ExportSettings
+from humansim_ros.errors import ExportError
+from humansim_ros.people import keypoint_set
+from humansim_ros.scene import OCCLUDED, OUTSIDE, VISIBLE
 
 CAMERA = {"position": [3, 0, 1.5], "look_at": [0, 0, 1]}
 

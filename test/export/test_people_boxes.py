@@ -11,8 +11,8 @@ import yaml
 from export_support import SCENE, exported, small_scene
 
 from humansim_ros import Frame, Scene, Simulation, read_calibration
-from humansim_ros.keypoints.sets import KEYPOINT_SETS
-from humansim_ros.truth import OUTSIDE
+from humansim_ros.people.keypoints.sets import KEYPOINT_SETS
+from humansim_ros.scene import OUTSIDE
 
 
 @pytest.fixture(scope="module")

@@ -11,10 +11,10 @@ import pytest
 from keyframe_text import keyframes
 
 from humansim_ros import Scene, read_bvh
+from humansim_ros.data.formats.animation import AnimatedHuman
+from humansim_ros.data.formats.glb import BvhWriter, posed_bones
+from humansim_ros.data.formats.writer import ExportFolder, ExportFrame, ExportScene, ExportSettings
 from humansim_ros.errors import HumansimWarning
-from humansim_ros.export.animation import AnimatedHuman
-from humansim_ros.export.glb import BvhWriter, posed_bones
-from humansim_ros.export.writer import ExportFolder, ExportFrame, ExportScene, ExportSettings
 from humansim_ros.geometry import WORLD_FROM_BODY
 from humansim_ros.scene import Frame
 

@@ -15,10 +15,10 @@ from commands import humansim
 from conftest import ROOT
 
 from humansim_ros import Scene
+from humansim_ros.data.datasets.draws import DRAWS, ChoiceDraw, draw_at
+from humansim_ros.data.datasets.recipe import Recipe
 from humansim_ros.errors import ExportError, SceneError
-from humansim_ros.export.draws import DRAWS, ChoiceDraw, draw_at
-from humansim_ros.export.recipe import Recipe
-from humansim_ros.io.yaml import has_key
+from humansim_ros.files.yaml.yaml import has_key
 
 #: Two cameras around one or two people.
 RECIPE: dict[str, Any] = yaml.safe_load("""

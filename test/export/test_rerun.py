@@ -11,7 +11,7 @@ import pytest
 from export_support import exported, small_scene
 
 from humansim_ros import Scene, Simulation
-from humansim_ros.keypoints import keypoint_set
+from humansim_ros.people import keypoint_set
 
 chunks = pytest.importorskip("rerun.chunk", reason="rerun-sdk reads the recording")
 

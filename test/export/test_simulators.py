@@ -16,20 +16,20 @@ from keyframe_text import keyframes
 from scipy.spatial.transform import Rotation
 
 from humansim_ros import Camera, Scene, load_human
-from humansim_ros.errors import HumansimError, HumansimWarning
-from humansim_ros.export.animation import (
+from humansim_ros.data.formats.animation import (
     AnimatedHuman,
     AnimatedScene,
     AnimationWriter,
     TextureFiles,
     identifiers,
 )
-from humansim_ros.export.formats import EXPORT_FORMATS, chosen_formats
-from humansim_ros.export.mjcf import MujocoModel
-from humansim_ros.export.usd import UsdStage
-from humansim_ros.export.writer import ExportFolder, ExportFrame, ExportScene, ExportSettings
+from humansim_ros.data.formats.formats import EXPORT_FORMATS, chosen_formats
+from humansim_ros.data.formats.mjcf import MujocoModel
+from humansim_ros.data.formats.usd import UsdStage
+from humansim_ros.data.formats.writer import ExportFolder, ExportFrame, ExportScene, ExportSettings
+from humansim_ros.errors import HumansimError, HumansimWarning
 from humansim_ros.scene import Frame
-from humansim_ros.scene.states import SceneStates
+from humansim_ros.scene.core.states import SceneStates
 
 pytestmark = pytest.mark.filterwarnings("ignore::humansim_ros.errors.HumansimWarning")
 RATE, FRAMES = 10.0, range(2, 6)
@@ -500,7 +500,7 @@ def test_names_of_bones_that_programs_forbid_are_mapped(played: Played, tmp_path
 
 
 def test_a_library_that_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("humansim_ros.export.formats.find_spec", lambda name: None)
+    monkeypatch.setattr("humansim_ros.data.formats.formats.find_spec", lambda name: None)
     with pytest.raises(HumansimError, match=r"pip install 'humansim_ros\[export\]'"):
         chosen_formats(["usd"])
 

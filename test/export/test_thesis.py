@@ -10,8 +10,8 @@ import pytest
 from export_support import exported, small_scene
 
 from humansim_ros import Camera, Frame, Scene, Simulation, idealize, read_calibration
+from humansim_ros.data.formats.thesis import read_bones, read_verts
 from humansim_ros.errors import ExportError
-from humansim_ros.export.thesis import read_bones, read_verts
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ import pytest
 from export_support import exported, index_of, small_scene
 
 from humansim_ros import Scene, Simulation
-from humansim_ros.export.webdataset import shards
+from humansim_ros.data.formats.webdataset import shards
 
 FRAMES = "3:6"
 

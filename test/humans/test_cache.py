@@ -18,10 +18,10 @@ import pytest
 from conftest import ROOT
 
 from humansim_ros.errors import HumansimWarning
-from humansim_ros.humans.description import MeshHuman
-from humansim_ros.humans.human import Human
-from humansim_ros.humans.loading import CACHE_VERSION, load_human, make_human
-from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.files.mesh.mesh import Mesh
+from humansim_ros.people.humans.human import Human
+from humansim_ros.people.loading.description import MeshHuman
+from humansim_ros.people.loading.loading import CACHE_VERSION, load_human, make_human
 
 pytestmark = pytest.mark.usefixtures("cache")
 
@@ -156,7 +156,7 @@ def test_processes_that_start_together_make_a_human_once(cache: Path, tmp_path: 
     program = tmp_path / "program.py"
     program.write_text(
         "import sys, time\n"
-        "from humansim_ros.humans.loading import cached, load_human\n"
+        "from humansim_ros.people.loading.loading import cached, load_human\n"
         "def make():\n"
         "    print('made', flush=True)\n"
         "    time.sleep(2)\n"
@@ -185,7 +185,7 @@ def test_nobody_waits_for_ever_for_a_process_that_was_stopped(
     load_human(figure)
     (file,) = cache.glob("*.npz")
     file.unlink()
-    monkeypatch.setattr("humansim_ros.humans.loading._LONGEST_WAIT", 0.2)
+    monkeypatch.setattr("humansim_ros.people.loading.loading._LONGEST_WAIT", 0.2)
     with file.with_suffix(".lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         assert len(load_human(figure).mesh.vertices) == len(figures.boxes()[0])
@@ -195,8 +195,8 @@ def test_nobody_waits_for_ever_for_a_process_that_was_stopped(
 def test_the_cache_has_a_maximum_size(
     cache: Path, figure: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr("humansim_ros.humans.loading.MAX_HUMANS", 2)
-    monkeypatch.setattr("humansim_ros.humans.loading.MAX_IN_USE", 4)
+    monkeypatch.setattr("humansim_ros.people.loading.loading.MAX_HUMANS", 2)
+    monkeypatch.setattr("humansim_ros.people.loading.loading.MAX_IN_USE", 4)
 
     def made(numbers: Sequence[int]) -> set[Path]:
         before = set(cache.glob("*.npz"))

@@ -12,18 +12,18 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
 from humansim_ros import load_human, read_motion
-from humansim_ros.body.hands import FINGER_BONES, HandAnatomy, finger_hinges
-from humansim_ros.body.joint_names import DETAIL_BONES, FINGERS, finger_bones
-from humansim_ros.body.skeleton import Skeleton, hanim_skeleton
-from humansim_ros.humans.figure import to_body_space
-from humansim_ros.humans.human import Human
-from humansim_ros.io.assets import built_in_names
-from humansim_ros.keypoints import KeypointLocator, keypoint_set
-from humansim_ros.mesh.load import read_mesh_or_figure
-from humansim_ros.mesh.mesh import SkinnedMesh
-from humansim_ros.motion.hand_poses import hand_angles
-from humansim_ros.motion.info import to_world
-from humansim_ros.motion.retarget import Retargeter
+from humansim_ros.files.mesh.load import read_mesh_or_figure
+from humansim_ros.files.mesh.mesh import SkinnedMesh
+from humansim_ros.files.reading.assets import built_in_names
+from humansim_ros.motion.body.hands import FINGER_BONES, HandAnatomy, finger_hinges
+from humansim_ros.motion.body.joint_names import DETAIL_BONES, FINGERS, finger_bones
+from humansim_ros.motion.body.skeleton import Skeleton, hanim_skeleton
+from humansim_ros.motion.pose.hand_poses import hand_angles
+from humansim_ros.motion.pose.info import to_world
+from humansim_ros.motion.pose.retarget import Retargeter
+from humansim_ros.people import KeypointLocator, keypoint_set
+from humansim_ros.people.humans.human import Human
+from humansim_ros.people.loading.figure import to_body_space
 
 Array = NDArray[np.float64]
 SIDES = {"l": "Left", "r": "Right"}

@@ -14,16 +14,16 @@ from scipy.sparse import csr_matrix
 from scipy.spatial.transform import Rotation
 
 from humansim_ros import load_human, read_motion
-from humansim_ros.body.skeleton import Skeleton
+from humansim_ros.files.mesh.load import read_mesh_or_figure
+from humansim_ros.files.mesh.mesh import Mesh, SkinnedMesh, padded
 from humansim_ros.geometry import angle_between, unit_vectors
-from humansim_ros.humans.figure import to_body_space
-from humansim_ros.humans.human import Human
-from humansim_ros.mesh.load import read_mesh_or_figure
-from humansim_ros.mesh.mesh import Mesh, SkinnedMesh, padded
-from humansim_ros.motion.info import to_world
-from humansim_ros.motion.joint_matching import match_names
-from humansim_ros.motion.retarget import Retargeter
-from humansim_ros.motion.world_motion import WorldMotion
+from humansim_ros.motion.body.skeleton import Skeleton
+from humansim_ros.motion.matching.joint_matching import match_names
+from humansim_ros.motion.motion.world_motion import WorldMotion
+from humansim_ros.motion.pose.info import to_world
+from humansim_ros.motion.pose.retarget import Retargeter
+from humansim_ros.people.humans.human import Human
+from humansim_ros.people.loading.figure import to_body_space
 
 Array = NDArray[np.float64]
 #: Joint -> its parent and position: metres, y up, facing +z.

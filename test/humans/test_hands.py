@@ -14,13 +14,13 @@ import trimesh
 from conftest import ROOT
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.body.joint_names import FINGERS, finger_bones
-from humansim_ros.body.skeleton import Skeleton
-from humansim_ros.body.skinning import dominant_bones
-from humansim_ros.humans.human import Human
-from humansim_ros.humans.loading import load_human
-from humansim_ros.humans.makehuman.building import finger_shares, relax_hands, relaxed_fingers
-from humansim_ros.io.assets import built_in_names
+from humansim_ros.files.reading.assets import built_in_names
+from humansim_ros.motion.body.joint_names import FINGERS, finger_bones
+from humansim_ros.motion.body.skeleton import Skeleton
+from humansim_ros.motion.body.skinning import dominant_bones
+from humansim_ros.people.humans.human import Human
+from humansim_ros.people.loading.loading import load_human
+from humansim_ros.people.makehuman.building import finger_shares, relax_hands, relaxed_fingers
 from humansim_ros.types import Array
 
 

@@ -14,11 +14,11 @@ from conftest import ROOT, if_shared
 from mesh_files import MESHES, mesh_path
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.body import hanim_skeleton
-from humansim_ros.body.joint_names import DETAIL_BONES, FINGERS, finger_bones
 from humansim_ros.errors import MeshError
-from humansim_ros.humans.human import Human
-from humansim_ros.humans.loading import load_human
+from humansim_ros.motion import hanim_skeleton
+from humansim_ros.motion.body.joint_names import DETAIL_BONES, FINGERS, finger_bones
+from humansim_ros.people.humans.human import Human
+from humansim_ros.people.loading.loading import load_human
 
 MAN = ROOT / "assets" / "humans" / "adult_man.npz"
 #: Some vertices of the humans that had 22 bones, posed at random; metres.

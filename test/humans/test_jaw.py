@@ -14,15 +14,15 @@ from scipy.spatial.transform import Rotation
 from test_makehuman import PEOPLE, needs_makehuman, person
 
 from humansim_ros import Scene
-from humansim_ros.body.face_actions import face_weights
-from humansim_ros.body.jaw import BONE
 from humansim_ros.geometry import transform
-from humansim_ros.humans.description import ParametricHuman, read_description
-from humansim_ros.humans.makehuman.data import METRES, find_data, read_base
-from humansim_ros.humans.makehuman.mouth import jaw_of
-from humansim_ros.humans.makehuman.shape import target_strengths, with_stature
-from humansim_ros.scene.actor import Actor
-from humansim_ros.scene.live import LiveRetargeter
+from humansim_ros.motion.body.face_actions import face_weights
+from humansim_ros.motion.body.jaw import BONE
+from humansim_ros.people.loading.description import ParametricHuman, read_description
+from humansim_ros.people.makehuman.data import METRES, find_data, read_base
+from humansim_ros.people.makehuman.mouth import jaw_of
+from humansim_ros.people.makehuman.shape import target_strengths, with_stature
+from humansim_ros.scene.core.actor import Actor
+from humansim_ros.scene.core.live import LiveRetargeter
 from humansim_ros.types import Array
 
 

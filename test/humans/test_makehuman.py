@@ -15,18 +15,18 @@ import pytest
 from conftest import ROOT
 from render_scenes import EVEN, renderer_or_skip
 
-from humansim_ros.body.joint_names import DETAIL_BONES, FINGERS
-from humansim_ros.camera import Camera
+from humansim_ros.cameras import Camera
 from humansim_ros.cli.human import built_in_humans
 from humansim_ros.errors import MeshError
 from humansim_ros.geometry import WORLD_FROM_BODY, transform
-from humansim_ros.humans.description import ParametricHuman, read_description
-from humansim_ros.humans.human import Human
-from humansim_ros.humans.loading import load_human
-from humansim_ros.humans.makehuman.building import build, build_unpainted
-from humansim_ros.humans.makehuman.data import MakeHumanData, find_data, read_base
-from humansim_ros.humans.makehuman.shape import MakeHumanConfig, Outfit, target_strengths, with_stature
-from humansim_ros.humans.makehuman.skeleton import (
+from humansim_ros.motion.body.joint_names import DETAIL_BONES, FINGERS
+from humansim_ros.people.humans.human import Human
+from humansim_ros.people.loading.description import ParametricHuman, read_description
+from humansim_ros.people.loading.loading import load_human
+from humansim_ros.people.makehuman.building import build, build_unpainted
+from humansim_ros.people.makehuman.data import MakeHumanData, find_data, read_base
+from humansim_ros.people.makehuman.shape import MakeHumanConfig, Outfit, target_strengths, with_stature
+from humansim_ros.people.makehuman.skeleton import (
     BONES_PER_VERTEX,
     bone_weights,
     landmarks,
@@ -276,7 +276,7 @@ def test_a_human_from_sliders_is_complete_and_reproducible(source: MakeHumanData
     config = MakeHumanConfig(gender=0.0, age=60, weight=0.9, muscle=0.2, hair="long", sleeves="long")
     arrays, again = (build(source, config, {"a": Outfit(shirt_fabric="dots")}, fine=False) for _ in range(2))
     assert all(np.array_equal(arrays[name], again[name]) for name in arrays)
-    from humansim_ros.humans.human import human_from_arrays
+    from humansim_ros.people.humans.human import human_from_arrays
 
     human = human_from_arrays(arrays, "someone")
     assert human.mesh.closed

@@ -13,9 +13,9 @@ import trimesh
 from conftest import ROOT
 
 from humansim_ros.errors import HumansimWarning, MeshError
-from humansim_ros.humans.human import Human
-from humansim_ros.humans.loading import load_human, make_human
 from humansim_ros.motion import read_motion
+from humansim_ros.people.humans.human import Human
+from humansim_ros.people.loading.loading import load_human, make_human
 
 pytestmark = pytest.mark.usefixtures("no_cache")
 

@@ -16,19 +16,19 @@ from test_makehuman import PEOPLE, needs_makehuman, person
 from test_shapes import ANNY, resting
 
 from humansim_ros import Scene, Simulation
-from humansim_ros.body.face_actions import ACTIONS
-from humansim_ros.body.jaw import BONE
 from humansim_ros.errors import HumansimWarning, MeshError
-from humansim_ros.humans.description import ParametricHuman, read_description
-from humansim_ros.humans.human import Human, read_human, write_human
-from humansim_ros.humans.loading import load_human
-from humansim_ros.humans.makehuman.data import find_data, read_base
-from humansim_ros.humans.makehuman.mouth import has_mouth, with_mouth
-from humansim_ros.humans.makehuman.packed import people_data
-from humansim_ros.humans.makehuman.shape import target_strengths, with_stature
-from humansim_ros.io.npz import read_npz, write_npz
-from humansim_ros.mesh.materials import MATERIAL_LABELS
-from humansim_ros.scene.live import LiveRetargeter
+from humansim_ros.files.mesh.materials import MATERIAL_LABELS
+from humansim_ros.files.reading.npz import read_npz, write_npz
+from humansim_ros.motion.body.face_actions import ACTIONS
+from humansim_ros.motion.body.jaw import BONE
+from humansim_ros.people.humans.human import Human, read_human, write_human
+from humansim_ros.people.loading.description import ParametricHuman, read_description
+from humansim_ros.people.loading.loading import load_human
+from humansim_ros.people.makehuman.data import find_data, read_base
+from humansim_ros.people.makehuman.mouth import has_mouth, with_mouth
+from humansim_ros.people.makehuman.packed import people_data
+from humansim_ros.people.makehuman.shape import target_strengths, with_stature
+from humansim_ros.scene.core.live import LiveRetargeter
 from humansim_ros.types import Array
 
 UPPER, LOWER, TONGUE = slice(0, 68), slice(68, 136), slice(136, 362)

@@ -13,14 +13,14 @@ from commands import humansim
 from render_scenes import EVEN, renderer_or_skip
 
 from humansim_ros import load_human
-from humansim_ros.camera import Camera
+from humansim_ros.cameras import Camera
 from humansim_ros.errors import MeshError
 from humansim_ros.geometry import WORLD_FROM_BODY, transform
-from humansim_ros.humans.makehuman.building import Choice, PersonTopology, build
-from humansim_ros.humans.makehuman.clothes import Dress
-from humansim_ros.humans.makehuman.data import MakeHumanData, installed_data, read_base
-from humansim_ros.humans.makehuman.packed import people_data
-from humansim_ros.humans.makehuman.population import (
+from humansim_ros.people.makehuman.building import Choice, PersonTopology, build
+from humansim_ros.people.makehuman.clothes import Dress
+from humansim_ros.people.makehuman.data import MakeHumanData, installed_data, read_base
+from humansim_ros.people.makehuman.packed import people_data
+from humansim_ros.people.makehuman.population import (
     BMIS,
     DENSITY,
     MONK_TONES,
@@ -39,7 +39,7 @@ from humansim_ros.humans.makehuman.population import (
     stature_of,
     volume,
 )
-from humansim_ros.humans.makehuman.shape import MakeHumanConfig, target_strengths, with_stature
+from humansim_ros.people.makehuman.shape import MakeHumanConfig, target_strengths, with_stature
 from humansim_ros.render import Body, View
 from humansim_ros.types import Array
 

@@ -12,15 +12,15 @@ from conftest import ROOT
 
 from humansim_ros import load_human
 from humansim_ros.errors import HumansimError, MeshError
-from humansim_ros.humans import Human
-from humansim_ros.humans.makehuman.clothes import BodyRegions, Dress
-from humansim_ros.humans.makehuman.population import draw_person
-from humansim_ros.humans.makehuman.shape import MakeHumanConfig, Outfit
-from humansim_ros.humans.makehuman.skeleton import Bones
-from humansim_ros.humans.makehuman.surface import BodySurface
-from humansim_ros.humans.makehuman.wardrobe import BOTTOMS, FOOTWEAR, HAIR, TOPS, WORN, check_clothes
-from humansim_ros.humans.makehuman.worn import Wearer, WornPart, add_parts, strip_image, worn_parts
-from humansim_ros.io.schema_errors import validated
+from humansim_ros.files.yaml.schema_messages import validated
+from humansim_ros.people import Human
+from humansim_ros.people.makehuman.clothes import BodyRegions, Dress
+from humansim_ros.people.makehuman.population import draw_person
+from humansim_ros.people.makehuman.shape import MakeHumanConfig, Outfit
+from humansim_ros.people.makehuman.skeleton import Bones
+from humansim_ros.people.makehuman.surface import BodySurface
+from humansim_ros.people.makehuman.wardrobe import BOTTOMS, FOOTWEAR, HAIR, TOPS, WORN, check_clothes
+from humansim_ros.people.makehuman.worn import Wearer, WornPart, add_parts, strip_image, worn_parts
 
 
 @cache

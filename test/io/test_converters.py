@@ -15,10 +15,10 @@ from waiting import has_ended, wait_until
 
 from humansim_ros import read_motion
 from humansim_ros.errors import HumansimError, MeshError, MotionError
-from humansim_ros.humans.loading import load_human
-from humansim_ros.io import converters
-from humansim_ros.io.converters import converted_fbx, is_fbx, run_limited
-from humansim_ros.mesh.load import read_mesh, read_mesh_or_figure
+from humansim_ros.files.mesh.load import read_mesh, read_mesh_or_figure
+from humansim_ros.files.reading import converters
+from humansim_ros.files.reading.converters import converted_fbx, is_fbx, run_limited
+from humansim_ros.people.loading.loading import load_human
 
 FBX = b"Kaydara FBX Binary  \x00\x1a\x00" + bytes(100)
 #: It copies the .glb file beside the FBX file, and counts its starts.

@@ -18,8 +18,15 @@ from humansim_ros.errors import (
     show_warnings,
     warn_about,
 )
-from humansim_ros.io.assets import find_asset
-from humansim_ros.io.files import missing_file, parse_json, read_blocks, read_bytes, read_json, read_text
+from humansim_ros.files.reading.assets import find_asset
+from humansim_ros.files.reading.files import (
+    missing_file,
+    parse_json,
+    read_blocks,
+    read_bytes,
+    read_json,
+    read_text,
+)
 
 
 def message(path: Path) -> str:

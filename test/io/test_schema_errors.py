@@ -11,16 +11,16 @@ from typing import Annotated, Any, ClassVar, Literal, Union, get_args, get_origi
 import pytest
 from pydantic import BaseModel, Field, ValidationError
 
-from humansim_ros.camera.placement import _File as FloorPoints
+from humansim_ros.cameras import SensorConfig
+from humansim_ros.cameras.camera.placement import _File as FloorPoints
 from humansim_ros.errors import HumansimError
-from humansim_ros.humans.description import MeshHuman, ParametricHuman
-from humansim_ros.io.schema import Axis, Section
-from humansim_ros.io.schema_errors import schema_error, show_value
-from humansim_ros.mesh.gltf_schema import Document
-from humansim_ros.motion.joint_tables import JointTable
-from humansim_ros.motion.limits import LimitTable
-from humansim_ros.scene.config import SceneConfig
-from humansim_ros.sensor import SensorConfig
+from humansim_ros.files.mesh.gltf_schema import Document
+from humansim_ros.files.yaml.schema import Axis, Section
+from humansim_ros.files.yaml.schema_messages import schema_error, show_value
+from humansim_ros.motion.matching.joint_tables import JointTable
+from humansim_ros.motion.pose.limits import LimitTable
+from humansim_ros.people.loading.description import MeshHuman, ParametricHuman
+from humansim_ros.scene.config.config import SceneConfig
 
 #: Wrong values of all types that YAML has.
 VALUES: tuple[Any, ...] = (

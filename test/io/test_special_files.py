@@ -19,28 +19,28 @@ import pytest
 from conftest import ROOT
 from waiting import PATIENCE
 
-from humansim_ros.camera import Camera, read_calibration
-from humansim_ros.camera.checks import image_size, size_of_named_image
-from humansim_ros.camera.placement import read_floor_points
-from humansim_ros.camera.trajectory import Trajectory
+from humansim_ros.cameras import Camera, read_calibration
+from humansim_ros.cameras.camera.placement import read_floor_points
+from humansim_ros.cameras.camera.trajectory import Trajectory
+from humansim_ros.cameras.formats.checks import image_size, size_of_named_image
 from humansim_ros.errors import HumansimError, HumansimWarning
-from humansim_ros.humans.description import read_description
-from humansim_ros.humans.human import read_human
-from humansim_ros.humans.loading import load_human
-from humansim_ros.humans.makehuman.data import find_data
-from humansim_ros.humans.smpl import read_smpl
-from humansim_ros.keypoints import keypoint_set
-from humansim_ros.mesh.gltf_document import Gltf
-from humansim_ros.mesh.load import read_materials_z_up, read_mesh, read_mesh_or_figure
+from humansim_ros.files.mesh.gltf_document import Gltf
+from humansim_ros.files.mesh.load import read_materials_z_up, read_mesh, read_mesh_or_figure
 from humansim_ros.motion import read_motion
-from humansim_ros.motion.joint_tables import load_table
-from humansim_ros.motion.keyframes import read_keyframes
-from humansim_ros.motion.limits import load_limits
+from humansim_ros.motion.files.keyframes import read_keyframes
+from humansim_ros.motion.matching.joint_tables import load_table
+from humansim_ros.motion.pose.limits import load_limits
+from humansim_ros.people import keypoint_set
+from humansim_ros.people.humans.human import read_human
+from humansim_ros.people.loading.description import read_description
+from humansim_ros.people.loading.loading import load_human
+from humansim_ros.people.loading.smpl import read_smpl
+from humansim_ros.people.makehuman.data import find_data
 from humansim_ros.photographs import Photo, read_views
 from humansim_ros.photographs.views import read_points
 from humansim_ros.scene import Scene
-from humansim_ros.scene.environment import load_backdrop, load_panorama
-from humansim_ros.scene.names import read_names
+from humansim_ros.scene.core.environment import load_backdrop, load_panorama
+from humansim_ros.scene.core.names import read_names
 
 #: Memory that may be used until a file is refused, bytes.
 _MEMORY = 32 << 20
@@ -356,22 +356,22 @@ def test_every_reader_opens_files_in_one_place() -> None:
     """No other module opens a file that a user names; these open files of the package or of the system."""
     own = (
         "lazy.py",  # lists of names of the package
-        "io/files.py",
-        "challenge/run.py",  # output that the challenge itself has redirected
-        "jobs/workers.py",  # processes in /proc
-        "io/converters.py",  # what the project has converted, in its cache
-        "view/person_draft.py",  # regular files that the page has written beside the scene
-        "view/uploads.py",
-        "io/assets.py",
-        "io/quotes.py",  # sources of the package
+        "files/reading/files.py",
+        "ros/challenge/run.py",  # output that the challenge itself has redirected
+        "data/engine/workers.py",  # processes in /proc
+        "files/reading/converters.py",  # what the project has converted, in its cache
+        "view/edit/person_draft.py",  # regular files that the page has written beside the scene
+        "view/server/uploads.py",
+        "files/reading/assets.py",
+        "files/reading/quotes.py",  # sources of the package
         "ros/nodes/__main__.py",  # its own page of help
-        "bags/topics.py",
-        "ros/lockstep/rules.py",
-        "apps/bench.py",
+        "data/bags/topics.py",
+        "ros/processes/lockstep_rules.py",
+        "ros/tools/bench.py",
         "cli/doctor.py",
-        "ros/transport.py",
-        "render/programs.py",
-        "body/landmarks.py",
+        "ros/graph/transport.py",
+        "render/device/programs.py",
+        "people/rigging/landmarks.py",
     )
     calls = (".read_bytes()", ".read_text(", '.open("rb"', "np.load(path", "cv2.imread(", "np.fromfile(")
     found = [

@@ -12,11 +12,11 @@ from pathlib import Path
 import pytest
 
 from humansim_ros.errors import HumansimError
-from humansim_ros.io.files import temporary_folder
+from humansim_ros.files.reading.files import temporary_folder
 
 HOLDER = """
 import signal
-from humansim_ros.io.files import temporary_folder
+from humansim_ros.files.reading.files import temporary_folder
 from humansim_ros.ros.processes.stop_signals import StopRequest
 StopRequest()
 with temporary_folder() as folder:

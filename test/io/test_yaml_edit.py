@@ -11,7 +11,7 @@ import yaml
 from conftest import ROOT
 
 from humansim_ros.errors import SceneError
-from humansim_ros.io.yaml_edit import remove_value, rename_key, set_value
+from humansim_ros.view.edit.yaml_edit import remove_value, rename_key, set_value
 
 #: Text with everything that an edit must keep.
 MIXED = """\

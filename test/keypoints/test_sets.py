@@ -7,12 +7,12 @@ import re
 import numpy as np
 import pytest
 
-from humansim_ros.body.joint_names import BODY_25, COCO, JOINT_NAMES, SMPL
-from humansim_ros.body.skeleton import side_of
 from humansim_ros.errors import KeypointError
-from humansim_ros.keypoints import KEYPOINT_SETS, keypoint_set
-from humansim_ros.keypoints.sets import KeypointSet
-from humansim_ros.keypoints.skin import MIXES, skin_points
+from humansim_ros.motion.body.joint_names import BODY_25, COCO, JOINT_NAMES, SMPL
+from humansim_ros.motion.body.skeleton import side_of
+from humansim_ros.people import KEYPOINT_SETS, keypoint_set
+from humansim_ros.people.keypoints.sets import KeypointSet
+from humansim_ros.people.keypoints.skin import MIXES, skin_points
 
 #: Numbers of some keypoints in the publications of each set, far apart in its order.
 PUBLISHED = {

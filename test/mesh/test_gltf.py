@@ -16,13 +16,12 @@ from conftest import ROOT, if_shared
 from scipy.sparse import csr_matrix
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.body import skin
 from humansim_ros.errors import HumansimWarning, MeshError, MotionError
-from humansim_ros.humans.loading import load_human
-from humansim_ros.motion import read_motion
-from humansim_ros.scene.actor import Actor
-from humansim_ros.scene.config import MotionConfig
-from humansim_ros.scene.source import SceneSource
+from humansim_ros.motion import read_motion, skin
+from humansim_ros.people.loading.loading import load_human
+from humansim_ros.scene.config.config import MotionConfig
+from humansim_ros.scene.core.actor import Actor
+from humansim_ros.scene.core.source import SceneSource
 
 Document = dict[str, Any]
 

@@ -21,10 +21,10 @@ from conftest import ROOT
 from scipy.spatial import cKDTree
 
 from humansim_ros.errors import MeshError
-from humansim_ros.humans.loading import load_human
-from humansim_ros.mesh import read_mesh
-from humansim_ros.mesh.meshopt import decode
+from humansim_ros.files import read_mesh
+from humansim_ros.files.mesh.meshopt import decode
 from humansim_ros.motion import read_motion
+from humansim_ros.people.loading.loading import load_human
 
 #: Our figure, written by gltfpack 1.3 with 14 bits per coordinate.
 PACKED = ("figure_quantised.glb", "figure_meshopt_ext.glb", "figure_meshopt_khr.glb")

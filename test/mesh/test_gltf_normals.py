@@ -13,12 +13,12 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.errors import HumansimWarning, MeshError
-from humansim_ros.humans.human import write_human
-from humansim_ros.humans.loading import load_human, make_human
-from humansim_ros.mesh.load import read_materials_z_up, read_mesh, read_mesh_z_up
-from humansim_ros.mesh.mesh import Mesh, padded
-from humansim_ros.mesh.normals import shading_weights
-from humansim_ros.render.mesh_buffers import PosedMesh, Topology
+from humansim_ros.files.mesh.load import read_materials_z_up, read_mesh, read_mesh_z_up
+from humansim_ros.files.mesh.mesh import Mesh, padded
+from humansim_ros.files.mesh.normals import shading_weights
+from humansim_ros.people.humans.human import write_human
+from humansim_ros.people.loading.loading import load_human, make_human
+from humansim_ros.render.device.mesh_buffers import PosedMesh, Topology
 
 Array = NDArray[np.float64]
 CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-0.5, 0.5) for z in (-0.2, 0.2)])

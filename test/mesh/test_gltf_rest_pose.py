@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.humans.loading import load_human
-from humansim_ros.mesh import read_mesh
+from humansim_ros.files import read_mesh
 from humansim_ros.motion import read_motion
-from humansim_ros.scene.actor import Actor
-from humansim_ros.scene.config import MotionConfig
-from humansim_ros.scene.source import SceneSource
+from humansim_ros.people.loading.loading import load_human
+from humansim_ros.scene.config.config import MotionConfig
+from humansim_ros.scene.core.actor import Actor
+from humansim_ros.scene.core.source import SceneSource
 from humansim_ros.types import Array
 
 #: Rotations of the rest pose, degrees about x, y, z: the left arm is raised, the rest sits and turns.

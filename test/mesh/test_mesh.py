@@ -12,11 +12,12 @@ from conftest import if_shared
 from mesh_files import MESHES, mesh_path
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.body import fit_to_skeleton, hanim_skeleton
 from humansim_ros.errors import MeshError
-from humansim_ros.mesh.load import read_mesh
-from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.render.mesh_buffers import PosedMesh, Topology
+from humansim_ros.files.mesh.load import read_mesh
+from humansim_ros.files.mesh.mesh import Mesh
+from humansim_ros.motion import hanim_skeleton
+from humansim_ros.people import fit_to_skeleton
+from humansim_ros.render.device.mesh_buffers import PosedMesh, Topology
 from humansim_ros.types import Array, Float32Array
 
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"

@@ -15,9 +15,10 @@ import trimesh
 from numpy.typing import NDArray
 
 from humansim_ros.errors import HumansimWarning, MeshError
-from humansim_ros.mesh import read_mesh, trimesh_files
-from humansim_ros.mesh.load import read_materials_z_up, read_mesh_z_up
-from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.files import read_mesh
+from humansim_ros.files.mesh import trimesh_files
+from humansim_ros.files.mesh.load import read_materials_z_up, read_mesh_z_up
+from humansim_ros.files.mesh.mesh import Mesh
 
 FORMATS = ("ply", "stl", "off", "dae", "3mf")
 #: A wedge: no two of its sides are equally long, so that wrong axes and units show.
@@ -152,7 +153,7 @@ def test_textures_of_other_formats_are_reported(tmp_path: Path) -> None:
 
 
 def test_importing_the_mesh_readers_does_not_import_trimesh() -> None:
-    code = "import sys, humansim_ros.mesh.load; print('trimesh' in sys.modules)"
+    code = "import sys, humansim_ros.files.mesh.load; print('trimesh' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
 

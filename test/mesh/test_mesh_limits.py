@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from humansim_ros.errors import MeshError
-from humansim_ros.io import images
-from humansim_ros.io.images import DecodedImages, decode_image
-from humansim_ros.mesh import obj
-from humansim_ros.mesh.gltf_document import Gltf
-from humansim_ros.mesh.load import read_materials_z_up, read_mesh
+from humansim_ros.files.mesh import obj
+from humansim_ros.files.mesh.gltf_document import Gltf
+from humansim_ros.files.mesh.load import read_materials_z_up, read_mesh
+from humansim_ros.files.reading import images
+from humansim_ros.files.reading.images import DecodedImages, decode_image
 
 PICTURE = np.random.default_rng(1).integers(0, 256, (8, 16, 4), dtype=np.uint8)
 ENCODED = cv2.imencode(".png", PICTURE)[1].tobytes()

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.errors import MeshError
-from humansim_ros.mesh.normals import SurfaceNormals, SurfaceTangents
+from humansim_ros.files.mesh.normals import SurfaceNormals, SurfaceTangents
 from humansim_ros.types import Array
 
 with np.load(ROOT / "test" / "data" / "blender_bodies.npz") as _archive:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
-from humansim_ros.humans import load_human
-from humansim_ros.mesh.texels import rasterise_uv, subdivide
+from humansim_ros.files.mesh.texels import rasterise_uv, subdivide
+from humansim_ros.people import load_human
 
 
 def test_each_texel_has_the_triangle_at_its_centre() -> None:

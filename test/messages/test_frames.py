@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from humansim_ros.messages.frames import Frames, RecordedFrames, due_stamps, place_at
+from humansim_ros.data.messages.frames import Frames, RecordedFrames, due_stamps, place_at
 
 SECOND = 10**9
 MAX_MESSAGES = 90

@@ -14,17 +14,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from humansim_ros import messages
-from humansim_ros.camera import Camera
+from humansim_ros.cameras import Camera
+from humansim_ros.data import messages
+from humansim_ros.data.messages.cdr import MAX_FIELDS, check_serialised, deserialised
+from humansim_ros.data.messages.humans import MAX_JOINTS
 from humansim_ros.errors import CameraError, HumansimError, MotionError, RosError
+from humansim_ros.files.mesh.mesh import Mesh
 from humansim_ros.geometry import ObjectPose
-from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.messages.cdr import MAX_FIELDS, check_serialised, deserialised
-from humansim_ros.messages.humans import MAX_JOINTS
-from humansim_ros.motion.kinematics import JointPoses
+from humansim_ros.motion.body.kinematics import JointPoses
 from humansim_ros.scene import Scene
-from humansim_ros.scene.camera import CameraPose
-from humansim_ros.scene.live import JointSource, LiveRetargeter
+from humansim_ros.scene.core.camera import CameraPose
+from humansim_ros.scene.core.live import JointSource, LiveRetargeter
 
 pytest.importorskip("rclpy")
 NAN, INF = math.nan, math.inf

@@ -11,13 +11,13 @@ import pytest
 from conftest import ROOT
 from scipy.spatial.transform import Rotation
 
-from humansim_ros import messages
-from humansim_ros.camera import Camera
+from humansim_ros.cameras import Camera
+from humansim_ros.data import messages
+from humansim_ros.data.messages.camera_truth import BOX_POINT, JOINT_POINT, VISIBLE_VERTEX
+from humansim_ros.data.messages.points import point_cloud
 from humansim_ros.errors import RosError
-from humansim_ros.messages.camera_truth import BOX_POINT, JOINT_POINT, VISIBLE_VERTEX
-from humansim_ros.messages.points import point_cloud
 from humansim_ros.scene import Scene
-from humansim_ros.truth.camera_truth import BodyBox, JointView
+from humansim_ros.scene.truth.camera_truth import BodyBox, JointView
 
 pytest.importorskip("rclpy")
 STAMP = 1_700_000_000_123_456_789

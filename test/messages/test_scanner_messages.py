@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from humansim_ros import messages
-from humansim_ros.camera import trajectory
-from humansim_ros.messages.points import point_rows
-from humansim_ros.scanner.models import Layout
-from humansim_ros.scanner.pattern import Pattern, Rays, spinning
-from humansim_ros.scanner.returns import Measuring, Returns
+from humansim_ros.cameras.camera import trajectory
+from humansim_ros.cameras.scanner.models import Layout
+from humansim_ros.cameras.scanner.pattern import Pattern, Rays, spinning
+from humansim_ros.cameras.scanner.returns import Measuring, Returns
+from humansim_ros.data import messages
+from humansim_ros.data.messages.points import point_rows
 from humansim_ros.scene.features.scanners.scanner import SceneScanner
 from humansim_ros.scene.features.scanners.sweeps import Sweep
 from humansim_ros.types import Array

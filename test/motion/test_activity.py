@@ -10,7 +10,7 @@ import pytest
 from humansim_ros import Scene, load_human, read_motion
 from humansim_ros.errors import HumansimError, MotionError
 from humansim_ros.motion import Motion, Retargeter, load_limits, to_world
-from humansim_ros.motion.activity import PARTS, ActivityStep, joined, plan_activity
+from humansim_ros.motion.files.activity import PARTS, ActivityStep, joined, plan_activity
 
 SEEDS = range(12)
 

@@ -14,14 +14,13 @@ from conftest import SHARED_DATA, shared_motions
 from motion_files import StandIn, an_l, one_axis, random_axes, stand_in
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.body import Skeleton, hanim_skeleton
 from humansim_ros.errors import HumansimWarning
-from humansim_ros.motion import Motion, read_bvh
-from humansim_ros.motion.file_frame import detect_file_frame
-from humansim_ros.motion.joint_matching import match_motion
-from humansim_ros.motion.kinematics import JointPoses
-from humansim_ros.motion.retarget import Retargeter, RetargetMode, trunk_turns
-from humansim_ros.motion.world_motion import WorldMotion
+from humansim_ros.motion import Motion, Skeleton, hanim_skeleton, read_bvh
+from humansim_ros.motion.body.kinematics import JointPoses
+from humansim_ros.motion.matching.file_frame import detect_file_frame
+from humansim_ros.motion.matching.joint_matching import match_motion
+from humansim_ros.motion.motion.world_motion import WorldMotion
+from humansim_ros.motion.pose.retarget import Retargeter, RetargetMode, trunk_turns
 from humansim_ros.types import Array
 
 SKELETON = hanim_skeleton()

@@ -22,8 +22,8 @@ from stand_ins import motion_path
 
 from humansim_ros.errors import HumansimError, HumansimWarning, MotionError
 from humansim_ros.motion import Motion, read_bvh, write_bvh
-from humansim_ros.motion.bvh import Parser
-from humansim_ros.motion.kinematics import CHANNEL_NAMES
+from humansim_ros.motion.body.kinematics import CHANNEL_NAMES
+from humansim_ros.motion.files.bvh import Parser
 from humansim_ros.types import Array
 
 GOOD = """HIERARCHY

@@ -15,7 +15,7 @@ from stand_ins import ADDED, ALL, motion_path
 
 from humansim_ros.errors import HumansimWarning
 from humansim_ros.motion import Motion, read_bvh
-from humansim_ros.motion.bvh import PositionChannels
+from humansim_ros.motion.files.bvh import PositionChannels
 
 REFERENCE = ROOT / "test" / "data" / "blender_fk.npz"
 

@@ -10,12 +10,12 @@ from conftest import SHARED_DATA, needs_shared_data
 from motion_files import StandIn, stand_in
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.body.joint_names import DETAIL_BONES, FINGERS, finger_bones
-from humansim_ros.humans import load_human
 from humansim_ros.motion import Motion, Retargeter, read_motion, to_world
-from humansim_ros.motion.detail_joints import detail_joints
-from humansim_ros.motion.joint_match import opposite_joints
-from humansim_ros.motion.joint_matching import match_motion, match_names
+from humansim_ros.motion.body.joint_names import DETAIL_BONES, FINGERS, finger_bones
+from humansim_ros.motion.matching.detail_joints import detail_joints
+from humansim_ros.motion.matching.joint_match import opposite_joints
+from humansim_ros.motion.matching.joint_matching import match_motion, match_names
+from humansim_ros.people import load_human
 from humansim_ros.types import Array
 
 SKELETON = load_human("adult_man").skeleton

@@ -14,16 +14,16 @@ import pytest
 from motion_files import stand_in, walk
 from stand_ins import motion_path, no_person
 
-from humansim_ros.body.skeleton import hanim_skeleton
 from humansim_ros.cli.main import main
 from humansim_ros.errors import MotionError
+from humansim_ros.files.reading.assets import built_in_names
 from humansim_ros.geometry import unit_vectors
-from humansim_ros.io.assets import built_in_names
 from humansim_ros.motion import Motion, read_motion, to_world, write_bvh
-from humansim_ros.motion.info import LoadedMotion, describe_motion
-from humansim_ros.motion.joint_matching import match_motion
-from humansim_ros.motion.retarget import Retargeter
-from humansim_ros.motion.world_motion import playing_warnings
+from humansim_ros.motion.body.skeleton import hanim_skeleton
+from humansim_ros.motion.matching.joint_matching import match_motion
+from humansim_ros.motion.motion.world_motion import playing_warnings
+from humansim_ros.motion.pose.info import LoadedMotion, describe_motion
+from humansim_ros.motion.pose.retarget import Retargeter
 
 GOOD = """HIERARCHY
 ROOT Hips

@@ -20,8 +20,8 @@ from scipy.spatial.transform import Rotation
 
 from humansim_ros.cli.main import main
 from humansim_ros.errors import MotionError
-from humansim_ros.io.marker_files import read_c3d_points
 from humansim_ros.motion import Motion, read_motion, to_world
+from humansim_ros.motion.files.marker_files import read_c3d_points
 
 PERSON = stand_in("biovision")
 TURNS, ROOT = walk(40, heading=30), np.linspace([0, 0, 0], [200, 2, 90], 40)

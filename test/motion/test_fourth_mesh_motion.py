@@ -18,13 +18,14 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.errors import HumansimError, HumansimWarning, MeshError, MotionError
-from humansim_ros.humans import load_human
-from humansim_ros.mesh import collada, read_mesh
-from humansim_ros.mesh.load import read_mesh_or_figure
-from humansim_ros.mesh.mesh import SkinnedMesh
+from humansim_ros.files import read_mesh
+from humansim_ros.files.mesh import collada
+from humansim_ros.files.mesh.load import read_mesh_or_figure
+from humansim_ros.files.mesh.mesh import SkinnedMesh
 from humansim_ros.motion import Motion, match_motion, read_motion, to_world
-from humansim_ros.motion.info import describe_motion, read_with_warnings
-from humansim_ros.motion.kinematics import motion_of_rotations
+from humansim_ros.motion.body.kinematics import motion_of_rotations
+from humansim_ros.motion.pose.info import describe_motion, read_with_warnings
+from humansim_ros.people import load_human
 
 PERSON = stand_in("mixamo")
 TURNS, ROOT = walk(12, heading=30), np.linspace([0, 0, 0], [5, 2, 90], 12)

@@ -33,11 +33,11 @@ from pickle_files import (
 )
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.body.joint_names import SMPL, SMPL_MODELS
 from humansim_ros.cli.main import main
 from humansim_ros.errors import MotionError
-from humansim_ros.io.pickles import read_pickle
+from humansim_ros.files.reading.pickles import read_pickle
 from humansim_ros.motion import Motion, read_motion, to_world
+from humansim_ros.motion.body.joint_names import SMPL, SMPL_MODELS
 
 FRAMES = 24
 ROLES = {

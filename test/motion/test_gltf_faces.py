@@ -14,14 +14,14 @@ from motion_formats import write_vrma
 from scipy.spatial.transform import Rotation
 
 from humansim_ros import Scene
-from humansim_ros.body.face_actions import ACTIONS, expression
 from humansim_ros.errors import HumansimError, MotionError
-from humansim_ros.motion.face_files import read_face_file
-from humansim_ros.motion.faces import WeightTrack
-from humansim_ros.motion.files import read_motion
-from humansim_ros.scene.actor import Actor
-from humansim_ros.scene.live import LiveRetargeter
-from humansim_ros.scene.playback import Playback
+from humansim_ros.motion.body.face_actions import ACTIONS, expression
+from humansim_ros.motion.files.files import read_motion
+from humansim_ros.scene.core.actor import Actor
+from humansim_ros.scene.core.live import LiveRetargeter
+from humansim_ros.scene.core.playback import Playback
+from humansim_ros.scene.features.face_files import read_face_file
+from humansim_ros.scene.features.face_tracks import WeightTrack
 from humansim_ros.types import Array
 
 CAMERAS = {"front": {"position": [3, 0, 1.6], "look_at": [0, 0, 1.5]}}

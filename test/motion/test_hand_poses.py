@@ -12,15 +12,15 @@ from scipy.spatial.transform import Rotation
 from test_fingers import fingered
 
 from humansim_ros import Scene
-from humansim_ros.body.hands import FINGER_BONES, HandAnatomy
 from humansim_ros.errors import HumansimError, HumansimWarning, MotionError
-from humansim_ros.humans import Human, load_human
-from humansim_ros.io.assets import built_in_names
-from humansim_ros.motion.hand_keys import BUILT_IN_HANDS
-from humansim_ros.motion.hand_poses import HAND_POSES, hand_angles
-from humansim_ros.motion.limits import load_limits
-from humansim_ros.scene.actor import HumanState
-from humansim_ros.scene.live import JointSource, LiveRetargeter
+from humansim_ros.files.reading.assets import built_in_names
+from humansim_ros.motion.body.hands import FINGER_BONES, HandAnatomy
+from humansim_ros.motion.pose.hand_keys import BUILT_IN_HANDS
+from humansim_ros.motion.pose.hand_poses import HAND_POSES, hand_angles
+from humansim_ros.motion.pose.limits import load_limits
+from humansim_ros.people import Human, load_human
+from humansim_ros.scene.core.actor import HumanState
+from humansim_ros.scene.core.live import JointSource, LiveRetargeter
 from humansim_ros.types import Array
 
 #: Depth of a finger in the palm that soft skin allows, metres.

@@ -12,12 +12,17 @@ import yaml
 from conftest import ROOT, SHARED_DATA, if_shared
 from stand_ins import ALL, motion_path
 
-from humansim_ros.body import hanim_skeleton
 from humansim_ros.errors import MotionError
-from humansim_ros.io.assets import resource_path
-from humansim_ros.motion import read_bvh
-from humansim_ros.motion.joint_matching import _is_descendant, loose_keys, match_names, match_table
-from humansim_ros.motion.joint_tables import JointTable, built_in_tables, load_table, plain_name, right_name
+from humansim_ros.files.reading.assets import resource_path
+from humansim_ros.motion import hanim_skeleton, read_bvh
+from humansim_ros.motion.matching.joint_matching import _is_descendant, loose_keys, match_names, match_table
+from humansim_ros.motion.matching.joint_tables import (
+    JointTable,
+    built_in_tables,
+    load_table,
+    plain_name,
+    right_name,
+)
 
 LIMBS = ("l_hip", "l_knee", "l_shoulder", "l_elbow", "r_hip", "r_knee", "r_shoulder", "r_elbow")
 

@@ -15,8 +15,7 @@ from motion_files import Array, stand_in, turns, walk
 from humansim_ros.cli import main as cli
 from humansim_ros.errors import HumansimWarning
 from humansim_ros.motion import Motion
-from humansim_ros.motion.info import LoadedMotion, describe_motion, read_with_warnings, to_world
-from humansim_ros.motion.world_motion import (
+from humansim_ros.motion.motion.world_motion import (
     Placement,
     WorldMotion,
     find_jumps,
@@ -24,6 +23,7 @@ from humansim_ros.motion.world_motion import (
     leading_rest,
     playing_warnings,
 )
+from humansim_ros.motion.pose.info import LoadedMotion, describe_motion, read_with_warnings, to_world
 from humansim_ros.scene import Scene
 
 PERSON = stand_in("lafan1")

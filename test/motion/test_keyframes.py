@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.errors import HumansimWarning, MotionError, SceneError
-from humansim_ros.motion.keyframes import (
+from humansim_ros.motion.files.keyframes import (
     Keyframes,
     KeyframeTimeline,
     KeyframeTrack,

@@ -16,13 +16,13 @@ from scipy.spatial.transform import Rotation
 from stand_ins import STAND_INS
 from test_retarget import at_frames, in_world, read, some_frames
 
-from humansim_ros.body import Skeleton, hanim_skeleton
-from humansim_ros.body.joint_names import FINGERS
-from humansim_ros.body.skeleton import side_of
 from humansim_ros.errors import MotionError
-from humansim_ros.humans.loading import load_human
-from humansim_ros.motion.limits import JointLimits, Limit, load_limits
-from humansim_ros.motion.retarget import Retargeter
+from humansim_ros.motion import Skeleton, hanim_skeleton
+from humansim_ros.motion.body.joint_names import FINGERS
+from humansim_ros.motion.body.skeleton import side_of
+from humansim_ros.motion.pose.limits import JointLimits, Limit, load_limits
+from humansim_ros.motion.pose.retarget import Retargeter
+from humansim_ros.people.loading.loading import load_human
 from humansim_ros.types import Array
 
 TABLE = ROOT / "config" / "joint_limits" / "normal.yaml"

@@ -12,14 +12,14 @@ from motion_files import Array, raise_arms, stand_in, walk
 from motion_formats import plug_in_gait, write_c3d, write_trc
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.body.skeleton import Skeleton
 from humansim_ros.errors import HumansimWarning, MotionError
-from humansim_ros.humans.loading import load_human
-from humansim_ros.keypoints import keypoint_set
-from humansim_ros.keypoints.locator import KeypointLocator
 from humansim_ros.motion import Motion, read_motion, to_world
-from humansim_ros.motion.info import describe_motion, read_with_warnings
-from humansim_ros.motion.retarget import Retargeter
+from humansim_ros.motion.body.skeleton import Skeleton
+from humansim_ros.motion.pose.info import describe_motion, read_with_warnings
+from humansim_ros.motion.pose.retarget import Retargeter
+from humansim_ros.people import keypoint_set
+from humansim_ros.people.keypoints.locator import KeypointLocator
+from humansim_ros.people.loading.loading import load_human
 
 PERSON = stand_in("biovision")
 TURNS, ROOT = walk(40, heading=30), np.linspace([0, 0, 0], [5, 2, 90], 40)

@@ -14,15 +14,16 @@ from motion_files import stand_in, walk
 from motion_formats import write_acclaim
 
 from humansim_ros.errors import HumansimWarning, MotionError
-from humansim_ros.io.motion_formats import (
+from humansim_ros.motion import read_motion
+from humansim_ros.motion.files import files
+from humansim_ros.motion.files.files import find_motion
+from humansim_ros.motion.files.motion_formats import (
     MOTION_FORMATS,
     MOTION_SUFFIXES,
     MOTION_TITLES,
     motion_format,
     split_motion_name,
 )
-from humansim_ros.motion import files, read_motion
-from humansim_ros.motion.files import find_motion
 from humansim_ros.scene import Scene
 
 PERSON = stand_in("mixamo")

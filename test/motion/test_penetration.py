@@ -18,19 +18,19 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 from test_retarget import in_world, read
 
-from humansim_ros.body import Skeleton, hanim_skeleton
-from humansim_ros.body.skinning import dominant_bones, without_details
 from humansim_ros.errors import MeshError
-from humansim_ros.humans.human import Human
-from humansim_ros.humans.loading import load_human
-from humansim_ros.motion.penetration import (
+from humansim_ros.motion import Skeleton, hanim_skeleton
+from humansim_ros.motion.body.skinning import dominant_bones, without_details
+from humansim_ros.motion.pose.penetration import (
     Capsules,
     fit_capsules,
     report_penetration,
     segment_distance,
     self_penetration,
 )
-from humansim_ros.motion.retarget import Retargeter
+from humansim_ros.motion.pose.retarget import Retargeter
+from humansim_ros.people.humans.human import Human
+from humansim_ros.people.loading.loading import load_human
 from humansim_ros.types import Array
 
 

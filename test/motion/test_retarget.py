@@ -13,16 +13,15 @@ from conftest import ROOT, if_shared
 from scipy.spatial.transform import Rotation
 from stand_ins import ALL, NO_PERSON, STAND_INS, STANDING_AT_REST, motion_path
 
-from humansim_ros.body import hanim_skeleton
 from humansim_ros.errors import HumansimWarning, MotionError
 from humansim_ros.geometry import WORLD_FROM_BODY
-from humansim_ros.humans.loading import load_human
-from humansim_ros.motion import Motion, read_bvh
-from humansim_ros.motion.file_frame import FileFrame, detect_file_frame
-from humansim_ros.motion.joint_matching import match_names
-from humansim_ros.motion.kinematics import JointPoses
-from humansim_ros.motion.retarget import Retargeter, RetargetMode
-from humansim_ros.motion.world_motion import MotionLoop, Placement, WorldMotion
+from humansim_ros.motion import Motion, hanim_skeleton, read_bvh
+from humansim_ros.motion.body.kinematics import JointPoses
+from humansim_ros.motion.matching.file_frame import FileFrame, detect_file_frame
+from humansim_ros.motion.matching.joint_matching import match_names
+from humansim_ros.motion.motion.world_motion import MotionLoop, Placement, WorldMotion
+from humansim_ros.motion.pose.retarget import Retargeter, RetargetMode
+from humansim_ros.people.loading.loading import load_human
 from humansim_ros.types import Array
 
 #: Shared files that a built-in table fits.

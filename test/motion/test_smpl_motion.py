@@ -12,10 +12,10 @@ import pytest
 from motion_files import StandIn, stand_in, walk
 from motion_formats import smpl_poses
 
-from humansim_ros.body.joint_names import SMPL_MODELS
 from humansim_ros.errors import HumansimWarning, MotionError
 from humansim_ros.motion import Motion, read_motion, to_world
-from humansim_ros.view.inputs import open_source
+from humansim_ros.motion.body.joint_names import SMPL_MODELS
+from humansim_ros.view.sources.inputs import open_source
 
 #: Parents of SMPL's joints [Loper 2015], and of a hand's below its wrist (SMPL+H, SMPL-X).
 PARENTS = (-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21)

@@ -30,13 +30,13 @@ from test_retarget import (
 from humansim_ros.errors import MotionError
 from humansim_ros.geometry import WORLD_FROM_BODY
 from humansim_ros.motion import Motion
-from humansim_ros.motion.file_frame import detect_file_frame
-from humansim_ros.motion.joint_match import opposite_joints
-from humansim_ros.motion.joint_matching import match_motion
-from humansim_ros.motion.kinematics import JointPoses
-from humansim_ros.motion.limits import load_limits
-from humansim_ros.motion.retarget import Retargeter, RetargetMode
-from humansim_ros.motion.world_motion import Placement, WorldMotion
+from humansim_ros.motion.body.kinematics import JointPoses
+from humansim_ros.motion.matching.file_frame import detect_file_frame
+from humansim_ros.motion.matching.joint_match import opposite_joints
+from humansim_ros.motion.matching.joint_matching import match_motion
+from humansim_ros.motion.motion.world_motion import Placement, WorldMotion
+from humansim_ros.motion.pose.limits import load_limits
+from humansim_ros.motion.pose.retarget import Retargeter, RetargetMode
 from humansim_ros.types import Array
 
 LIMBS = [f"{side}_{part}" for side in "lr" for part in ("shoulder", "elbow", "hip", "knee")]

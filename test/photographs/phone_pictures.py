@@ -12,12 +12,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.body.joint_names import body_joints
-from humansim_ros.camera import Camera
-from humansim_ros.keypoints import keypoint_set
+from humansim_ros.cameras import Camera
+from humansim_ros.motion.body.joint_names import body_joints
+from humansim_ros.people import keypoint_set
 from humansim_ros.render import Body, GLRenderer, Lighting
-from humansim_ros.scene import Scene, Simulation
-from humansim_ros.truth import OUTSIDE
+from humansim_ros.scene import OUTSIDE, Scene, Simulation
 
 #: Side of a square of the board, metres.
 SQUARE = 0.06

@@ -20,14 +20,12 @@ from calibration_files import calibration_path
 from conftest import SHARED_DATA
 from numpy.typing import NDArray
 
-from humansim_ros.body.joint_names import body_joints
-from humansim_ros.camera import Camera, read_calibration, write_calibration
-from humansim_ros.humans import Human
-from humansim_ros.keypoints import keypoint_set
-from humansim_ros.keypoints.sets import KeypointSet
+from humansim_ros.cameras import Camera, read_calibration, write_calibration
+from humansim_ros.motion.body.joint_names import body_joints
+from humansim_ros.people import Human, keypoint_set
+from humansim_ros.people.keypoints.sets import KeypointSet
 from humansim_ros.photographs.views import write_points
-from humansim_ros.scene import Scene, Simulation
-from humansim_ros.truth import OUTSIDE, VISIBLE
+from humansim_ros.scene import OUTSIDE, VISIBLE, Scene, Simulation
 
 #: Lens of the cameras of a ring: plumb_bob, as of a small camera.
 LENS = (-0.12, 0.04, 0.001, -0.0008, 0.0)

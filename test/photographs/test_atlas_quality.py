@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from photographs.studio import make_studio, studio_cameras
 from photographs.texture_scenes import photograph, texture_views, undressed
 
-from humansim_ros.camera import Camera
-from humansim_ros.humans import Human, load_human
-from humansim_ros.mesh.texels import rasterise_uv
+from humansim_ros.cameras import Camera
+from humansim_ros.files.mesh.texels import rasterise_uv
+from humansim_ros.people import Human, load_human
 from humansim_ros.photographs.atlas_texture import texture_atlas
 from humansim_ros.photographs.fitting import fit_person
 from humansim_ros.photographs.surface import Surface, TexturedPerson, TextureView

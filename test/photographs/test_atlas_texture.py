@@ -15,10 +15,10 @@ from photographs.studio import studio_cameras
 from photographs.texture_scenes import in_a_pose, photograph, psnr, texture_views, undressed
 from scipy.sparse import csr_matrix
 
-from humansim_ros.camera import Camera
+from humansim_ros.cameras import Camera
 from humansim_ros.errors import HumansimWarning, PhotographError
-from humansim_ros.humans import Human, load_human
-from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.files.mesh.mesh import Mesh
+from humansim_ros.people import Human, load_human
 from humansim_ros.photographs.atlas_texture import align_colours, texture_atlas
 from humansim_ros.photographs.surface import Surface, TexturedPerson, TextureView, fill_colours, step_distance
 

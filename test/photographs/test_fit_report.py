@@ -18,13 +18,13 @@ from studio import ring
 from texture_scenes import texture_views, undressed
 
 from humansim_ros.cli.human import fit as fit_command
-from humansim_ros.drawing.canvas import PAPER, distinct_hues, hsv_colors
-from humansim_ros.humans import load_human
+from humansim_ros.people import load_human
 from humansim_ros.photographs import PhotoSet, read_views
 from humansim_ros.photographs.fitting import fit_person
 from humansim_ros.photographs.person_fit import PersonFit
 from humansim_ros.photographs.reports import draw_report, draw_sheet
 from humansim_ros.photographs.texturing import texture_thesis
+from humansim_ros.render.pictures.canvas import PAPER, distinct_hues, hsv_colors
 from humansim_ros.types import Color, Image
 
 BEFORE, AFTER = (255, 150, 40), (0, 225, 255)

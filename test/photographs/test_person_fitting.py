@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from photographs.studio import Studio, change_views, make_studio
 
 from humansim_ros.errors import HumansimWarning, PhotographError
-from humansim_ros.humans.human import write_human
-from humansim_ros.keypoints import keypoint_set
 from humansim_ros.motion import write_bvh
-from humansim_ros.motion.limits import load_limits
+from humansim_ros.motion.pose.limits import load_limits
+from humansim_ros.people import keypoint_set
+from humansim_ros.people.humans.human import write_human
 from humansim_ros.photographs import read_views
 from humansim_ros.photographs.fit_file import read_fit, write_fit
 from humansim_ros.photographs.fitting import fit_person

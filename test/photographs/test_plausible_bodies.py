@@ -11,8 +11,7 @@ import pytest
 from photographs.studio import change_views, make_studio
 
 from humansim_ros.errors import HumansimWarning, PhotographError
-from humansim_ros.humans import load_human
-from humansim_ros.keypoints import keypoint_set
+from humansim_ros.people import keypoint_set, load_human
 from humansim_ros.photographs import read_views
 from humansim_ros.photographs.fitting import find_doubts, fit_person
 from humansim_ros.photographs.pose_fitting import Settings, Sight, fit_poses

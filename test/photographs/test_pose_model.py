@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from humansim_ros.humans import load_human
-from humansim_ros.keypoints import KEYPOINT_SETS, KeypointLocator, keypoint_set
+from humansim_ros.people import KEYPOINT_SETS, KeypointLocator, keypoint_set, load_human
 from humansim_ros.photographs.person_fit import with_proportions
 from humansim_ros.photographs.pose_model import BodyState, PoseModel
 

@@ -11,7 +11,7 @@ import yaml
 
 from humansim_ros.errors import MeshError, PhotographError
 from humansim_ros.geometry import matrix_to_quaternion, rotation_vector_to_matrix, transform
-from humansim_ros.humans import Human, load_human
+from humansim_ros.people import Human, load_human
 from humansim_ros.photographs.fit_file import read_fit, write_fit
 from humansim_ros.photographs.person_fit import (
     MOST_CONTROLS,

@@ -14,8 +14,7 @@ from photographs.studio import Studio, make_studio
 from scipy.spatial import cKDTree
 
 from humansim_ros.errors import HumansimWarning, PhotographError
-from humansim_ros.humans import load_human
-from humansim_ros.keypoints import keypoint_set
+from humansim_ros.people import keypoint_set, load_human
 from humansim_ros.photographs import PhotoSet, read_views
 from humansim_ros.photographs.fitting import fit_person
 from humansim_ros.photographs.person_fit import PersonFit, shaped_human, with_proportions

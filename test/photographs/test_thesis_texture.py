@@ -12,14 +12,14 @@ from render_scenes import RENDERERS, renderer_or_skip
 from studio import ring
 from texture_scenes import photograph, psnr, texture_views, undressed
 
-from humansim_ros.camera import Camera
+from humansim_ros.cameras import Camera
+from humansim_ros.data.formats.animation import AnimatedHuman
+from humansim_ros.data.formats.glb import glb_bytes
 from humansim_ros.errors import PhotographError
-from humansim_ros.export.animation import AnimatedHuman
-from humansim_ros.export.glb import glb_bytes
+from humansim_ros.files.mesh.mesh import Mesh
 from humansim_ros.geometry import WORLD_FROM_BODY, transform
-from humansim_ros.humans import Human, load_human
-from humansim_ros.humans.human import read_human, write_human
-from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.people import Human, load_human
+from humansim_ros.people.humans.human import read_human, write_human
 from humansim_ros.photographs.surface import TexturedPerson, TextureView
 from humansim_ros.photographs.texturing import (
     FaceCounts,
@@ -265,7 +265,7 @@ def test_a_hidden_part_takes_the_view_of_its_neighbours(woman: Human, views: lis
 def test_large_photographs_become_smaller_in_the_texture(
     woman: Human, views: list[TextureView], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("humansim_ros.mesh.texels._MAX_SIDE", 256)
+    monkeypatch.setattr("humansim_ros.files.mesh.texels._MAX_SIDE", 256)
     person = texture_thesis(woman, views).human
     assert person.mesh.texture is not None
     assert 128 < max(person.mesh.texture.shape) <= 256

@@ -11,12 +11,11 @@ import pytest
 from numpy.typing import NDArray
 from photographs.studio import ring, studio_cameras
 
-from humansim_ros.camera import Camera, write_calibration
+from humansim_ros.cameras import Camera, write_calibration
 from humansim_ros.errors import HumansimWarning, PhotographError
 from humansim_ros.geometry import transform
-from humansim_ros.humans import load_human
-from humansim_ros.keypoints import KEYPOINT_SETS, KeypointLocator, keypoint_set
-from humansim_ros.keypoints.sets import KeypointSet
+from humansim_ros.people import KEYPOINT_SETS, KeypointLocator, keypoint_set, load_human
+from humansim_ros.people.keypoints.sets import KeypointSet
 from humansim_ros.photographs import read_views
 from humansim_ros.photographs.triangulation import front_distance, triangulate, triangulate_photos
 from humansim_ros.photographs.views import write_points

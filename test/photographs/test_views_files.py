@@ -12,9 +12,9 @@ import pytest
 import yaml
 from photographs.studio import Studio, change_views, make_studio, write_json
 
-from humansim_ros.camera import Camera, write_calibration
+from humansim_ros.cameras import Camera, write_calibration
 from humansim_ros.errors import HumansimWarning, PhotographError
-from humansim_ros.keypoints import keypoint_set
+from humansim_ros.people import keypoint_set
 from humansim_ros.photographs import read_views
 from humansim_ros.photographs.views import read_points, write_points
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.camera import Camera
+from humansim_ros.cameras import Camera
 from humansim_ros.geometry import matrix_to_quaternion, rotation_vector_to_matrix
-from humansim_ros.humans import Human
+from humansim_ros.people import Human
 from humansim_ros.photographs.surface import TextureView
 from humansim_ros.render import Body, GLRenderer, Lighting
 

@@ -10,11 +10,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from humansim_ros.bags.chunks import BagMessage, Chunk, encode_chunk
-from humansim_ros.bags.topics import BagTopic
-from humansim_ros.export.source import FrameReader, SimulatedSource
-from humansim_ros.jobs.frame_job import Costs, FrameResult
-from humansim_ros.record.recording import RecordingPlan, result_of
+from humansim_ros.data.bags.chunks import BagMessage, Chunk, encode_chunk
+from humansim_ros.data.bags.topics import BagTopic
+from humansim_ros.data.engine.frame_job import Costs, FrameResult
+from humansim_ros.data.formats.source import FrameReader, SimulatedSource
+from humansim_ros.data.recording import RecordingPlan, result_of
 from humansim_ros.scene import Frame
 
 CAMERAS = ("left", "right", "top")

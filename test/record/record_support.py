@@ -67,4 +67,4 @@ def hashes(bag: Path) -> dict[str, str]:
 
 def workers_of(process: subprocess.Popen[str]) -> list[int]:
     """Processes that a recording has started to encode frames."""
-    return [pid for pid, line in children(process.pid).items() if "humansim_ros.jobs.workers" in line]
+    return [pid for pid, line in children(process.pid).items() if "humansim_ros.data.engine.workers" in line]

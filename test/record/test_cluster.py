@@ -13,11 +13,11 @@ from pathlib import Path
 import pytest
 from recipes import CAMERAS, TOPICS, Numbers, group
 
-from humansim_ros.bags.writer import BagWriter
+from humansim_ros.data.bags.writer import BagWriter
+from humansim_ros.data.engine.output import OutputFolder
+from humansim_ros.data.engine.ray_cluster import write_part
+from humansim_ros.data.recording_cluster import ClusterRecording, record_on_cluster
 from humansim_ros.errors import BagError
-from humansim_ros.jobs.ray_cluster import write_part
-from humansim_ros.record.cluster import ClusterRecording, record_on_cluster
-from humansim_ros.record.output import OutputFolder
 
 FRAMES, SHARD_FRAMES = 12, 4
 

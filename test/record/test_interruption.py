@@ -18,9 +18,9 @@ import yaml
 from record_support import SCENE, hashes, run, start, workers_of, write_scene
 from waiting import PATIENCE, existing, wait_until
 
-from humansim_ros.bags.reader import BagReader
+from humansim_ros.data.bags.reader import BagReader
+from humansim_ros.data.recording import PLAN
 from humansim_ros.errors import HumansimWarning
-from humansim_ros.record.recording import PLAN
 
 pytest.importorskip("rosbags")
 FRAMES = 30

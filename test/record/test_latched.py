@@ -14,10 +14,10 @@ import ros_support  # noqa: F401  # skips without ROS
 from record_support import hashes
 
 from humansim_ros import Scene
-from humansim_ros.bags.reader import BagReader
-from humansim_ros.jobs.frame_job import FrameProgress
-from humansim_ros.record.recording import SceneRecording, record
-from humansim_ros.scene.simulation import Simulation
+from humansim_ros.data.bags.reader import BagReader
+from humansim_ros.data.engine.frame_job import FrameProgress
+from humansim_ros.data.recording import SceneRecording, record
+from humansim_ros.scene.core.simulation import Simulation
 
 pytest.importorskip("rosbags")
 FRAMES = 24

@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
+from humansim_ros.data.engine.output import OutputFolder
 from humansim_ros.errors import BagError
-from humansim_ros.record.output import OutputFolder
 
 fsspec = pytest.importorskip("fsspec")
 

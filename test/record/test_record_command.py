@@ -11,7 +11,7 @@ import ros_support  # noqa: F401  # skips without ROS
 from record_support import run, write_scene
 
 from humansim_ros.cli import output as frame_progress
-from humansim_ros.jobs.frame_job import FrameProgress
+from humansim_ros.data.engine.frame_job import FrameProgress
 
 pytest.importorskip("rosbags")
 

@@ -12,11 +12,11 @@ import yaml
 from conftest import importable
 from scipy.spatial.transform import Rotation
 
+from humansim_ros.data.evaluation.readers.robot_paths import read_robot_path
+from humansim_ros.data.messages.topics import scene_topics
+from humansim_ros.data.messages.types import message_type
+from humansim_ros.data.recording import SceneRecording, record
 from humansim_ros.errors import SceneError
-from humansim_ros.evaluate.readers.robot_paths import read_robot_path
-from humansim_ros.messages.topics import scene_topics
-from humansim_ros.messages.types import message_type
-from humansim_ros.record.recording import SceneRecording, record
 from humansim_ros.scene import Scene
 from humansim_ros.testing import SceneGraph
 from humansim_ros.types import Array
@@ -191,8 +191,8 @@ def test_a_recorder_of_nodes_in_a_namespace_has_the_same_transforms(
 ) -> None:
     from rclpy.parameter import Parameter
 
-    from humansim_ros.ros import transforms
     from humansim_ros.ros.nodes.recorder import RecorderNode
+    from humansim_ros.ros.processes import transforms
 
     scene, bag = loaded(tmp_path), tmp_path / "live"
     expected = recorded(scene, tmp_path / "bag", "/tf*")

@@ -15,11 +15,11 @@ import pytest
 import ros_support  # noqa: F401  # skips without ROS
 from record_support import SCENE, hashes, write_scene
 
+from humansim_ros.data import recording
+from humansim_ros.data.recording import RecordingPlan, SceneRecording, record
 from humansim_ros.errors import BagError
-from humansim_ros.record import recording
-from humansim_ros.record.recording import RecordingPlan, SceneRecording, record
 from humansim_ros.scene import Scene, Simulation
-from humansim_ros.scene.simulation import Frame
+from humansim_ros.scene.core.simulation import Frame
 
 rosbags_typesys = pytest.importorskip("rosbags.typesys")
 FRAMES = 4
@@ -72,7 +72,7 @@ def by_mcap(bag: Path) -> dict[str, list[tuple[int, Any]]]:
 
 
 def by_own_reader(bag: Path) -> dict[str, list[tuple[int, Any]]]:
-    from humansim_ros.bags.reader import BagReader
+    from humansim_ros.data.bags.reader import BagReader
 
     store = rosbags_typesys.get_typestore(rosbags_typesys.Stores.ROS2_JAZZY)
     found: dict[str, list[tuple[int, Any]]] = {}
@@ -313,8 +313,8 @@ def test_a_part_of_a_recording_has_the_same_chunks(scene: Scene) -> None:
 def test_a_recording_in_one_process_has_one_context_and_one_table(
     scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from humansim_ros.record import recording
-    from humansim_ros.render.context import OpenGLContext
+    from humansim_ros.data import recording
+    from humansim_ros.render.device.context import OpenGLContext
 
     made: list[str] = []
     create, topics = OpenGLContext.__init__, recording.scene_topics
@@ -403,7 +403,7 @@ def test_topics_without_frames_are_recorded_once(scene: Scene, tmp_path: Path) -
 def test_a_camera_of_which_nothing_is_recorded_is_not_rendered(
     scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from humansim_ros.scene.capture import CameraShot
+    from humansim_ros.scene.core.capturing import CameraShot
 
     rendered: list[tuple[str, tuple[str, ...]]] = []
     take = CameraShot.take
@@ -419,7 +419,7 @@ def test_a_camera_of_which_nothing_is_recorded_is_not_rendered(
 
 
 def test_the_hash_of_a_scene_covers_its_files(tmp_path: Path) -> None:
-    from humansim_ros.scene.scene import scene_hash
+    from humansim_ros.scene.core.scene import scene_hash
 
     (tmp_path / "way.txt").write_text("0 3 0 1 0.5 0.5 -0.5 -0.5\n5 3 1 1 0.5 0.5 -0.5 -0.5\n")
     text = SCENE + "  moving: {size: [64, 48], trajectory: way.txt}\n"

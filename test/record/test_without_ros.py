@@ -21,8 +21,8 @@ import sys
 from humansim_ros.cli.main import main
 for words in {commands!r}:
     assert main(words) == 0, words
-from humansim_ros.view.bag_source import BagViewSource
-from humansim_ros.view.source import FrameRequest
+from humansim_ros.view.sources.bag_source import BagViewSource
+from humansim_ros.view.sources.source import FrameRequest
 source = BagViewSource(sys.argv[1])
 frame = source.frame(1, FrameRequest(list(source.cameras)[:1], ["rgb"]))
 print(source.frames, sorted(frame.joints), sorted(frame.images), source.messages)

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from render_scenes import along_x, body, box, quad, wall
 
-from humansim_ros.camera import Camera
-from humansim_ros.humans.loading import load_human
+from humansim_ros.cameras import Camera
+from humansim_ros.people.loading.loading import load_human
 from humansim_ros.render import Body, GLRenderer, Lighting
-from humansim_ros.render.body_buffers import HiddenBodies, PosedBody, ProjectedPoints
-from humansim_ros.render.target import Rectangle
+from humansim_ros.render.device.target import Rectangle
+from humansim_ros.render.frame.body_buffers import HiddenBodies, PosedBody, ProjectedPoints
 
 SIZE = (32, 24)
 CAMERA = Camera(SIZE, np.array([[20.0, 0, 15.5], [0, 20.0, 11.5], [0, 0, 1]]), np.eye(3), np.zeros(3))

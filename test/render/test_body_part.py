@@ -14,13 +14,13 @@ from scipy.sparse.csgraph import connected_components
 
 from humansim_ros import Camera, Human, load_human
 from humansim_ros.errors import MeshError, RenderError
-from humansim_ros.humans.human import human_from_arrays, read_human, write_human
-from humansim_ros.humans.levels import levels_of
-from humansim_ros.humans.makehuman.building import build
-from humansim_ros.humans.makehuman.packed import people_data
-from humansim_ros.humans.makehuman.shape import MakeHumanConfig, Outfit
-from humansim_ros.mesh.materials import MATERIAL_LABELS
-from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.files.mesh.materials import MATERIAL_LABELS
+from humansim_ros.files.mesh.mesh import Mesh
+from humansim_ros.people.humans.human import human_from_arrays, read_human, write_human
+from humansim_ros.people.loading.levels import levels_of
+from humansim_ros.people.makehuman.building import build
+from humansim_ros.people.makehuman.packed import people_data
+from humansim_ros.people.makehuman.shape import MakeHumanConfig, Outfit
 from humansim_ros.render import CHANNELS, Body, GLRenderer, View
 
 MAN = ROOT / "assets" / "humans" / "adult_man.npz"
@@ -152,8 +152,8 @@ def test_the_default_channels_are_the_same_to_the_last_bit(woman: Human) -> None
 
 @pytest.mark.slow
 def test_views_that_are_drawn_together_are_the_same(woman: Human, monkeypatch: pytest.MonkeyPatch) -> None:
-    from humansim_ros.render.renderer import RenderRequest
-    from humansim_ros.render.target import RenderTargets
+    from humansim_ros.render.device.target import RenderTargets
+    from humansim_ros.render.interface.renderer import RenderRequest
 
     cameras = [CAMERA, Camera.look_at((-1.5, 1, 1.5), (2.2, 0, 0.8), CAMERA.size, 0.9)]
     expected = [rendered(people(woman), camera).body_part for camera in cameras]

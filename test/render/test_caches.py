@@ -14,8 +14,8 @@ import pytest
 from render_scenes import EACH_RENDERER, along_x, body, box, renderer_or_skip, wall
 
 from humansim_ros.render import AdjacentFrame, Lighting, Renderer, RendererName
-from humansim_ros.render.caches import LruCache, WeakCache
-from humansim_ros.render.pixel_geometry import _MAX_RAY_BYTES, _RAYS, pixel_rays
+from humansim_ros.render.device.caches import LruCache, WeakCache
+from humansim_ros.render.device.pixel_geometry import _MAX_RAY_BYTES, _RAYS, pixel_rays
 
 
 @pytest.fixture(scope="module", params=EACH_RENDERER)

@@ -9,7 +9,7 @@ import pytest
 from render_scenes import along_x, body, renderer_or_skip, wall
 
 from humansim_ros.render import ALL_CHANNELS, CHANNELS, AdjacentFrame, View
-from humansim_ros.render.channels import CHANNEL_TABLE, comparing_with
+from humansim_ros.render.interface.channels import CHANNEL_TABLE, comparing_with
 
 CAMERA = along_x((64, 48), focal=60)
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from render_scenes import quad, renderer_or_skip
 
-from humansim_ros.camera import Camera
-from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.cameras import Camera
+from humansim_ros.files.mesh.mesh import Mesh
 from humansim_ros.render import Body, RendererName
-from humansim_ros.render.contact_shadow import CELLS, ContactShadow
+from humansim_ros.render.device.contact_shadow import CELLS, ContactShadow
 
 
 def test_corners_enclose_the_dark_cells_as_they_are_interpolated() -> None:

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from render_scenes import EACH_RENDERER, along_x, body, box, renderer_or_skip, wall
 
-from humansim_ros.camera import Camera
+from humansim_ros.cameras import Camera
 from humansim_ros.errors import RenderError
 from humansim_ros.render import GLRenderer, PyrenderRenderer, Renderer, RendererName
 from humansim_ros.types import Image
@@ -80,7 +80,7 @@ def test_a_renderer_that_cannot_be_made_keeps_no_context(monkeypatch: pytest.Mon
         return made[-1]
 
     monkeypatch.setattr(moderngl, "create_context", recorded)
-    monkeypatch.setattr("humansim_ros.render.gl.ContactShadowPass", None)
+    monkeypatch.setattr("humansim_ros.render.frame.gl.ContactShadowPass", None)
     with pytest.raises(TypeError):
         GLRenderer()
     gc.collect()

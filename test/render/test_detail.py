@@ -13,15 +13,15 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from humansim_ros import Scene, Simulation, load_human
-from humansim_ros.camera import Camera
-from humansim_ros.humans.human import human_from_arrays
-from humansim_ros.humans.levels import levels_of, levels_of_person, make_levels
-from humansim_ros.humans.makehuman.building import build_unpainted
-from humansim_ros.humans.makehuman.packed import people_data
-from humansim_ros.humans.makehuman.population import draw_person, model_of, person_config
-from humansim_ros.mesh.mesh import split_seams
-from humansim_ros.mesh.simplification import bounded_errors, compact, patches, simplify, simplify_within
-from humansim_ros.render.detail import LARGEST_ERROR, coarsest, pixels_per_metre
+from humansim_ros.cameras import Camera
+from humansim_ros.files.mesh.mesh import split_seams
+from humansim_ros.files.mesh.simplification import bounded_errors, compact, patches, simplify, simplify_within
+from humansim_ros.people.humans.human import human_from_arrays
+from humansim_ros.people.loading.levels import levels_of, levels_of_person, make_levels
+from humansim_ros.people.makehuman.building import build_unpainted
+from humansim_ros.people.makehuman.packed import people_data
+from humansim_ros.people.makehuman.population import draw_person, model_of, person_config
+from humansim_ros.render.frame.detail import LARGEST_ERROR, coarsest, pixels_per_metre
 from humansim_ros.types import Array, Indices
 
 CAMERA = {"eye": {"size": [160, 120], "position": [7, 4, 2.5], "look_at": [-4, -2, 0.8], "fov_deg": 60}}
@@ -198,7 +198,7 @@ def test_people_in_other_combinations_of_clothes_need_no_further_simplification(
     def forbidden(*_: Any) -> None:
         raise AssertionError("a patch is simplified again")
 
-    monkeypatch.setattr("humansim_ros.humans.levels.simplify_within", forbidden)
+    monkeypatch.setattr("humansim_ros.people.loading.levels.simplify_within", forbidden)
     found = levels_of_person(both)
     assert found.counts[1] < 0.6 * found.counts[0] and found.counts[-1] < 0.15 * found.counts[0]
     source, model = people_data(), model_of(both)

@@ -9,9 +9,10 @@ import pytest
 from numpy.typing import NDArray
 from render_scenes import EVEN, along_x, block_means, body, finer, quad, renderer_or_skip, walkers, wall
 
-from humansim_ros.camera import Camera
-from humansim_ros.render import Body, GLRenderer, rendered_frame
-from humansim_ros.render.mesh_buffers import PosedMesh, Topology
+from humansim_ros.cameras import Camera
+from humansim_ros.render import Body, GLRenderer
+from humansim_ros.render.device.mesh_buffers import PosedMesh, Topology
+from humansim_ros.render.frame import rendered_frame
 from humansim_ros.scene import Scene
 
 
@@ -158,7 +159,7 @@ def test_the_outline_of_an_open_surface_is_its_border() -> None:
 def test_normals_and_facing_of_a_sphere() -> None:
     import trimesh
 
-    from humansim_ros.mesh.mesh import Mesh
+    from humansim_ros.files.mesh.mesh import Mesh
 
     ball = trimesh.creation.icosphere(3)
     faces = np.column_stack([ball.faces, np.full(len(ball.faces), -1)]).astype(np.int32)

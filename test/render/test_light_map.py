@@ -10,12 +10,13 @@ import pytest
 import trimesh
 from render_scenes import box, quad, renderer_or_skip
 
-from humansim_ros.camera import Camera
-from humansim_ros.mesh.mesh import Material, Mesh
-from humansim_ros.render import Lighting, static_layers
-from humansim_ros.render.charts import GUTTER, MAX_SIDE, Charts
-from humansim_ros.render.light_map import directions
-from humansim_ros.render.static_layers import offsets
+from humansim_ros.cameras import Camera
+from humansim_ros.files.mesh.mesh import Material, Mesh
+from humansim_ros.render import Lighting
+from humansim_ros.render.frame import static_layers
+from humansim_ros.render.frame.static_layers import offsets
+from humansim_ros.render.static.charts import GUTTER, MAX_SIDE, Charts
+from humansim_ros.render.static.light_map import directions
 from humansim_ros.scene import Scene
 from humansim_ros.types import Array, Image, Indices
 

@@ -11,10 +11,10 @@ import trimesh
 from numpy.typing import NDArray
 from render_scenes import EVEN, along_x, body, box, inner, quad, renderer_or_skip, walkers, wall
 
-from humansim_ros.camera import Camera
-from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.cameras import Camera
+from humansim_ros.files.mesh.mesh import Mesh
 from humansim_ros.render import Body, GLRenderer, Lighting, View
-from humansim_ros.render.pixel_geometry import ImageBackdrop
+from humansim_ros.render.device.pixel_geometry import ImageBackdrop
 from humansim_ros.scene import Scene
 
 SHARP = Lighting(shadows="soft", sun_size_deg=0.2)

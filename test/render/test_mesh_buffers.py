@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from render_scenes import EVEN, along_x, renderer_or_skip
 
-from humansim_ros.mesh.mesh import Material, Mesh
-from humansim_ros.render.mesh_buffers import MaterialBuffers
-from humansim_ros.render.programs import depth_program
-from humansim_ros.render.static_scene import StaticScene
+from humansim_ros.files.mesh.mesh import Material, Mesh
+from humansim_ros.render.device.mesh_buffers import MaterialBuffers
+from humansim_ros.render.device.programs import depth_program
+from humansim_ros.render.static.static_scene import StaticScene
 from humansim_ros.types import Image
 
 

@@ -7,11 +7,11 @@ import moderngl
 import numpy as np
 import pytest
 
-from humansim_ros.mesh import Mesh
-from humansim_ros.mesh.mesh import padded
-from humansim_ros.render import mesh_buffers
-from humansim_ros.render.context import OpenGLContext
-from humansim_ros.render.mesh_buffers import MaterialBuffers
+from humansim_ros.files import Mesh
+from humansim_ros.files.mesh.mesh import padded
+from humansim_ros.render.device import mesh_buffers
+from humansim_ros.render.device.context import OpenGLContext
+from humansim_ros.render.device.mesh_buffers import MaterialBuffers
 
 _VERTEX = """#version 330
 void main() { gl_Position = vec4(gl_VertexID == 1 ? 3 : -1, gl_VertexID == 2 ? 3 : -1, 0, 1); }"""

@@ -14,12 +14,12 @@ from figures import glb
 from numpy.typing import NDArray
 from render_scenes import quad, renderer_or_skip
 
-from humansim_ros.camera import Camera
+from humansim_ros.cameras import Camera
 from humansim_ros.errors import HumansimWarning, MeshError
-from humansim_ros.mesh.load import read_materials_z_up
-from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.files.mesh.load import read_materials_z_up
+from humansim_ros.files.mesh.mesh import Mesh
 from humansim_ros.render import Lighting, View
-from humansim_ros.render.pixel_geometry import ImageBackdrop
+from humansim_ros.render.device.pixel_geometry import ImageBackdrop
 
 Array = NDArray[np.floating]
 BLACK = (0.0, 0.0, 0.0)

@@ -25,9 +25,9 @@ from render_scenes import (
     wall,
 )
 
-from humansim_ros.camera import Camera
+from humansim_ros.cameras import Camera
 from humansim_ros.errors import RenderError
-from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.files.mesh.mesh import Mesh
 from humansim_ros.render import ALL_CHANNELS, AdjacentFrame, Body, RendererName
 from humansim_ros.scene import Scene
 

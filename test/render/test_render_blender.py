@@ -10,8 +10,8 @@ from conftest import ROOT
 from numpy.typing import NDArray
 from render_scenes import EACH_RENDERER, renderer_or_skip
 
-from humansim_ros.camera import Camera
-from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.cameras import Camera
+from humansim_ros.files.mesh.mesh import Mesh
 from humansim_ros.render import Body, Renderer, View
 
 with np.load(ROOT / "test" / "data" / "blender_masks.npz") as _archive:

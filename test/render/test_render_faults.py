@@ -15,12 +15,12 @@ from conftest import ROOT
 from render_scenes import EACH_RENDERER, along_x, body, box, cast, inner, renderer_or_skip, walkers, wall
 from waiting import PATIENCE
 
-from humansim_ros.camera import Camera
+from humansim_ros.cameras import Camera
 from humansim_ros.errors import CameraError, HumansimError, HumansimWarning, RenderError
-from humansim_ros.mesh.load import read_mesh
+from humansim_ros.files.mesh.load import read_mesh
 from humansim_ros.render import AdjacentFrame, Body, Lighting, Renderer, RendererName, make_renderer
 from humansim_ros.scene import Scene
-from humansim_ros.truth.camera_truth import view_boxes, visible_vertices
+from humansim_ros.scene.truth.camera_truth import view_boxes, visible_vertices
 
 
 @pytest.fixture(scope="module", params=EACH_RENDERER)

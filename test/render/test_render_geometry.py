@@ -22,8 +22,8 @@ from render_scenes import (
     walkers,
 )
 
-from humansim_ros.camera import Camera
-from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.cameras import Camera
+from humansim_ros.files.mesh.mesh import Mesh
 from humansim_ros.render import Body, RendererName
 from humansim_ros.scene import Scene
 
@@ -146,7 +146,7 @@ _PYRENDER = """
 import sys
 import numpy as np
 import trimesh
-from humansim_ros.render.pyrender import import_pyrender
+from humansim_ros.render.frame.pyrender import import_pyrender
 pyrender, _ = import_pyrender()
 with np.load(sys.argv[1]) as file:
     k, pose, size, vertices, triangles = (file[n] for n in ("k", "pose", "size", "vertices", "triangles"))

@@ -23,10 +23,10 @@ from render_scenes import (
     wall,
 )
 
-from humansim_ros.camera import Camera
-from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.cameras import Camera
+from humansim_ros.files.mesh.mesh import Mesh
 from humansim_ros.render import Body
-from humansim_ros.render.body_buffers import PosedBody
+from humansim_ros.render.frame.body_buffers import PosedBody
 from humansim_ros.scene import Scene
 
 #: Real calibrations of each model, one that bends much, and one that folds inside the image.

@@ -12,21 +12,13 @@ import pytest
 from numpy.typing import NDArray
 from render_scenes import EACH_RENDERER, EVEN, along_x, body, box, quad, renderer_or_skip, walkers, wall
 
-from humansim_ros.camera import Camera
+from humansim_ros.cameras import Camera
 from humansim_ros.errors import RenderError
-from humansim_ros.render import (
-    ALL_CHANNELS,
-    CHANNELS,
-    Body,
-    Lighting,
-    Renderer,
-    RendererName,
-    View,
-    static_layers,
-)
-from humansim_ros.render.context import OpenGLContext
-from humansim_ros.render.gl import make_renderer
-from humansim_ros.render.target import RenderTarget
+from humansim_ros.render import ALL_CHANNELS, CHANNELS, Body, Lighting, Renderer, RendererName, View
+from humansim_ros.render.device.context import OpenGLContext
+from humansim_ros.render.device.target import RenderTarget
+from humansim_ros.render.frame import static_layers
+from humansim_ros.render.frame.gl import make_renderer
 from humansim_ros.scene import Scene, Simulation
 
 

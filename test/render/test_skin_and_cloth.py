@@ -10,13 +10,13 @@ import trimesh
 from numpy.typing import NDArray
 from render_scenes import along_x, box, quad, renderer_or_skip
 
-from humansim_ros.camera import Camera
+from humansim_ros.cameras import Camera
 from humansim_ros.errors import MeshError
-from humansim_ros.humans.loading import load_human
-from humansim_ros.io.assets import resource_path
-from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.files.mesh.mesh import Mesh
+from humansim_ros.files.reading.assets import resource_path
+from humansim_ros.people.loading.loading import load_human
 from humansim_ros.render import Body, Lighting
-from humansim_ros.render.light_map import directions
+from humansim_ros.render.static.light_map import directions
 
 BLACK = (0.0, 0.0, 0.0)
 SKIN, CLOTH = 255, 0

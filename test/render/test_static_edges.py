@@ -11,10 +11,11 @@ import pytest
 from numpy.typing import NDArray
 from render_scenes import EVEN, along_x, block_means, finer, quad, renderer_or_skip
 
-from humansim_ros.camera import Camera
-from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.render import Lighting, static_layers
-from humansim_ros.render.static_edges import StaticEdges
+from humansim_ros.cameras import Camera
+from humansim_ros.files.mesh.mesh import Mesh
+from humansim_ros.render import Lighting
+from humansim_ros.render.frame import static_layers
+from humansim_ros.render.static.static_edges import StaticEdges
 from humansim_ros.scene import Scene
 from humansim_ros.types import Image
 

@@ -11,9 +11,9 @@ import trimesh
 from numpy.typing import NDArray
 from render_scenes import renderer_or_skip
 
-from humansim_ros.camera import Camera
+from humansim_ros.cameras import Camera
 from humansim_ros.errors import RenderError
-from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.files.mesh.mesh import Mesh
 from humansim_ros.render import Body, GLRenderer
 
 NEAR = Camera.look_at((1.6, 0.4, 0.3), (0, 0.1, 0), (160, 120), np.radians(80))

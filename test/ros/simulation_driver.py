@@ -12,10 +12,10 @@ from keyframe_text import keyframes
 from ros_support import Client, write_scene
 from scipy.spatial.transform import Rotation
 
-from humansim_ros import messages
+from humansim_ros.data import messages
+from humansim_ros.ros.graph.qos import DONE
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
-from humansim_ros.ros.qos import DONE
-from humansim_ros.ros.runtime import make_executor
+from humansim_ros.ros.processes.runtime import make_executor
 
 SCENE = """\
 rate: 20

@@ -15,8 +15,8 @@ from ros_support import write_scene
 from waiting import PATIENCE
 
 from humansim_ros import Scene
-from humansim_ros.apps.bench import BenchResult, topics_of
 from humansim_ros.errors import HumansimError
+from humansim_ros.ros.tools.bench import BenchResult, topics_of
 
 #: Two cores that four cameras keep busy at 50 Hz: 40 ms of CPU time per frame.
 RESULT = BenchResult(

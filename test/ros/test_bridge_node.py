@@ -22,11 +22,12 @@ from waiting import PATIENCE, wait_until
 
 sys.path.append(str(ROOT / "tools"))
 
-from humansim_ros import Scene, Simulation, messages
+from humansim_ros import Scene, Simulation
+from humansim_ros.data import messages
+from humansim_ros.data.messages.adapters import adapter_topics
+from humansim_ros.data.messages.cdr import serialised
+from humansim_ros.data.messages.people import read_boxes_2d, read_people
 from humansim_ros.errors import EvaluationError, RosError, SceneError
-from humansim_ros.messages.adapters import adapter_topics
-from humansim_ros.messages.cdr import serialised
-from humansim_ros.messages.people import read_boxes_2d, read_people
 from humansim_ros.testing import SceneGraph
 
 #: Packages of the adapters; the tests of each day build one of them only.
@@ -189,7 +190,7 @@ def test_hostile_messages_of_trackers_are_refused_or_finite(
     from message_mutations import mutated, mutated_bytes
     from rclpy.serialization import serialize_message
 
-    from humansim_ros.messages.cdr import deserialised
+    from humansim_ros.data.messages.cdr import deserialised
 
     scene = Scene.load(write(tmp_path, {adapter: {}}))
     topic = next(each for each in adapter_topics(scene) if each.per_frame)
@@ -220,9 +221,9 @@ def test_live_estimates_in_a_frame_of_tf_are_converted(
     """Until the transform arrives, messages are refused with the name of the frame."""
     import rclpy
 
-    from humansim_ros.evaluate.readers.pose_files import ReadOptions
-    from humansim_ros.ros import estimate_topics
-    from humansim_ros.ros.guarded_node import GuardedNode
+    from humansim_ros.data.evaluation.readers.pose_files import ReadOptions
+    from humansim_ros.ros.graph.guarded_node import GuardedNode
+    from humansim_ros.ros.processes import estimate_topics
 
     with importable("people_msgs", "tf2_msgs"):
         from people_msgs.msg import People, Person

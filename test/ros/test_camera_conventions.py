@@ -13,14 +13,14 @@ import pytest
 from numpy.typing import NDArray
 from ros_support import Client, rclpy, write_scene
 
-from humansim_ros import messages
+from humansim_ros.data import messages
 from humansim_ros.errors import RosError
-from humansim_ros.render.channels import CHANNEL_TABLE
+from humansim_ros.render.interface.channels import CHANNEL_TABLE
+from humansim_ros.ros.graph.qos import LATCHED
 from humansim_ros.ros.nodes.camera import CameraNode
 from humansim_ros.ros.nodes.camera_rig import CameraRigNode
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
 from humansim_ros.ros.nodes.skinner import SkinnerNode
-from humansim_ros.ros.qos import LATCHED
 
 #: A floor and two boxes, seen through a lens, with stereo rectification, binning and a region of interest.
 BOXES = """

@@ -21,21 +21,21 @@ from ros_support import Client, deliver, rclpy
 from scipy.spatial.transform import Rotation
 from waiting import PATIENCE
 
-from humansim_ros import messages
-from humansim_ros.body import hanim_skeleton
-from humansim_ros.camera import Camera
-from humansim_ros.camera.calibration import read_calibration
+from humansim_ros.cameras import Camera
+from humansim_ros.cameras.formats.calibration import read_calibration
+from humansim_ros.data import messages
+from humansim_ros.data.messages.topics import CameraTopics
 from humansim_ros.errors import HumansimError
-from humansim_ros.messages.topics import CameraTopics
-from humansim_ros.ros.node import SceneNode
+from humansim_ros.motion import hanim_skeleton
+from humansim_ros.ros.graph.qos import LATCHED
 from humansim_ros.ros.nodes import camera as camera_pose
 from humansim_ros.ros.nodes.camera import CameraNode
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
 from humansim_ros.ros.nodes.skinner import SkinnerNode
+from humansim_ros.ros.processes.node import SceneNode
 from humansim_ros.ros.processes.node_processes import scene_processes
-from humansim_ros.ros.qos import LATCHED
 from humansim_ros.scene import Frame, Scene, Simulation
-from humansim_ros.scene.state import SceneState
+from humansim_ros.scene.core.state import SceneState
 
 PLACE = "size: [128, 96], position: [3, 0.4, 1.4], look_at: [0, 0, 1]"
 BENT = "K: [[120, 1, 66], [0, 118, 46], [0, 0, 1]], distortion: [-0.3, 0.09, 0.001, -0.002]"

@@ -15,14 +15,14 @@ import pytest
 from ros_support import SMALL_SCENE, Client, rclpy, write_scene
 from waiting import PATIENCE
 
-from humansim_ros import messages
+from humansim_ros.data import messages
 from humansim_ros.errors import RenderError, SceneError
 from humansim_ros.render import GLRenderer
-from humansim_ros.render.mesh_buffers import PosedMesh
+from humansim_ros.render.device.mesh_buffers import PosedMesh
 from humansim_ros.ros.nodes.camera_rig import CameraRigNode
 from humansim_ros.ros.processes.node_processes import scene_processes
+from humansim_ros.ros.processes.runtime import make_executor
 from humansim_ros.ros.processes.supervisor import Supervisor
-from humansim_ros.ros.runtime import make_executor
 from humansim_ros.scene import Scene, Simulation
 
 START = 7_000_000_000

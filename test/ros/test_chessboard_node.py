@@ -24,7 +24,7 @@ from chessboard import (
 from numpy.typing import NDArray
 from ros_support import Client
 
-from humansim_ros.camera import Camera
+from humansim_ros.cameras import Camera
 from humansim_ros.ros.nodes.camera import CameraNode
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
 

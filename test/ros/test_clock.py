@@ -12,18 +12,18 @@ import pytest
 from ros_support import Client, write_scene
 from waiting import PATIENCE
 
-from humansim_ros import messages
-from humansim_ros.camera import Camera
-from humansim_ros.ros import node as scene_node
-from humansim_ros.ros.clock import ClockSteps
-from humansim_ros.ros.node import SceneNode
+from humansim_ros.cameras import Camera
+from humansim_ros.data import messages
+from humansim_ros.ros.graph.clock import ClockSteps
 from humansim_ros.ros.nodes.camera import CameraNode
 from humansim_ros.ros.nodes.camera_rig import CameraRigNode
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
 from humansim_ros.ros.nodes.skinner import SkinnerNode
-from humansim_ros.ros.runtime import make_executor
-from humansim_ros.scene.camera import CameraPose
-from humansim_ros.scene.playback import PlaybackClock
+from humansim_ros.ros.processes import node as scene_node
+from humansim_ros.ros.processes.node import SceneNode
+from humansim_ros.ros.processes.runtime import make_executor
+from humansim_ros.scene.core.camera import CameraPose
+from humansim_ros.scene.core.playback import PlaybackClock
 
 SECOND = 1_000_000_000
 #: Steps of the system clock in seconds: by a person, by NTP.

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from ros_support import Client, rclpy
 
-from humansim_ros import messages
+from humansim_ros.data import messages
+from humansim_ros.data.messages import DepthCompression, compressed_depth_message
 from humansim_ros.errors import RosError
-from humansim_ros.messages import DepthCompression, compressed_depth_message
 from humansim_ros.ros.nodes.camera_rig import CameraRigNode
 
 PLACE = "size: [96, 64], position: [3, 0.4, 1.4], look_at: [0, 0, 1]"

@@ -17,8 +17,8 @@ from conftest import ROOT
 from rich.console import Console
 from waiting import PATIENCE
 
-from humansim_ros.apps import demo
 from humansim_ros.errors import HumansimError
+from humansim_ros.ros.tools import demo
 
 #: Cameras of different sizes and encodings, in a room with one colourful object and a live human.
 LIVE = """

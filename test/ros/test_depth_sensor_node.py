@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from ros_support import write_scene
 
-from humansim_ros import messages
+from humansim_ros.data import messages
 from humansim_ros.scene import Scene, Simulation
 from humansim_ros.testing import SceneGraph
 

@@ -35,7 +35,7 @@ def joints_message(stamp: int, people: dict[str, tuple[Any, Any]], frame: str = 
     from geometry_msgs.msg import Transform, Vector3
     from sensor_msgs.msg import MultiDOFJointState
 
-    from humansim_ros.messages import header
+    from humansim_ros.data.messages import header
 
     message = MultiDOFJointState(header=header(stamp, frame))
     for person, (names, positions) in people.items():
@@ -62,7 +62,7 @@ class Tracker:
             )
 
     def _on(self, person: str, message: Any) -> None:
-        from humansim_ros.messages import read_joints, to_nanoseconds
+        from humansim_ros.data.messages import read_joints, to_nanoseconds
 
         stamp, joints = to_nanoseconds(message.header.stamp), read_joints(message)
         frame = self._known.setdefault(stamp, {})
@@ -203,7 +203,7 @@ def test_hostile_messages(ros: None) -> None:
     """They are ignored and counted, or are no people; the evaluation goes on with those of the tracker."""
     from sensor_msgs.msg import MultiDOFJointState, TimeReference
 
-    from humansim_ros.messages import scene_time_message
+    from humansim_ros.data.messages import scene_time_message
 
     node, client = make_evaluator(), Client()
     client.executor.add_node(node)

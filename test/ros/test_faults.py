@@ -16,18 +16,18 @@ from ros_support import Client, Lockstep
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from std_msgs.msg import Float64MultiArray, String
 
-from humansim_ros import messages
-from humansim_ros.bags.reader import BagReader
-from humansim_ros.messages.topics import scene_topics
-from humansim_ros.record.recording import RecordingPlan, SceneRecording, record
-from humansim_ros.ros.camera.publishers import CameraDriver
+from humansim_ros.data import messages
+from humansim_ros.data.bags.reader import BagReader
+from humansim_ros.data.messages.topics import scene_topics
+from humansim_ros.data.recording import RecordingPlan, SceneRecording, record
+from humansim_ros.ros.graph.qos import LATCHED
 from humansim_ros.ros.nodes.camera import CameraNode
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
+from humansim_ros.ros.nodes.publishers import CameraDriver
 from humansim_ros.ros.nodes.recorder import has_message_per_frame
 from humansim_ros.ros.nodes.skinner import SkinnerNode
-from humansim_ros.ros.qos import LATCHED
 from humansim_ros.scene import Scene, Simulation
-from humansim_ros.scene.faults import FrameFaults
+from humansim_ros.scene.core.faults import FrameFaults
 
 FAULTS = """\
       drop: {probability: 0.2}

@@ -14,8 +14,8 @@ sys.path.append(str(ROOT / "tools"))
 
 import field_hashes
 
-from humansim_ros import messages
-from humansim_ros.truth import BodyBox
+from humansim_ros.data import messages
+from humansim_ros.scene import BodyBox
 
 
 def boxes(stamp: int = 5, pixels: int = 40) -> Any:
@@ -56,7 +56,7 @@ def test_messages_of_rclpy_and_of_rosbags_have_one_hash() -> None:
     from rclpy.serialization import serialize_message
     from rosbags.typesys import Stores, get_typestore
 
-    from humansim_ros.camera import Camera
+    from humansim_ros.cameras import Camera
 
     camera = Camera.look_at((3, 0, 1), (0, 0, 1), (64, 48))
     store = get_typestore(Stores.ROS2_JAZZY)

@@ -22,13 +22,13 @@ from ros_support import Client, Lockstep, write_scene
 from std_msgs.msg import Header
 from waiting import wait_until
 
-from humansim_ros.messages import header
+from humansim_ros.data.messages import header
+from humansim_ros.ros.graph.qos import DATA
 from humansim_ros.ros.nodes.camera import CameraNode
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
 from humansim_ros.ros.nodes.skinner import SkinnerNode
-from humansim_ros.ros.player.realtime import FramePacing, pace_reason
-from humansim_ros.ros.qos import DATA
-from humansim_ros.ros.runtime import make_executor
+from humansim_ros.ros.playing.realtime import FramePacing, pace_reason
+from humansim_ros.ros.processes.runtime import make_executor
 
 SECOND = 1_000_000_000
 PERIOD = SECOND / 30
@@ -301,7 +301,7 @@ import sys
 import rclpy
 from sensor_msgs.msg import TimeReference
 from std_msgs.msg import Header
-from humansim_ros.ros.qos import ALIVE, CAMERA_ALIVE, DATA, SCENE_TIME
+from humansim_ros.ros.graph.graph.qos import ALIVE, CAMERA_ALIVE, DATA, SCENE_TIME
 
 def report(frame):
     node.destroy_subscription(frames)

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from ros_support import SMALL_SCENE, Client, deliver, write_scene
 
-from humansim_ros import messages
-from humansim_ros.ros import frame_synchronizer
-from humansim_ros.ros.frame_synchronizer import FrameSynchronizer
-from humansim_ros.ros.node import SceneNode
-from humansim_ros.scene.state import SceneState
+from humansim_ros.data import messages
+from humansim_ros.ros.nodes import frame_synchronizer
+from humansim_ros.ros.nodes.frame_synchronizer import FrameSynchronizer
+from humansim_ros.ros.processes.node import SceneNode
+from humansim_ros.scene.core.state import SceneState
 
 HUMANS = ("first", "second")
 PERIOD = 50_000_000

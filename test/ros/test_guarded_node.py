@@ -14,9 +14,10 @@ from rclpy.qos import qos_profile_parameters
 from ros_support import Client, rclpy
 
 from humansim_ros.errors import RosError
-from humansim_ros.ros import guarded_node, requests, runtime
-from humansim_ros.ros.guarded_node import GuardedNode
-from humansim_ros.ros.runtime import make_executor
+from humansim_ros.ros.graph import guarded_node, requests
+from humansim_ros.ros.graph.guarded_node import GuardedNode
+from humansim_ros.ros.processes import runtime
+from humansim_ros.ros.processes.runtime import make_executor
 
 
 def recurse() -> Any:

@@ -14,9 +14,9 @@ from conftest import ROOT
 from ros_support import Client, rclpy, write_scene
 from waiting import wait_until
 
-from humansim_ros import messages
-from humansim_ros.apps.bench import _Subscriber
-from humansim_ros.apps.demo import _contact_sheet, _Recorder
+from humansim_ros.data import messages
+from humansim_ros.ros.tools.bench import _Subscriber
+from humansim_ros.ros.tools.demo import _contact_sheet, _Recorder
 from humansim_ros.scene import Scene
 
 SIZES = {"left": (160, 120), "right": (200, 150)}

@@ -30,7 +30,7 @@ CLIENT = """
 import sys, time, rclpy
 from std_msgs.msg import Header
 from sensor_msgs.msg import Image, MultiDOFJointState
-from humansim_ros.ros.runtime import prepare_transport
+from humansim_ros.ros.processes.runtime import prepare_transport
 prepare_transport(network=sys.argv[3] == "network")
 rclpy.init()
 node = rclpy.create_node("client")

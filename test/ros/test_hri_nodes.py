@@ -22,12 +22,13 @@ from conftest import ROOT, built_package, importable
 from ros_support import deliver
 from waiting import PATIENCE
 
-from humansim_ros import Scene, Simulation, messages
-from humansim_ros.bags.reader import BagReader
+from humansim_ros import Scene, Simulation
+from humansim_ros.data import messages
+from humansim_ros.data.bags.reader import BagReader
+from humansim_ros.data.messages import hri, types
+from humansim_ros.data.messages.adapters import adapter_topics
 from humansim_ros.errors import HumansimError, RosError, SceneError
-from humansim_ros.messages import hri, types
-from humansim_ros.messages.adapters import adapter_topics
-from humansim_ros.ros.guarded_node import GuardedNode
+from humansim_ros.ros.graph.guarded_node import GuardedNode
 from humansim_ros.ros.nodes.recorder import has_message_per_frame
 from humansim_ros.testing import SceneGraph
 
@@ -96,7 +97,7 @@ def volatile() -> Any:
 
 def latched() -> Any:
     """Profile of its subscriptions to persons and to URDFs: reliable and transient local."""
-    from humansim_ros.ros.qos import LATCHED
+    from humansim_ros.ros.graph.qos import LATCHED
 
     return LATCHED
 
@@ -288,7 +289,7 @@ def test_images_that_are_no_colours_are_refused(ros: None, frame: dict[str, Any]
     node = bridge()
     pixels = np.zeros((120, 160), np.uint16)
     read = node._on_message
-    from humansim_ros.messages.adapters import CAMERA_INPUTS
+    from humansim_ros.data.messages.adapters import CAMERA_INPUTS
 
     for encoding, data in (("16UC1", pixels), ("rgb8", np.zeros((4, 4), np.uint8)), ("nonsense", pixels)):
         image = messages.image_message(data, encoding, 1, "front_optical_frame")

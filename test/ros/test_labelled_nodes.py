@@ -12,12 +12,12 @@ import pytest
 from keyframe_text import keyframes
 from ros_support import write_scene
 
-from humansim_ros import messages
-from humansim_ros.body.face_actions import ACTIONS, FACE_AT_REST
-from humansim_ros.keypoints import KEYPOINT_SETS, keypoint_set
+from humansim_ros.data import messages
+from humansim_ros.motion.body.face_actions import ACTIONS, FACE_AT_REST
+from humansim_ros.people import KEYPOINT_SETS, keypoint_set
 from humansim_ros.scene import Scene, Simulation
+from humansim_ros.scene.truth.camera_truth import OCCLUDED, VISIBLE
 from humansim_ros.testing import SceneGraph
-from humansim_ros.truth.camera_truth import OCCLUDED, VISIBLE
 
 #: A box passes in front of a person in front of a crate; its position gives the scene time.
 SCENE = """\

@@ -18,11 +18,12 @@ from ros_support import Client, write_scene
 from sensor_msgs.msg import MultiDOFJointState, PointCloud2
 from waiting import end_process
 
-from humansim_ros import Scene, messages
-from humansim_ros.apps.first_images import FirstImages
+from humansim_ros import Scene
+from humansim_ros.data import messages
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
 from humansim_ros.ros.nodes.skinner import SkinnerNode, SourceLog
-from humansim_ros.scene.live import LiveRetargeter
+from humansim_ros.ros.tools.first_images import FirstImages
+from humansim_ros.scene.core.live import LiveRetargeter
 
 SECOND = 1_000_000_000
 #: One human is played, the other is live.

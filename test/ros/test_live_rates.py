@@ -18,10 +18,10 @@ from ros_support import Client, rclpy
 from sensor_msgs.msg import CameraInfo, TimeReference
 from waiting import PATIENCE
 
-from humansim_ros import messages
+from humansim_ros.data import messages
 from humansim_ros.ros.nodes.camera_rig import CameraRigNode
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
-from humansim_ros.ros.runtime import make_executor
+from humansim_ros.ros.processes.runtime import make_executor
 from humansim_ros.scene import Scene, Simulation
 from humansim_ros.testing import SceneGraph
 

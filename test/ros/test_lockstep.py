@@ -8,7 +8,13 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from humansim_ros.ros.lockstep.rules import MAX_JOINED, START_LIMIT, Lockstep, LockstepSummary, RestartFile
+from humansim_ros.ros.processes.lockstep_rules import (
+    MAX_JOINED,
+    START_LIMIT,
+    Lockstep,
+    LockstepSummary,
+    RestartFile,
+)
 
 CAMERAS = ("left", "right")
 

@@ -19,12 +19,12 @@ from std_msgs.msg import Header, String
 from std_srvs.srv import SetBool, Trigger
 from waiting import wait_until
 
-from humansim_ros import messages
+from humansim_ros.data import messages
 from humansim_ros.errors import RosError
-from humansim_ros.ros.lockstep.settings import CLOCK_SEARCH
+from humansim_ros.ros.graph.qos import ALIVE, CAMERA_ALIVE
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
-from humansim_ros.ros.qos import ALIVE, CAMERA_ALIVE
-from humansim_ros.ros.runtime import make_executor
+from humansim_ros.ros.processes.lockstep_settings import CLOCK_SEARCH
+from humansim_ros.ros.processes.runtime import make_executor
 
 SECOND = 1_000_000_000
 CAMERAS = "/led/left, /led/right"
@@ -168,7 +168,7 @@ def test_a_topic_without_a_header_is_refused(stage: Stage, kind: Any) -> None:
     "name", ["nothing_msgs/msg/Pose", "os/msg/path", "antigravity/msg/X", "a/b", "../x/msg/Y", "x" * 9999]
 )
 def test_a_type_of_the_graph_that_is_not_installed_is_refused(name: str) -> None:
-    from humansim_ros.ros.graph import Endpoint, _usable
+    from humansim_ros.ros.graph.graph import Endpoint, _usable
 
     with pytest.raises(RosError, match="/x: "):
         _usable("/x", [Endpoint("/tracker", name, True)])
@@ -430,7 +430,7 @@ def test_a_player_in_lockstep_is_never_late_and_drops_nothing(stage: Stage) -> N
 @pytest.mark.slow
 def test_a_frame_that_is_sent_again_has_the_same_images_and_flow(ros: None, tmp_path: Path) -> None:
     """A player, skinners and cameras in lockstep. Backward flow compares with the frame before."""
-    from humansim_ros.render.channels import CHANNEL_TABLE
+    from humansim_ros.render.interface.channels import CHANNEL_TABLE
     from humansim_ros.ros.nodes.camera_rig import CameraRigNode
     from humansim_ros.ros.nodes.skinner import SkinnerNode
 

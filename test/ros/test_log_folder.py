@@ -13,11 +13,11 @@ from ros_support import write_scene
 from waiting import PATIENCE
 
 from humansim_ros.errors import HumansimWarning, RosError
-from humansim_ros.ros.runtime import prepare_logs
+from humansim_ros.ros.processes.runtime import prepare_logs
 
 INIT = """
 import rclpy
-from humansim_ros.ros.runtime import prepare_transport
+from humansim_ros.ros.processes.runtime import prepare_transport
 prepare_transport()
 rclpy.init()
 rclpy.shutdown()

@@ -9,10 +9,10 @@ import numpy as np
 from loose_figures import loose_child
 from ros_support import write_scene
 
-from humansim_ros import messages
-from humansim_ros.body.loose import swing_at_rest
-from humansim_ros.humans.human import write_human
-from humansim_ros.messages.types import Image
+from humansim_ros.data import messages
+from humansim_ros.data.messages.types import Image
+from humansim_ros.motion.body.loose import swing_at_rest
+from humansim_ros.people.humans.human import write_human
 from humansim_ros.scene import Scene, Simulation
 from humansim_ros.testing import SceneGraph
 

@@ -17,13 +17,13 @@ from ros_support import Client, write_scene
 from sensor_msgs.msg import Image
 
 from humansim_ros import Scene
-from humansim_ros.export.exporting import Export, export
-from humansim_ros.export.formats import chosen_formats
-from humansim_ros.export.plan import ExportPlan
-from humansim_ros.export.source import SimulatedSource
+from humansim_ros.data.formats.exporting import Export, export
+from humansim_ros.data.formats.formats import chosen_formats
+from humansim_ros.data.formats.plan import ExportPlan
+from humansim_ros.data.formats.source import SimulatedSource
 from humansim_ros.geometry import quaternion_to_matrix, transform
 from humansim_ros.ros.nodes.in_process import InProcessNodes
-from humansim_ros.scene.states import SceneStates
+from humansim_ros.scene.core.states import SceneStates
 
 pytest.importorskip("mujoco", reason="MuJoCo is not installed")
 sys.path.append(str(ROOT / "examples"))

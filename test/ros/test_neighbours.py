@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 from ros_support import Client, write_scene
 
-from humansim_ros.ros import graph as neighbours
+from humansim_ros.ros.graph import graph as neighbours
 from humansim_ros.ros.nodes.camera import CameraNode
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
 from humansim_ros.ros.nodes.skinner import SkinnerNode
-from humansim_ros.ros.runtime import make_executor
+from humansim_ros.ros.processes.runtime import make_executor
 
 
 class Suite:

@@ -13,13 +13,13 @@ import pytest
 from ros_support import Client, Lockstep, deliver, write_scene
 from scipy.spatial.transform import Rotation
 
-from humansim_ros import messages
-from humansim_ros.body.skinning import dominant_bones
+from humansim_ros.data import messages
 from humansim_ros.errors import SceneError
+from humansim_ros.motion.body.skinning import dominant_bones
+from humansim_ros.ros.graph.qos import LATCHED
 from humansim_ros.ros.nodes.camera import CameraNode
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
 from humansim_ros.ros.nodes.skinner import SkinnerNode
-from humansim_ros.ros.qos import LATCHED
 from humansim_ros.scene import Scene
 
 HUMANS, CAMERAS = ("first", "second"), ("left", "right")

@@ -12,7 +12,7 @@ import pytest
 from keyframe_text import keyframes
 from ros_support import write_scene
 
-from humansim_ros import messages
+from humansim_ros.data import messages
 from humansim_ros.errors import RosError
 from humansim_ros.scene import Scene, Simulation
 from humansim_ros.testing import SceneGraph

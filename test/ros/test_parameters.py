@@ -12,11 +12,11 @@ import pytest
 from ros_support import rclpy, write_scene
 
 from humansim_ros.errors import RosError
-from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.nodes.camera import CameraNode
 from humansim_ros.ros.nodes.camera_rig import CameraRigNode
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
 from humansim_ros.ros.nodes.skinner import SkinnerNode
+from humansim_ros.ros.processes.node import SceneNode
 
 KINDS = (MotionPlayerNode, SkinnerNode, CameraNode, CameraRigNode)
 

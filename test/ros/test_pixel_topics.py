@@ -11,9 +11,9 @@ import pytest
 from keyframe_text import keyframes
 from ros_support import write_scene
 
-from humansim_ros import messages
+from humansim_ros.data import messages
 from humansim_ros.render import ALL_CHANNELS, CHANNELS
-from humansim_ros.render.channels import CHANNEL_TABLE, comparing_with
+from humansim_ros.render.interface.channels import CHANNEL_TABLE, comparing_with
 from humansim_ros.scene import Scene, Simulation
 from humansim_ros.testing import SceneGraph
 

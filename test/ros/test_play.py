@@ -15,10 +15,10 @@ from conftest import ROOT
 from ros_support import rclpy
 from waiting import PATIENCE, wait_until
 
-from humansim_ros.bags.chunks import BagMessage, encode_chunk
-from humansim_ros.bags.metadata import Storage
-from humansim_ros.bags.topics import BagTopic, Qos
-from humansim_ros.bags.writer import BagWriter
+from humansim_ros.data.bags.chunks import BagMessage, encode_chunk
+from humansim_ros.data.bags.metadata import Storage
+from humansim_ros.data.bags.topics import BagTopic, Qos
+from humansim_ros.data.bags.writer import BagWriter
 from humansim_ros.errors import HumansimError, HumansimWarning
 
 START = 1_000_000_000
@@ -119,7 +119,7 @@ def listen(ros: None) -> Iterator[Callable[..., Listener]]:
 
 def play(folder: Path, key: Callable[[], str] = lambda: "", **options: Any) -> int:
     """Play a bag; returns the number of messages."""
-    from humansim_ros.apps.bag_player import BagPlayer, PlayOptions
+    from humansim_ros.ros.tools.bag_player import BagPlayer, PlayOptions
 
     player = BagPlayer(folder, PlayOptions(**options))
     try:
@@ -207,7 +207,7 @@ def test_a_pause_stops_time_until_the_next_key(listen: Callable[..., Listener], 
 
 
 def test_pace_maps_monotonic_time_to_recorded_time() -> None:
-    from humansim_ros.apps.bag_player import Pace
+    from humansim_ros.ros.tools.bag_player import Pace
 
     pace = Pace(1000, 2.0, 10.0)
     assert pace.recorded(11.0) == 1000 + 2 * 10**9
@@ -375,9 +375,9 @@ def test_a_camera_renders_a_played_bag_as_it_renders_the_live_topics(ros: None, 
     from sensor_msgs.msg import Image
 
     from humansim_ros import Scene, Simulation
-    from humansim_ros.apps.bag_player import BagPlayer, PlayOptions
-    from humansim_ros.messages import joints_message, scene_time_message, vertices_message
+    from humansim_ros.data.messages import joints_message, scene_time_message, vertices_message
     from humansim_ros.ros.nodes.camera import CameraNode
+    from humansim_ros.ros.tools.bag_player import BagPlayer, PlayOptions
 
     scene = Scene.load(write_scene(tmp_path))
     with Simulation(scene, channels=("rgb",)) as simulation:

@@ -19,17 +19,17 @@ from ros_support import Client, write_scene
 from scipy.spatial.transform import Rotation
 from waiting import PATIENCE, wait_until
 
-from humansim_ros import messages
+from humansim_ros.data import messages
 from humansim_ros.errors import HumansimError, HumansimWarning, RosError
 from humansim_ros.motion import read_bvh
-from humansim_ros.motion.kinematics import JointPoses
+from humansim_ros.motion.body.kinematics import JointPoses
+from humansim_ros.ros.graph.qos import LATCHED
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
 from humansim_ros.ros.nodes.skinner import SkinnerNode
-from humansim_ros.ros.qos import LATCHED
-from humansim_ros.ros.runtime import make_executor
+from humansim_ros.ros.processes.runtime import make_executor
 from humansim_ros.scene import Scene
-from humansim_ros.scene.config import MotionConfig
-from humansim_ros.scene.playback import Playback, PlaybackClock, Tick
+from humansim_ros.scene.config.config import MotionConfig
+from humansim_ros.scene.core.playback import Playback, PlaybackClock, Tick
 
 HUMANS = ("first", "second")
 SECOND = 1_000_000_000

@@ -24,7 +24,7 @@ from ros_support import rclpy, write_scene
 from rosbags.rosbag2 import Reader
 from waiting import PATIENCE, wait_until
 
-from humansim_ros.bags.reader import BagReader
+from humansim_ros.data.bags.reader import BagReader
 from humansim_ros.errors import HumansimWarning
 
 NODE = [sys.executable, "-m", "humansim_ros.ros.nodes"]
@@ -37,7 +37,7 @@ class Recording:
         from rclpy.parameter import Parameter
 
         from humansim_ros.ros.nodes.recorder import RecorderNode
-        from humansim_ros.ros.runtime import make_executor
+        from humansim_ros.ros.processes.runtime import make_executor
 
         self.folder = folder
         parameters = {"output": str(folder), "topics": ["/sent/*"], **parameters}
@@ -261,7 +261,7 @@ def test_all_topics_are_recorded_but_hidden_ones_and_those_of_every_node(
 
 
 def test_names_are_relative_to_the_namespace_and_patterns_mean_no_hidden_topics() -> None:
-    from humansim_ros.ros.graph import TopicChoice
+    from humansim_ros.ros.graph.graph import TopicChoice
 
     choice = TopicChoice.of(["left/image_raw", "/right/*", "/_camera_alive"], "/lab")
     for topic in ("/lab/left/image_raw", "/right/a/b", "/_camera_alive"):
@@ -274,7 +274,7 @@ def test_names_are_relative_to_the_namespace_and_patterns_mean_no_hidden_topics(
 @pytest.mark.parametrize("name", ["", "/", "two words", "a\nb"])
 def test_a_name_that_is_no_topic_is_an_error(name: str) -> None:
     from humansim_ros.errors import RosError
-    from humansim_ros.ros.graph import TopicChoice
+    from humansim_ros.ros.graph.graph import TopicChoice
 
     with pytest.raises(RosError, match="is no topic"):
         TopicChoice.of([name])
@@ -284,10 +284,10 @@ def test_a_name_that_is_no_topic_is_an_error(name: str) -> None:
 
 
 def test_copies_that_a_faulty_camera_sends_are_kept_and_those_of_a_frame_that_comes_again_are_not() -> None:
-    from humansim_ros.messages.frames import RecordedFrames
+    from humansim_ros.data.messages.frames import RecordedFrames
     from humansim_ros.ros.nodes.recorder import ImageCopies
-    from humansim_ros.scene.camera_config import FaultsConfig
-    from humansim_ros.scene.faults import FaultSchedule
+    from humansim_ros.scene.config.camera_config import FaultsConfig
+    from humansim_ros.scene.core.faults import FaultSchedule
 
     config = FaultsConfig.model_validate({"duplicate": 0.5, "clock": 0.25})
     schedule, rate = FaultSchedule(config, "left", 10.0), 10
@@ -327,13 +327,13 @@ class SlowBag:
 
 
 def message(size: int, stamp: int = 1) -> Any:
-    from humansim_ros.bags.chunks import BagMessage
+    from humansim_ros.data.bags.chunks import BagMessage
 
     return BagMessage(0, stamp, bytes(size))
 
 
 def test_a_full_queue_drops_in_real_time_and_waits_in_lockstep() -> None:
-    from humansim_ros.bags.bag_thread import BagThread
+    from humansim_ros.data.bags.bag_thread import BagThread
 
     bag: Any = SlowBag()
     thread = BagThread(lambda: bag, 1000)
@@ -350,7 +350,7 @@ def test_a_full_queue_drops_in_real_time_and_waits_in_lockstep() -> None:
 
 
 def test_a_message_that_is_longer_than_the_queue_is_taken() -> None:
-    from humansim_ros.bags.bag_thread import BagThread
+    from humansim_ros.data.bags.bag_thread import BagThread
 
     bag: Any = SlowBag()
     bag.go.set()
@@ -361,7 +361,7 @@ def test_a_message_that_is_longer_than_the_queue_is_taken() -> None:
 
 
 def test_a_frame_is_one_group_and_is_reported_when_it_is_in_the_file() -> None:
-    from humansim_ros.bags.bag_thread import BagThread
+    from humansim_ros.data.bags.bag_thread import BagThread
 
     bag: Any = SlowBag()
     reports: list[tuple[int, int]] = []
@@ -379,7 +379,7 @@ def test_a_frame_is_one_group_and_is_reported_when_it_is_in_the_file() -> None:
 
 @pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "No space left on device"), MemoryError()])
 def test_an_error_of_the_bag_ends_the_thread_and_frees_who_waits(error: Exception) -> None:
-    from humansim_ros.bags.bag_thread import BagThread
+    from humansim_ros.data.bags.bag_thread import BagThread
 
     bag: Any = SlowBag(error)
     thread = BagThread(lambda: bag, 100)
@@ -445,8 +445,8 @@ def test_a_path_that_exists_is_an_error(
     ],
 )
 def test_names_of_types_run_no_code(ros: None, name: str, words: str) -> None:
+    from humansim_ros.data.messages.types import message_type
     from humansim_ros.errors import RosError
-    from humansim_ros.messages.types import message_type
 
     with pytest.raises(RosError, match=words):
         message_type(name)
@@ -802,7 +802,7 @@ def test_a_run_in_lockstep_records_every_frame_although_a_node_is_killed_and_slo
 
 def test_a_recorder_is_one_of_the_processes_and_lockstep_waits_for_it(tmp_path: Path) -> None:
     from humansim_ros.errors import RosError
-    from humansim_ros.ros.lockstep.settings import TimeOptions
+    from humansim_ros.ros.processes.lockstep_settings import TimeOptions
     from humansim_ros.ros.processes.node_processes import RecordOptions, scene_processes
 
     scene, bag = write_scene(tmp_path, SCENE), tmp_path / "bag"

@@ -12,8 +12,8 @@ from conftest import ROOT
 from waiting import PATIENCE, wait_until
 
 from humansim_ros.errors import HumansimWarning, MotionError, RosError
-from humansim_ros.ros.player.motions import MAX_BYTES, BackgroundWork, RequestedMotions
-from humansim_ros.scene.source import SceneSource
+from humansim_ros.ros.playing.motions import MAX_BYTES, BackgroundWork, RequestedMotions
+from humansim_ros.scene.core.source import SceneSource
 
 WALK = ROOT / "assets" / "motions" / "walk.bvh"
 

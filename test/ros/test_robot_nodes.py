@@ -13,7 +13,7 @@ from geometry_msgs.msg import Twist, Vector3
 from nav_msgs.msg import Odometry
 from scipy.spatial.transform import Rotation
 
-from humansim_ros import messages
+from humansim_ros.data import messages
 from humansim_ros.scene import Scene, Simulation
 from humansim_ros.testing import SceneGraph
 

@@ -16,11 +16,11 @@ from conftest import ROOT
 from keyframe_text import keyframes
 from ros_support import Client, Lockstep, write_scene
 
-from humansim_ros import messages
-from humansim_ros.camera.trajectory import Trajectory
+from humansim_ros.cameras.camera.trajectory import Trajectory
+from humansim_ros.data import messages
 from humansim_ros.geometry import unit_quaternions
 from humansim_ros.scene import Scene, Simulation
-from humansim_ros.scene.live import JointSource, LiveRetargeter
+from humansim_ros.scene.core.live import JointSource, LiveRetargeter
 
 sys.path.append(str(ROOT / "tools"))
 
@@ -203,8 +203,8 @@ def simulated(scene: Path, frames: Sequence[int] = range(FRAMES)) -> field_hashe
     """Hashes of the messages of some frames of a new simulation."""
     from rclpy.serialization import deserialize_message, serialize_message
 
-    from humansim_ros.messages.topics import scene_topics
-    from humansim_ros.render.channels import ALL_CHANNELS
+    from humansim_ros.data.messages.topics import scene_topics
+    from humansim_ros.render.interface.channels import ALL_CHANNELS
 
     def sent() -> Iterator[tuple[str, Any]]:
         with Simulation(Scene.load(scene), ALL_CHANNELS) as simulation:
@@ -237,7 +237,7 @@ class Listener:
         from rclpy.qos import QoSDurabilityPolicy, QoSProfile
         from std_msgs.msg import Header
 
-        from humansim_ros.messages.topics import scene_topics
+        from humansim_ros.data.messages.topics import scene_topics
 
         self.namespace, self.name = namespace, f"listener_{namespace}"
         self.client = Client(self.name)
@@ -269,7 +269,7 @@ class Listener:
     def _store(self, topic: str, message: Any) -> None:
         from std_msgs.msg import Header
 
-        from humansim_ros.messages import to_time
+        from humansim_ros.data.messages import to_time
 
         self.messages.append((topic, message))
         self.received.setdefault(topic, set()).add(field_hashes.stamp_of(message))

@@ -8,9 +8,10 @@ from typing import Any
 import pytest
 import ros_support  # noqa: F401  # skips without ROS
 
-from humansim_ros import HumansimError, messages
-from humansim_ros.messages.topics import ScannerTopics, scene_topics
-from humansim_ros.record.recording import SceneRecording, record
+from humansim_ros import HumansimError
+from humansim_ros.data import messages
+from humansim_ros.data.messages.topics import ScannerTopics, scene_topics
+from humansim_ros.data.recording import SceneRecording, record
 from humansim_ros.ros.nodes.recorder import has_message_per_frame
 from humansim_ros.ros.processes.node_processes import scene_processes
 from humansim_ros.scene import Scene, Simulation

@@ -15,10 +15,10 @@ import pytest
 from ros_support import Client, write_scene
 from waiting import wait_until
 
-from humansim_ros.ros import transport as shared_memory
+from humansim_ros.ros.graph import transport as shared_memory
+from humansim_ros.ros.graph.transport import owned_names, remove_dead_files
 from humansim_ros.ros.processes.node_processes import scene_processes
 from humansim_ros.ros.processes.supervisor import Supervisor
-from humansim_ros.ros.transport import owned_names, remove_dead_files
 
 SHM = Path("/dev/shm")
 SEGMENT, PORT = "fastrtps_0123456789abcdef", "fastrtps_port22411"

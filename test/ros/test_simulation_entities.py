@@ -24,8 +24,8 @@ from simulation_driver import (  # noqa: F401  # fixtures
     yaw,
 )
 
-from humansim_ros import messages
-from humansim_ros.ros.qos import DATA
+from humansim_ros.data import messages
+from humansim_ros.ros.graph.qos import DATA
 from humansim_ros.scene import Scene
 
 pytestmark = pytest.mark.usefixtures("interfaces")

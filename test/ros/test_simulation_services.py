@@ -31,9 +31,9 @@ from simulation_driver import (  # noqa: F401  # fixtures
 )
 from waiting import PATIENCE
 
-from humansim_ros import messages
+from humansim_ros.data import messages
+from humansim_ros.ros.graph.qos import LATCHED
 from humansim_ros.ros.processes.node_processes import QUIT
-from humansim_ros.ros.qos import LATCHED
 from humansim_ros.scene import Scene
 
 pytestmark = pytest.mark.usefixtures("interfaces")

@@ -17,7 +17,7 @@ from conftest import ROOT
 from ros_support import write_scene
 from waiting import PATIENCE, existing, wait_until
 
-from humansim_ros.io.assets import resource_path
+from humansim_ros.files.reading.assets import resource_path
 from humansim_ros.ros.processes.node_processes import NodeProcess
 from humansim_ros.ros.processes.node_starter import NodeStarter
 from humansim_ros.ros.processes.supervisor import Supervisor
@@ -418,7 +418,7 @@ print(request.number)
 @pytest.mark.parametrize(
     ("run", "code"),
     [
-        ("from humansim_ros.ros.runtime import run_node; sys.exit(run_node(stop))", 0),
+        ("from humansim_ros.ros.processes.runtime import run_node; sys.exit(run_node(stop))", 0),
         (
             """import humansim_ros.cli.main as cli; cli.make_app = lambda _: stop()
 from humansim_ros.cli.__main__ import main; sys.exit(main())""",

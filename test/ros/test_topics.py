@@ -12,14 +12,14 @@ from keyframe_text import keyframes
 from ros_support import rclpy
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.camera import Camera
-from humansim_ros.messages.cdr import serialised
-from humansim_ros.messages.topic import Topic
-from humansim_ros.messages.topics import CameraTopics, scene_topics
-from humansim_ros.messages.types import is_made
-from humansim_ros.ros.qos import offered_profile
+from humansim_ros.cameras import Camera
+from humansim_ros.data.messages.cdr import serialised
+from humansim_ros.data.messages.topic import Topic
+from humansim_ros.data.messages.topics import CameraTopics, scene_topics
+from humansim_ros.data.messages.types import is_made
+from humansim_ros.ros.graph.qos import offered_profile
 from humansim_ros.scene import Scene, Simulation
-from humansim_ros.scene.simulation import Frame
+from humansim_ros.scene.core.simulation import Frame
 
 pytest.importorskip("rosbags")  # of the serialiser
 
@@ -176,7 +176,7 @@ def test_bytes_of_a_frame_are_the_same_each_time(scene: Scene, frames: list[Fram
 def test_stamps_of_all_messages_with_a_header_are_those_of_the_frame(
     scene: Scene, frames: list[Frame]
 ) -> None:
-    from humansim_ros.messages import to_nanoseconds
+    from humansim_ros.data.messages import to_nanoseconds
 
     headers = [getattr(topic.message(frames[0]), "header", None) for topic in scene_topics(scene)]
     stamps = {to_nanoseconds(header.stamp) for header in headers if header is not None}

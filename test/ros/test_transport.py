@@ -17,9 +17,15 @@ from conftest import ROOT
 from ros_support import node_pids, write_scene
 from waiting import PATIENCE, wait_until
 
-from humansim_ros.ros import transport
-from humansim_ros.ros import transport as shared_memory
-from humansim_ros.ros.transport import FULL_SEGMENT, PROFILES, choose_transport, free_memory, segment_size
+from humansim_ros.ros.graph import transport
+from humansim_ros.ros.graph import transport as shared_memory
+from humansim_ros.ros.graph.transport import (
+    FULL_SEGMENT,
+    PROFILES,
+    choose_transport,
+    free_memory,
+    segment_size,
+)
 
 MB = 1 << 20
 SETTINGS = (
@@ -32,8 +38,8 @@ SETTINGS = (
 PUBLISHER = """
 import sys, time
 import rclpy
-from humansim_ros.ros.qos import DATA
-from humansim_ros.ros.runtime import prepare_transport
+from humansim_ros.ros.graph.graph.qos import DATA
+from humansim_ros.ros.processes.runtime import prepare_transport
 from humansim_ros.errors import show_warnings
 from sensor_msgs.msg import Image
 show_warnings()
@@ -55,7 +61,7 @@ import time
 import rclpy
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Header
-from humansim_ros.ros.runtime import prepare_transport
+from humansim_ros.ros.processes.runtime import prepare_transport
 prepare_transport(2, network=False)
 rclpy.init()
 node = rclpy.create_node("flood")
@@ -73,9 +79,9 @@ import subprocess, sys, time
 from pathlib import Path
 import rclpy
 from std_msgs.msg import Header
-from humansim_ros.ros.guarded_node import GuardedNode
-from humansim_ros.ros.qos import NEWEST
-from humansim_ros.ros.runtime import make_executor, prepare_transport
+from humansim_ros.ros.graph.graph.guarded_node import GuardedNode
+from humansim_ros.ros.graph.graph.qos import NEWEST
+from humansim_ros.ros.processes.runtime import make_executor, prepare_transport
 
 def own():
     lines = Path("/proc/self/status").read_text().splitlines()
@@ -208,7 +214,7 @@ def test_fast_dds_accepts_every_profile(
     with_free_memory(monkeypatch, free)
     code = """
 import os, rclpy
-from humansim_ros.ros.transport import owned_names
+from humansim_ros.ros.graph.graph.transport import owned_names
 rclpy.init()
 node = rclpy.create_node("node")
 print(*(os.stat(f"/dev/shm/{name}").st_size for name in owned_names(os.getpid()) if "port" not in name))

@@ -12,12 +12,12 @@ import yaml
 from conftest import ROOT
 from rclpy.qos import QoSDurabilityPolicy, QoSReliabilityPolicy
 
-from humansim_ros.apps.viewer_layouts import foxglove_layout, rviz_layout
-from humansim_ros.messages.topic import Topic
-from humansim_ros.messages.topics import scene_topics
-from humansim_ros.ros.qos import offered_profile
+from humansim_ros.data.messages.topic import Topic
+from humansim_ros.data.messages.topics import scene_topics
+from humansim_ros.ros.graph.qos import offered_profile
+from humansim_ros.ros.tools.viewer_layouts import foxglove_layout, rviz_layout
 from humansim_ros.scene import Scene
-from humansim_ros.scene.names import SceneNames, read_names
+from humansim_ros.scene.core.names import SceneNames, read_names
 
 DEMO = ROOT / "config" / "scenes" / "demo.yaml"
 #: Displays of rviz_default_plugins of Jazzy that layouts use, with their types.
@@ -110,7 +110,7 @@ def test_the_camera_display_finds_the_calibration_beside_its_image(topics: Mappi
 
 
 def test_the_fields_that_colour_points_exist(topics: Mapping[str, Topic[Any]]) -> None:
-    from humansim_ros.messages.camera_truth import JOINT_POINT
+    from humansim_ros.data.messages.camera_truth import JOINT_POINT
 
     rviz = yaml.safe_load((ROOT / "config" / "humansim.rviz").read_text())
     (cloud,) = (display for kind, display in rviz_displays(rviz) if kind == "PointCloud2")

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.scanner.reflectivity import reflectivity
-from humansim_ros.scanner.returns import ONLY, STRONGEST_FIRST, WEAK_LAST, Measuring, Returns, measure
+from humansim_ros.cameras.scanner.reflectivities import reflectivity
+from humansim_ros.cameras.scanner.returns import ONLY, STRONGEST_FIRST, WEAK_LAST, Measuring, Returns, measure
+from humansim_ros.files.mesh.mesh import Mesh
 
 
 def echoes(rays: list[int], ranges: list[float], light: list[float]) -> Returns:

@@ -9,10 +9,10 @@ import sys
 from pathlib import Path
 
 from humansim_ros import Scene, Simulation
-from humansim_ros.messages.cdr import serialised
-from humansim_ros.messages.topics import scene_topics
-from humansim_ros.render.channels import ALL_CHANNELS
-from humansim_ros.scene.simulation import Frame
+from humansim_ros.data.messages.cdr import serialised
+from humansim_ros.data.messages.topics import scene_topics
+from humansim_ros.render.interface.channels import ALL_CHANNELS
+from humansim_ros.scene.core.simulation import Frame
 
 #: Frame that is compared: sweeps of all scanners have ended with it.
 INDEX = 6

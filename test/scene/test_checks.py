@@ -18,12 +18,13 @@ from keyframe_text import keyframes
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.camera import Camera, Trajectory, write_calibration
+from humansim_ros.cameras import Camera, Trajectory, write_calibration
 from humansim_ros.cli import main as cli
 from humansim_ros.geometry import segments_crossing
-from humansim_ros.scene import Finding, Scene, check_scene, source
-from humansim_ros.scene.actor import Actor
-from humansim_ros.scene.findings import closed_parts, points_inside, volume
+from humansim_ros.scene import Finding, Scene, check_scene
+from humansim_ros.scene.core import source
+from humansim_ros.scene.core.actor import Actor
+from humansim_ros.scene.core.findings import closed_parts, points_inside, volume
 from humansim_ros.types import Array
 
 #: A scene without findings: one camera, one human, a room.
@@ -479,7 +480,7 @@ def test_scenes_of_the_examples_have_no_findings(name: str, monkeypatch: pytest.
         assert check_scene(scene, processors=4) == []
         raise Played
 
-    monkeypatch.setattr("humansim_ros.scene.simulation.Simulation", play)
+    monkeypatch.setattr("humansim_ros.scene.core.simulation.Simulation", play)
     with pytest.raises(Played):
         runpy.run_path(str(ROOT / "examples" / f"{name}.py"), run_name="__main__")
 

@@ -13,17 +13,17 @@ import pytest
 import trimesh
 
 from humansim_ros.errors import HumansimError, HumansimWarning, SceneError
-from humansim_ros.motion.path_motion import PathMotion, WalkPath
-from humansim_ros.motion.soles import find_stances, slide_distances
+from humansim_ros.motion.pose.path_motion import PathMotion, WalkPath
+from humansim_ros.motion.pose.soles import find_stances, slide_distances
 from humansim_ros.scene import Scene, Simulation
-from humansim_ros.scene.actor import joint_poses_of
-from humansim_ros.scene.config import check_config
-from humansim_ros.scene.draft import Draft
+from humansim_ros.scene.config.config import check_config
+from humansim_ros.scene.core.actor import joint_poses_of
+from humansim_ros.scene.core.draft import Draft
+from humansim_ros.scene.core.playback import Playback
+from humansim_ros.scene.core.source import SceneSource
 from humansim_ros.scene.features.crowd.feature import FEATURE
 from humansim_ros.scene.features.crowd.walk_grid import WalkGrid
-from humansim_ros.scene.playback import Playback
-from humansim_ros.scene.room import furniture_plan
-from humansim_ros.scene.source import SceneSource
+from humansim_ros.scene.features.room import furniture_plan
 
 CAMERA = {"eye": {"size": [160, 120], "position": [3.2, 2.9, 2.2], "look_at": [0, 0, 1]}}
 ROOM = (12.0, 10.0, 2.8)

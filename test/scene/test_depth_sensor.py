@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from render_scenes import cast
 from scipy.ndimage import maximum_filter, minimum_filter
 
-from humansim_ros.camera import Camera, write_calibration
+from humansim_ros.cameras import Camera, write_calibration
+from humansim_ros.data.messages.topics import scene_topics
 from humansim_ros.errors import HumansimError, RenderError
-from humansim_ros.messages.topics import scene_topics
 from humansim_ros.scene import Scene, Simulation, check_scene
-from humansim_ros.scene.simulation import Frame
-from humansim_ros.view.seen_topics import seen_topics
+from humansim_ros.scene.core.simulation import Frame
+from humansim_ros.view.sources.seen_topics import seen_topics
 
 Values = NDArray[Any]
 SMALL: dict[str, Any] = {"size": [160, 120], "noise": 0}

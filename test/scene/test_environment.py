@@ -19,10 +19,11 @@ from render_scenes import renderer_or_skip
 
 from humansim_ros.errors import HumansimError, HumansimWarning, MeshError, SceneError
 from humansim_ros.render import Lighting
-from humansim_ros.render.lighting import tone_mapped
-from humansim_ros.render.pixel_geometry import ImageBackdrop, Panorama, ambient
-from humansim_ros.scene import Scene, Simulation, environment
-from humansim_ros.scene.environment import load_panorama
+from humansim_ros.render.device.pixel_geometry import ImageBackdrop, Panorama, ambient
+from humansim_ros.render.interface.lighting import tone_mapped
+from humansim_ros.scene import Scene, Simulation
+from humansim_ros.scene.core import environment
+from humansim_ros.scene.core.environment import load_panorama
 
 EYE = "cameras:\n  eye: {size: [160, 120], position: [0, 0, 1], look_at: [3, 0, 1], fov_deg: 60}\n"
 PLAIN = "room: null\nlight: {mode: shadeless}\n"

@@ -13,19 +13,19 @@ from conftest import ROOT
 from scipy.spatial.transform import Rotation
 
 from humansim_ros import Scene
-from humansim_ros.body.eyes import LIMITS, LOOKS, NECK_LIMITS
-from humansim_ros.body.face_actions import ACTIONS, FACE_AT_REST, expression
 from humansim_ros.errors import HumansimError, HumansimWarning, MotionError
-from humansim_ros.motion.face_files import read_face_file
-from humansim_ros.motion.faces import LIFE_SECONDS, blinks, glances, saccade_seconds, speech
-from humansim_ros.motion.kinematics import JointPoses
-from humansim_ros.motion.limits import load_limits
-from humansim_ros.scene.actor import Actor
-from humansim_ros.scene.checks import check_scene
-from humansim_ros.scene.human_state import HumanState
-from humansim_ros.scene.live import JointSource, LiveRetargeter
-from humansim_ros.scene.playback import Playback
-from humansim_ros.scene.randomise import random_numbers
+from humansim_ros.motion.body.eyes import LIMITS, LOOKS, NECK_LIMITS
+from humansim_ros.motion.body.face_actions import ACTIONS, FACE_AT_REST, expression
+from humansim_ros.motion.body.kinematics import JointPoses
+from humansim_ros.motion.pose.limits import load_limits
+from humansim_ros.scene.checks.checks import check_scene
+from humansim_ros.scene.core.actor import Actor
+from humansim_ros.scene.core.human_state import HumanState
+from humansim_ros.scene.core.live import JointSource, LiveRetargeter
+from humansim_ros.scene.core.playback import Playback
+from humansim_ros.scene.core.randomise import random_numbers
+from humansim_ros.scene.features.face_files import read_face_file
+from humansim_ros.scene.features.face_tracks import LIFE_SECONDS, blinks, glances, saccade_seconds, speech
 from humansim_ros.types import Array
 
 SMILE, JAW = ACTIONS.index("mouthSmileLeft"), ACTIONS.index("jawOpen")

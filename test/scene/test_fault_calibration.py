@@ -9,7 +9,7 @@ import pytest
 from render_scenes import renderer_or_skip
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.camera import Camera
+from humansim_ros.cameras import Camera
 from humansim_ros.scene import Frame, Scene, Simulation
 
 RATE = 10.0

@@ -9,10 +9,10 @@ import pytest
 from numpy.typing import NDArray
 from render_scenes import renderer_or_skip
 
-from humansim_ros.io.images import decode_srgb
+from humansim_ros.files.reading.images import decode_srgb
 from humansim_ros.scene import Frame, Scene, Simulation
-from humansim_ros.scene.camera_config import FaultsConfig
-from humansim_ros.scene.faults import FaultSchedule
+from humansim_ros.scene.config.camera_config import FaultsConfig
+from humansim_ros.scene.core.faults import FaultSchedule
 
 RATE = 20.0
 CHANNELS = ("rgb", "depth", "instance", "part")

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from render_scenes import renderer_or_skip
 
-from humansim_ros.camera.calibration import write_calibration
+from humansim_ros.cameras.formats.calibration import write_calibration
 from humansim_ros.errors import SceneError
 from humansim_ros.scene import Scene, Simulation
-from humansim_ros.scene.camera_config import FaultsConfig
-from humansim_ros.scene.faults import NO_FAULTS, FaultSchedule, FrameFaults
+from humansim_ros.scene.config.camera_config import FaultsConfig
+from humansim_ros.scene.core.faults import NO_FAULTS, FaultSchedule, FrameFaults
 
 FRAMES = 4000
 RATE = 20.0

@@ -15,7 +15,7 @@ from conftest import ROOT
 from humansim_ros import Scene, Simulation
 from humansim_ros.cli.scene import list_meshes
 from humansim_ros.errors import SceneError
-from humansim_ros.scene.objects import BUILT_IN_MESHES, FURNITURE, SHAPES
+from humansim_ros.scene.core.objects import BUILT_IN_MESHES, FURNITURE, SHAPES
 
 CAMERA = {"size": [96, 72], "position": [4, 0, 1.2], "look_at": [0, 0, 0.8]}
 
@@ -104,7 +104,7 @@ def test_the_command_lists_every_built_in_mesh(capsys: pytest.CaptureFixture[str
 def test_the_docs_name_every_built_in_mesh() -> None:
     text = (ROOT / "docs" / "scene.md").read_text()
     assert all(f"`{name}`" in text for name in BUILT_IN_MESHES)
-    from humansim_ros.scene.config import ObjectConfig
+    from humansim_ros.scene.config.config import ObjectConfig
 
     description = ObjectConfig.model_fields["mesh"].description
     assert description is not None and all(name in description for name in BUILT_IN_MESHES)
@@ -114,7 +114,7 @@ def test_moving_furniture_is_shown_by_rviz_as_triangles() -> None:
     pytest.importorskip("rclpy")
     from visualization_msgs.msg import Marker
 
-    from humansim_ros.messages.cameras import object_message, read_object
+    from humansim_ros.data.messages.cameras import object_message, read_object
 
     thing = scene_with(mesh="chair", size=[1, 1, 2], position=[1, 2, 0]).objects["thing"]
     message = object_message(thing, thing.initial_pose, 1)

@@ -25,14 +25,14 @@ from render_scenes import (
 )
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.camera import Camera
-from humansim_ros.camera.trajectory import Trajectory
-from humansim_ros.drawing.views import color_labels
+from humansim_ros.cameras import Camera
+from humansim_ros.cameras.camera.trajectory import Trajectory
 from humansim_ros.errors import RenderError, SceneError
 from humansim_ros.render import ALL_CHANNELS, CHANNELS, AdjacentFrame, Body, RendererName
 from humansim_ros.scene import Frame, Scene, Simulation
-from humansim_ros.scene.config import ObjectConfig, SceneConfig
-from humansim_ros.truth.camera_truth import NOTHING, OCCLUDED, PERSON, SELF, THING, rest_points
+from humansim_ros.scene.config.config import ObjectConfig, SceneConfig
+from humansim_ros.scene.pictures.views import color_labels
+from humansim_ros.scene.truth.camera_truth import NOTHING, OCCLUDED, PERSON, SELF, THING, rest_points
 
 #: A screen passes before two people, a crate stands behind them, a ball flies and grows, a wedge of a file
 #: stands half behind a post, which has no label.

@@ -20,15 +20,15 @@ from scipy.spatial.transform import Rotation
 from stand_ins import motion_path
 from waiting import end_process
 
-from humansim_ros import messages
+from humansim_ros.data import messages
 from humansim_ros.errors import HumansimError, MotionError, RosError
 from humansim_ros.motion import read_bvh
-from humansim_ros.motion.kinematics import JointPoses
+from humansim_ros.motion.body.kinematics import JointPoses
 from humansim_ros.scene import Scene
-from humansim_ros.scene.actor import Actor
-from humansim_ros.scene.config import MotionConfig
-from humansim_ros.scene.live import JointSource, LiveRetargeter
-from humansim_ros.scene.source import SceneSource
+from humansim_ros.scene.config.config import MotionConfig
+from humansim_ros.scene.core.actor import Actor
+from humansim_ros.scene.core.live import JointSource, LiveRetargeter
+from humansim_ros.scene.core.source import SceneSource
 
 LINKS = {
     "l_elbow": ("LeftForeArm", "LeftHand"),

@@ -14,18 +14,19 @@ from loose_figures import loose_child
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
-from humansim_ros import Human, Scene, Simulation, load_human, messages
-from humansim_ros.body.loose import CLOTH, HAIR, swing_at_rest
+from humansim_ros import Human, Scene, Simulation, load_human
+from humansim_ros.data import messages
+from humansim_ros.data.messages.humans import read_joints
 from humansim_ros.errors import MeshError, MotionError, RosError
-from humansim_ros.humans.human import human_from_arrays, write_human
-from humansim_ros.humans.makehuman.building import build
-from humansim_ros.humans.makehuman.packed import people_data
-from humansim_ros.humans.makehuman.shape import MakeHumanConfig, Outfit
-from humansim_ros.messages.humans import read_joints
-from humansim_ros.motion import loose_swing
-from humansim_ros.motion.loose_swing import LooseSwing
-from humansim_ros.scene.actor import Actor
-from humansim_ros.scene.live import JointSource, LiveRetargeter
+from humansim_ros.motion.body.loose import CLOTH, HAIR, swing_at_rest
+from humansim_ros.people.humans.human import human_from_arrays, write_human
+from humansim_ros.people.makehuman.building import build
+from humansim_ros.people.makehuman.packed import people_data
+from humansim_ros.people.makehuman.shape import MakeHumanConfig, Outfit
+from humansim_ros.scene.core.actor import Actor
+from humansim_ros.scene.core.live import JointSource, LiveRetargeter
+from humansim_ros.scene.features import loose_swing
+from humansim_ros.scene.features.loose_swing import LooseSwing
 from humansim_ros.types import Array
 
 

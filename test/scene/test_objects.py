@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from render_scenes import MOVES, assert_agrees, renderer_or_skip
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.camera import Camera
+from humansim_ros.cameras import Camera
 from humansim_ros.errors import MeshError, RenderError, SceneError
 from humansim_ros.render import Body
 from humansim_ros.scene import Scene, Simulation
-from humansim_ros.scene.objects import SHAPES
-from humansim_ros.truth.camera_truth import OCCLUDED, VISIBLE
+from humansim_ros.scene.core.objects import SHAPES
+from humansim_ros.scene.truth.camera_truth import OCCLUDED, VISIBLE
 
 #: A screen passes between a person that walks on the spot and the camera; a ball grows and turns as it flies.
 SCENE = """\

@@ -11,13 +11,13 @@ import pytest
 
 from humansim_ros.errors import HumansimError, SceneError
 from humansim_ros.geometry import VELOCITY_STEP, quaternion_to_matrix
-from humansim_ros.motion.limits import load_limits
-from humansim_ros.motion.scene_query import WITHOUT_REACH
-from humansim_ros.motion.soles import sole_points
+from humansim_ros.motion.pose.limits import load_limits
+from humansim_ros.motion.pose.scene_query import WITHOUT_REACH
+from humansim_ros.motion.pose.soles import sole_points
 from humansim_ros.scene import Scene, check_scene
-from humansim_ros.scene.actor import Actor
-from humansim_ros.scene.live import LiveRetargeter
-from humansim_ros.scene.playback import Playback
+from humansim_ros.scene.core.actor import Actor
+from humansim_ros.scene.core.live import LiveRetargeter
+from humansim_ros.scene.core.playback import Playback
 
 ROOT = Path(__file__).resolve().parents[2]
 CAMERAS = {"front": {"size": [160, 120], "position": [3, 2.6, 2], "look_at": [0, 0, 0.8]}}

@@ -19,8 +19,8 @@ from hypothesis import strategies as st
 
 from humansim_ros.errors import CameraError, HumansimError, MeshError, MotionError, SceneError
 from humansim_ros.scene import Actor, Scene, SceneObject
-from humansim_ros.scene.config import SceneConfig, load_config
-from humansim_ros.scene.source import SceneSource
+from humansim_ros.scene.config.config import SceneConfig, load_config
+from humansim_ros.scene.core.source import SceneSource
 
 GOOD = """\
 rate: 25

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from waiting import PATIENCE
 
-from humansim_ros.camera import Camera
+from humansim_ros.cameras import Camera
 from humansim_ros.errors import HumansimError, HumansimWarning
 from humansim_ros.render import View
 from humansim_ros.scene import Frame, Scene, Simulation

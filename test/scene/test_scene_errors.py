@@ -15,12 +15,12 @@ import yaml
 from conftest import ROOT
 from pydantic import AfterValidator, BaseModel
 
-from humansim_ros.camera import Camera, write_calibration
+from humansim_ros.cameras import Camera, write_calibration
 from humansim_ros.errors import HumansimError
-from humansim_ros.io.images import encode_image
+from humansim_ros.files.reading.images import encode_image
 from humansim_ros.ros.processes.node_processes import scene_processes
 from humansim_ros.scene import Scene, SceneConfig
-from humansim_ros.scene.config import load_config, map_files
+from humansim_ros.scene.config.config import load_config, map_files
 from humansim_ros.scene.features.held.keys import HoldConfig
 from humansim_ros.scene.features.robot.keys import PathConfig
 from humansim_ros.scene.features.variety.keys import PeopleConfig

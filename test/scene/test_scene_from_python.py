@@ -13,9 +13,9 @@ from conftest import ROOT
 from render_scenes import renderer_or_skip
 
 from humansim_ros import load_human, read_motion
-from humansim_ros.camera import Camera
+from humansim_ros.cameras import Camera
 from humansim_ros.errors import HumansimError, MotionError, SceneError
-from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.files.mesh.mesh import Mesh
 from humansim_ros.scene import Scene, Simulation
 
 SCENE: dict[str, Any] = {

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from humansim_ros import Scene, write_calibration
-from humansim_ros.camera.rigs import Optics, ring
+from humansim_ros.cameras.camera.rigs import Optics, ring
 from humansim_ros.errors import CameraError, HumansimWarning, SceneError
 
 RIG = ring(3, 3, 1.5, (0, 0, 1), Optics())

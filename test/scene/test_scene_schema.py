@@ -14,7 +14,7 @@ import yaml
 from conftest import ROOT
 
 from humansim_ros import HumansimError
-from humansim_ros.scene.config import SceneConfig, check_config, schema_text
+from humansim_ros.scene.config.config import SceneConfig, check_config, schema_text
 
 jsonschema = pytest.importorskip("jsonschema")
 SCENES = sorted((ROOT / "config" / "scenes").glob("*.yaml"))

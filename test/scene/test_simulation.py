@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from humansim_ros.scene import Frame, Scene, Simulation
-from humansim_ros.truth.camera_truth import VISIBLE
+from humansim_ros.scene.truth.camera_truth import VISIBLE
 
 SCENE = """
 rate: 30

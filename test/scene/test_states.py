@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 
 from humansim_ros import Scene, Simulation
-from humansim_ros.render.channels import ADJACENT_NAMES
-from humansim_ros.scene.playback import Playback
-from humansim_ros.scene.states import SceneStates
+from humansim_ros.render.interface.channels import ADJACENT_NAMES
+from humansim_ros.scene.core.playback import Playback
+from humansim_ros.scene.core.states import SceneStates
 
 RATE = 30
 #: Rates, and offsets in frames of the scene.

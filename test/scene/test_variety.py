@@ -13,16 +13,16 @@ from scipy.spatial import cKDTree
 
 from humansim_ros.cli.human import built_in_humans
 from humansim_ros.errors import HumansimWarning, SceneError
-from humansim_ros.humans import make_person
-from humansim_ros.humans.makehuman.population import PeopleLimits, draw_people
-from humansim_ros.mesh import Mesh
+from humansim_ros.files import Mesh
+from humansim_ros.people import make_person
+from humansim_ros.people.makehuman.population import PeopleLimits, draw_people
 from humansim_ros.ros.processes.node_processes import scene_processes
 from humansim_ros.scene import Finding, Scene, Simulation, check_scene
-from humansim_ros.scene.config import HumanConfig, load_config
-from humansim_ros.scene.draft import Draft
+from humansim_ros.scene.config.config import HumanConfig, load_config
+from humansim_ros.scene.core.draft import Draft
+from humansim_ros.scene.core.source import SceneSource
+from humansim_ros.scene.features.room import furnished_room, furniture_plan
 from humansim_ros.scene.features.variety.feature import FEATURE
-from humansim_ros.scene.room import furnished_room, furniture_plan
-from humansim_ros.scene.source import SceneSource
 
 CAMERA = {"eye": {"size": [160, 120], "position": [3.2, 2.9, 2.2], "look_at": [0, 0, 1]}}
 

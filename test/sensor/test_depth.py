@@ -9,11 +9,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from humansim_ros.camera import Camera
+from humansim_ros.cameras import Camera, DepthSensor, DepthSensorConfig
+from humansim_ros.cameras.sensor.depth import Surfaces, aligned, metres, points_of
 from humansim_ros.errors import CameraError, SceneError
-from humansim_ros.scene.config import check_config
-from humansim_ros.sensor import DepthSensor, DepthSensorConfig
-from humansim_ros.sensor.depth import Surfaces, aligned, metres, points_of
+from humansim_ros.scene.config.config import check_config
 
 Values = NDArray[Any]
 SIZE = (320, 240)

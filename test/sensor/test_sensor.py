@@ -19,12 +19,11 @@ from pydantic import ValidationError
 from render_scenes import renderer_or_skip
 from scipy.integrate import quad
 
-from humansim_ros.camera import Camera
+from humansim_ros.cameras import Camera, ChromaticAberration, Noise, Sensor, SensorConfig, Vignetting
 from humansim_ros.errors import CameraError
 from humansim_ros.geometry import moved
 from humansim_ros.render import View
 from humansim_ros.scene import Scene, Simulation
-from humansim_ros.sensor import ChromaticAberration, Noise, Sensor, SensorConfig, Vignetting
 
 Picture = NDArray[np.uint8]
 

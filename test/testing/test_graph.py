@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from ros_support import rclpy
 
-from humansim_ros import messages
+from humansim_ros.data import messages
 from humansim_ros.errors import RosError
 from humansim_ros.scene import Scene, Simulation
 from humansim_ros.testing import SceneGraph

@@ -163,8 +163,8 @@ def test_the_tests_of_the_document_work_as_printed(users: pytest.Pytester) -> No
 @pytest.mark.slow
 @pytest.mark.nightly
 def test_the_nodes_may_run_as_processes(tmp_path: Path, humansim_domain: int) -> None:
+    from humansim_ros.data.messages import to_nanoseconds
     from humansim_ros.errors import RosError
-    from humansim_ros.messages import to_nanoseconds
     from humansim_ros.scene import Scene
     from humansim_ros.testing import SceneGraph
     from humansim_ros.testing.graph import NodeProcesses

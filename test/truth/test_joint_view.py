@@ -7,12 +7,12 @@ import pytest
 from conftest import ROOT
 from numpy.typing import NDArray
 
-from humansim_ros.body.joint_names import finger_bones
-from humansim_ros.camera import Camera
-from humansim_ros.humans.human import Human, joint_surfaces
-from humansim_ros.humans.loading import load_human
+from humansim_ros.cameras import Camera
+from humansim_ros.motion.body.joint_names import finger_bones
+from humansim_ros.people.humans.human import Human, joint_surfaces
+from humansim_ros.people.loading.loading import load_human
 from humansim_ros.render import View
-from humansim_ros.truth.camera_truth import (
+from humansim_ros.scene.truth.camera_truth import (
     NOTHING,
     OCCLUDED,
     OUTSIDE,

@@ -18,14 +18,13 @@ from numpy.typing import NDArray
 from opencv_support import opencv_pixels
 from render_scenes import EACH_RENDERER, body, box, quad, renderer_or_skip, walkers
 
-from humansim_ros.camera import Camera
-from humansim_ros.camera.trajectory import Trajectory
-from humansim_ros.humans.human import joint_surfaces
-from humansim_ros.keypoints import KeypointLocator, keypoint_set
+from humansim_ros.cameras import Camera
+from humansim_ros.cameras.camera.trajectory import Trajectory
+from humansim_ros.people import KeypointLocator, keypoint_set
+from humansim_ros.people.humans.human import joint_surfaces
 from humansim_ros.render import Body, RendererName, View
-from humansim_ros.scene import Frame, Scene, Simulation
-from humansim_ros.truth import CameraTruth, view_joints
-from humansim_ros.truth.camera_truth import (
+from humansim_ros.scene import CameraTruth, Frame, Scene, Simulation, view_joints
+from humansim_ros.scene.truth.camera_truth import (
     NOTHING,
     OCCLUDED,
     OUTSIDE,

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.truth import upright_box
+from humansim_ros.scene import upright_box
 
 JOINTS = ("l_hip", "head", "r_hip")
 

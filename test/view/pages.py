@@ -59,9 +59,9 @@ def served(*arguments: str, cwd: Path | None = None) -> Iterator[tuple[str, list
 @contextlib.contextmanager
 def running_app(path: Path, estimate: str | None = None) -> Iterator[Any]:
     """The page of a file, with an estimate beside it or not, served by a thread of this process."""
-    from humansim_ros.view import scene_source, tracks
     from humansim_ros.view.app import ViewApp
-    from humansim_ros.view.inputs import TopicOptions, open_source
+    from humansim_ros.view.sources import scene_source, tracks
+    from humansim_ros.view.sources.inputs import TopicOptions, open_source
 
     opened = open_source(path, None if estimate is None else TopicOptions([estimate]))
     made = ViewApp(opened, 0)

@@ -12,19 +12,19 @@ import pytest
 from ros_support import write_scene
 
 from humansim_ros import Scene, Simulation, load_human
-from humansim_ros.bags.chunks import BagMessage, encode_chunk
-from humansim_ros.bags.reader import BagReader
-from humansim_ros.bags.topics import BagTopic, Qos
-from humansim_ros.bags.writer import BagWriter
-from humansim_ros.camera.trajectory import Trajectory
-from humansim_ros.drawing.views import color_channel
+from humansim_ros.cameras.camera.trajectory import Trajectory
+from humansim_ros.data.bags.chunks import BagMessage, encode_chunk
+from humansim_ros.data.bags.reader import BagReader
+from humansim_ros.data.bags.topics import BagTopic, Qos
+from humansim_ros.data.bags.writer import BagWriter
+from humansim_ros.data.recording import RecordingPlan, SceneRecording, record
 from humansim_ros.errors import BagError, HumansimError
-from humansim_ros.humans.human import write_human
-from humansim_ros.record.recording import RecordingPlan, SceneRecording, record
+from humansim_ros.people.humans.human import write_human
 from humansim_ros.scene import Frame
-from humansim_ros.view.bag_source import BagViewSource
-from humansim_ros.view.picking import PIXEL_CHANNELS, pixel_info
-from humansim_ros.view.source import JOINTS, FrameRequest
+from humansim_ros.scene.pictures.views import color_channel
+from humansim_ros.view.sources.bag_source import BagViewSource
+from humansim_ros.view.sources.picking import PIXEL_CHANNELS, pixel_info
+from humansim_ros.view.sources.source import JOINTS, FrameRequest
 
 SCENE = """
 rate: 20
@@ -157,7 +157,7 @@ def test_frames_come_in_any_order_and_unwanted_images_are_not_read(source: BagVi
 
 
 def test_the_cache_of_messages_is_bounded(bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("humansim_ros.view.bag_source._MAX_KEPT", 100_000)
+    monkeypatch.setattr("humansim_ros.view.sources.bag_source._MAX_KEPT", 100_000)
     source = BagViewSource(bag)
     for index in (*range(FRAMES), 0):
         frame = source.frame(index, FrameRequest(["fixed", "moving"], ["rgb", "depth"]))
@@ -294,7 +294,7 @@ def test_joints_of_another_skeleton_without_rotations(tmp_path: Path) -> None:
     from geometry_msgs.msg import Transform, Vector3
     from sensor_msgs.msg import MultiDOFJointState
 
-    from humansim_ros.messages import header
+    from humansim_ros.data.messages import header
 
     points = {"hip": (0, 0, 1.0), "knee": (0.1, 0, 0.5), "foot": (0, 0, 0.0), "head": (0, 0, 1.7)}
 
@@ -329,7 +329,7 @@ def test_a_robot_with_tf_other_names_and_other_stamps(tmp_path: Path) -> None:
     from rosbags.typesys import Stores, get_typestore
     from sensor_msgs.msg import CameraInfo
 
-    from humansim_ros.messages import header, image_message
+    from humansim_ros.data.messages import header, image_message
 
     rng = np.random.default_rng(3)
     colors = [rng.integers(0, 255, (6, 8, 3), np.uint8) for _ in range(3)]
@@ -429,7 +429,7 @@ def test_an_estimate_is_beside_the_truth_with_its_error(tmp_path: Path, scene: S
     from geometry_msgs.msg import Transform, Vector3
     from sensor_msgs.msg import MultiDOFJointState
 
-    from humansim_ros.messages import header
+    from humansim_ros.data.messages import header
 
     shifts = {"p7": ("anna", 0.02), "p8": ("bert", 0.05), "ghost": ("anna", 9.0)}
 
@@ -491,7 +491,7 @@ def test_the_skin_of_an_unknown_body_is_found_from_its_vertices(tmp_path: Path) 
 @pytest.mark.nightly
 def test_the_command_opens_a_bag_and_its_bodies(tmp_path: Path, scene: Scene, bag: Path) -> None:
     """A body that is not built in is known if its file is given."""
-    from humansim_ros.view.inputs import TopicOptions, open_source
+    from humansim_ros.view.sources.inputs import TopicOptions, open_source
 
     opened = open_source(bag)
     assert opened.source.title == "walk" and opened.reload is None

@@ -10,12 +10,12 @@ import pytest
 from conftest import ROOT
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.camera import Camera, read_calibration, write_calibration
-from humansim_ros.camera.rigs import Optics, ring
+from humansim_ros.cameras import Camera, read_calibration, write_calibration
+from humansim_ros.cameras.camera.rigs import Optics, ring
 from humansim_ros.errors import HumansimError, SceneError
 from humansim_ros.scene import Scene
-from humansim_ros.view.document import SceneDocument
-from humansim_ros.view.edits import (
+from humansim_ros.view.edit.document import SceneDocument
+from humansim_ros.view.edit.edits import (
     add_calibration,
     is_ideal,
     keyframe_times,

@@ -12,10 +12,10 @@ import yaml
 from conftest import ROOT
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.body.joint_names import body_joints
 from humansim_ros.errors import HumansimError, SceneError
+from humansim_ros.motion.body.joint_names import body_joints
 from humansim_ros.scene import Scene
-from humansim_ros.view.document import NEW_SCENE, SceneDocument
+from humansim_ros.view.edit.document import NEW_SCENE, SceneDocument
 
 SCENES = sorted((ROOT / "config/scenes").glob("*.yaml"))
 ROOMLESS = "room: null\ncameras:\n  c: {position: [3, 0, 1.5], look_at: [0, 0, 1]}  # in front\n"

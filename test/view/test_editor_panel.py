@@ -21,10 +21,10 @@ from stand_ins import STAND_INS
 from waiting import wait_until
 
 from humansim_ros.errors import HumansimError
-from humansim_ros.humans import load_human
+from humansim_ros.people import load_human
 from humansim_ros.scene import Scene
-from humansim_ros.view.document import SceneDocument
-from humansim_ros.view.edits import keyframe_times
+from humansim_ros.view.edit.document import SceneDocument
+from humansim_ros.view.edit.edits import keyframe_times
 from humansim_ros.view.panels.editor import EditorPanel
 
 pytest.importorskip("viser")
@@ -32,7 +32,7 @@ pytest.importorskip("viser")
 from msgspec.msgpack import encode
 from test_server import CAMERA, connected
 
-from humansim_ros.view.inputs import open_source
+from humansim_ros.view.sources.inputs import open_source
 
 #: The demo scene without its room, which takes time.
 DEMO = (ROOT / "config/scenes/demo.yaml").read_text().replace("room:\n  size: [7.0, 6.4, 2.8]", "room: null")

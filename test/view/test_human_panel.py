@@ -21,10 +21,10 @@ pytest.importorskip("viser")
 from humansim_ros import load_human
 from humansim_ros.errors import HumansimError
 from humansim_ros.geometry import WORLD_FROM_BODY
-from humansim_ros.view.inputs import new_scene
+from humansim_ros.view.edit.person_draft import PersonDraft
 from humansim_ros.view.panels import drawn_person
 from humansim_ros.view.panels.human import HumanPanel
-from humansim_ros.view.person_draft import PersonDraft
+from humansim_ros.view.sources.inputs import new_scene
 
 PERSON = "own_male_T_uv_m.obj"
 

@@ -13,8 +13,8 @@ from waiting import wait_until
 
 from humansim_ros import Scene, Simulation
 from humansim_ros.errors import HumansimError
-from humansim_ros.view.scene_source import ImageWorkers, Request, SceneViewSource
-from humansim_ros.view.source import JOINTS, FrameRequest
+from humansim_ros.view.sources.scene_source import ImageWorkers, Request, SceneViewSource
+from humansim_ros.view.sources.source import JOINTS, FrameRequest
 
 pytestmark = pytest.mark.process
 
@@ -42,7 +42,7 @@ def workers(scene: Scene) -> Iterator[ImageWorkers]:
 COPIES = """
 import sys, time
 from humansim_ros import Scene
-from humansim_ros.view.scene_source import ImageWorkers, Request, SceneViewSource
+from humansim_ros.view.sources.scene_source import ImageWorkers, Request, SceneViewSource
 workers = ImageWorkers(Scene.load(sys.argv[1]), 2, copies=True)
 image = workers.exact(Request(7, ("front", "side"), ("rgb",), 160)).images["side"]["rgb"]
 print(*(process.pid for process in workers._workers.processes), image.tobytes().hex(), flush=True)

@@ -8,8 +8,8 @@ import pytest
 from conftest import SHARED_DATA, needs_shared_data
 
 from humansim_ros.errors import HumansimError
-from humansim_ros.io.assets import resource_path
-from humansim_ros.view.inputs import open_source
+from humansim_ros.files.reading.assets import resource_path
+from humansim_ros.view.sources.inputs import open_source
 
 pytest.importorskip("viser")
 

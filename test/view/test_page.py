@@ -30,7 +30,7 @@ from pages import (
 from waiting import PATIENCE, wait_until
 
 from humansim_ros import Scene, Simulation
-from humansim_ros.view.stage import PageBody
+from humansim_ros.view.panels.stage import PageBody
 
 pytestmark = [needs_browser, pytest.mark.nightly, pytest.mark.slow, pytest.mark.process]
 

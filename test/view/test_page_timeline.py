@@ -15,7 +15,7 @@ from labs import write_estimate
 from pages import browser, needs_browser, opened_page, pause, running_app, tracks_of, until, wait_for_tracks
 
 from humansim_ros import Scene, Simulation
-from humansim_ros.body.joint_names import body_joints
+from humansim_ros.motion.body.joint_names import body_joints
 
 pytestmark = [needs_browser, pytest.mark.nightly, pytest.mark.slow, pytest.mark.process]
 
@@ -36,7 +36,12 @@ SIZES = ((1280, 800), (800, 1200), (1000, 557))
 def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Any, Any]]:
     import numpy as np
 
-    from humansim_ros.motion.keyframes import Keyframes, KeyframeTimeline, KeyframeTrack, write_keyframes
+    from humansim_ros.motion.files.keyframes import (
+        Keyframes,
+        KeyframeTimeline,
+        KeyframeTrack,
+        write_keyframes,
+    )
 
     folder = tmp_path_factory.mktemp("timeline")
     timeline = KeyframeTimeline(0, 40, 30.0)

@@ -17,9 +17,9 @@ from humansim_ros.photographs.fit_file import read_fit
 from humansim_ros.photographs.fitting import fit_person
 from humansim_ros.photographs.person_fit import PersonFit
 from humansim_ros.photographs.views import read_views
-from humansim_ros.view.inputs import open_source
-from humansim_ros.view.photo_document import PhotoDocument, outlines
-from humansim_ros.view.photo_source import PhotoSource
+from humansim_ros.view.edit.photo_document import PhotoDocument, outlines
+from humansim_ros.view.sources.inputs import open_source
+from humansim_ros.view.sources.photo_source import PhotoSource
 
 
 @pytest.fixture(scope="module")

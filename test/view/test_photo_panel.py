@@ -17,11 +17,11 @@ from waiting import wait_until
 
 from humansim_ros.errors import HumansimError
 from humansim_ros.photographs.views import read_points
-from humansim_ros.view import photo_source
 from humansim_ros.view.app import ViewApp
-from humansim_ros.view.inputs import open_source
 from humansim_ros.view.panels.photographs import PhotographsPanel
-from humansim_ros.view.photo_source import PhotoSource
+from humansim_ros.view.sources import photo_source
+from humansim_ros.view.sources.inputs import open_source
+from humansim_ros.view.sources.photo_source import PhotoSource
 
 
 class Opened:

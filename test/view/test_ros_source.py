@@ -18,13 +18,13 @@ from ros_support import Client, write_scene
 from waiting import wait_until
 
 from humansim_ros import Scene, Simulation
-from humansim_ros.body.joint_names import body_joints
 from humansim_ros.errors import RosError
+from humansim_ros.motion.body.joint_names import body_joints
 from humansim_ros.scene import Frame
 from humansim_ros.testing import SceneGraph
-from humansim_ros.view.picking import PIXEL_CHANNELS, pixel_info
-from humansim_ros.view.ros_source import RosViewSource
-from humansim_ros.view.source import JOINTS, FrameRequest
+from humansim_ros.view.sources.picking import PIXEL_CHANNELS, pixel_info
+from humansim_ros.view.sources.ros_source import RosViewSource
+from humansim_ros.view.sources.source import JOINTS, FrameRequest
 
 SCENE = """
 rate: 20
@@ -238,7 +238,7 @@ def test_pixels_have_the_numbers_of_the_simulation(shown: Any) -> None:
 
 def test_images_that_nobody_looks_at_are_not_received(shown: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Cameras render them only while they are shown."""
-    monkeypatch.setattr("humansim_ros.view.ros_source._UNWANTED", 0.2)
+    monkeypatch.setattr("humansim_ros.view.sources.ros_source._UNWANTED", 0.2)
     source, node = shown.source, shown.graph.node
     assert wait_until(
         lambda: (
@@ -264,7 +264,7 @@ def test_an_empty_graph_says_so_and_takes_what_comes(client: Client) -> None:
     from rclpy.qos import QoSProfile, QoSReliabilityPolicy
     from sensor_msgs.msg import CameraInfo, Image, MultiDOFJointState
 
-    from humansim_ros.messages import header, image_message, joints_message
+    from humansim_ros.data.messages import header, image_message, joints_message
 
     with closing(RosViewSource(estimate="/t/*/poses", namespace="lab", patience=0.1)) as source:
         frame = source.frame(0, FrameRequest([], ["rgb"]))
@@ -314,8 +314,8 @@ def test_the_skin_of_an_unknown_body_is_found_while_it_moves(client: Client) -> 
     from sensor_msgs.msg import MultiDOFJointState, PointCloud2
     from shape_msgs.msg import Mesh as MeshMessage
 
-    from humansim_ros.messages import joints_message, mesh_message, vertices_message
-    from humansim_ros.ros.qos import LATCHED
+    from humansim_ros.data.messages import joints_message, mesh_message, vertices_message
+    from humansim_ros.ros.graph.qos import LATCHED
 
     actor = Scene.load().actors["walker"]
     mesh = replace(actor.human.mesh, vertices=actor.human.mesh.vertices + np.array([0, 0, 0.01]))
@@ -355,7 +355,7 @@ def test_hostile_messages_do_not_end_the_source(client: Client) -> None:
     from std_msgs.msg import String
     from visualization_msgs.msg import Marker, MarkerArray
 
-    from humansim_ros.messages import header, joints_message
+    from humansim_ros.data.messages import header, joints_message
 
     kinds = {
         "/bad/humans/x/joints": MultiDOFJointState,

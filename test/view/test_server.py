@@ -20,7 +20,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from humansim_ros.errors import HumansimError
-from humansim_ros.view.server import HOST, PageServer, check_value, inside, is_acceptable
+from humansim_ros.view.server.server import HOST, PageServer, check_value, inside, is_acceptable
 
 CAMERA = {
     "type": "ViewerCameraMessage",
@@ -141,7 +141,7 @@ def test_a_stream_gives_the_latest_data_to_late_pages(server: PageServer) -> Non
 def test_images_wait_until_the_page_has_shown_the_ones_before(
     server: PageServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("humansim_ros.view.server._SHOWN_WITHIN", 1e6)
+    monkeypatch.setattr("humansim_ros.view.server.server._SHOWN_WITHIN", 1e6)
     with connected(server, "/humansim/frames") as page:
         for data, kind in ((b"images 1", "images"), (b"images 2", "images"), (b"poses", "poses")):
             server.stream(data, kind)

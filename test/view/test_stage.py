@@ -11,9 +11,9 @@ from scipy.spatial import KDTree
 pytest.importorskip("viser")
 
 from humansim_ros import Scene, load_human
-from humansim_ros.view.scene_source import SceneViewSource
-from humansim_ros.view.source import FrameRequest
-from humansim_ros.view.stage import PageBody, pose_message
+from humansim_ros.view.panels.stage import PageBody, pose_message
+from humansim_ros.view.sources.scene_source import SceneViewSource
+from humansim_ros.view.sources.source import FrameRequest
 
 
 def test_four_bones_pose_the_skin_of_the_page_as_all_bones_do() -> None:

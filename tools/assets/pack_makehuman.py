@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
-from humansim_ros.body.face_actions import ACTIONS  # noqa: E402
-from humansim_ros.humans.makehuman.data import METRES, MakeHumanData  # noqa: E402
-from humansim_ros.humans.makehuman.packed import (  # noqa: E402
+from humansim_ros.files.reading.npz import write_npz  # noqa: E402
+from humansim_ros.motion.body.face_actions import ACTIONS  # noqa: E402
+from humansim_ros.people.makehuman.data import METRES, MakeHumanData  # noqa: E402
+from humansim_ros.people.makehuman.packed import (  # noqa: E402
     ACTION,
     COMPONENT_STEPS,
     MASKS,
@@ -29,8 +30,7 @@ from humansim_ros.humans.makehuman.packed import (  # noqa: E402
     PackedData,
     differences,
 )
-from humansim_ros.humans.makehuman.population import FACE_TARGETS  # noqa: E402
-from humansim_ros.io.npz import write_npz  # noqa: E402
+from humansim_ros.people.makehuman.population import FACE_TARGETS  # noqa: E402
 
 OUT = ROOT / "assets" / "makehuman" / "base.npz"
 #: Components with a smaller root of the mean square, metres, are left out.

@@ -2,15 +2,15 @@
 
     python tools/assets/simplify_humans.py
 
-Run it when a built-in human or ``VERSION`` of ``humansim_ros/humans/levels.py`` has changed.
+Run it when a built-in human or ``VERSION`` of ``humansim_ros/people/loading/levels.py`` has changed.
 """
 
 from __future__ import annotations
 
 from humansim_ros.cli.human import built_in_humans
-from humansim_ros.humans.levels import FOLDER, make_levels, path_of, write_levels
-from humansim_ros.humans.loading import load_human
-from humansim_ros.io.assets import resource_root
+from humansim_ros.files.reading.assets import resource_root
+from humansim_ros.people.loading.levels import FOLDER, make_levels, path_of, write_levels
+from humansim_ros.people.loading.loading import load_human
 
 
 def main() -> None:

@@ -46,7 +46,7 @@ CASES = {"known pose": None, "other colours": None, "fitted pose": "", "fitted m
 
 def looking(angle: float, height: float):
     """A camera with a lens that sees the whole figure."""
-    from humansim_ros.camera import Camera
+    from humansim_ros.cameras import Camera
 
     place = (2.7 * np.cos(angle), 2.7 * np.sin(angle), height)
     ideal = Camera.look_at(place, (0, 0, 0.85), SIZE, np.radians(55))
@@ -177,9 +177,9 @@ def fitted(folder: Path, start: str, human, posed, vertices, cameras, faces):
     import cv2
     import yaml
 
-    from humansim_ros.camera import write_calibration
-    from humansim_ros.keypoints import keypoint_set
-    from humansim_ros.keypoints.locator import KeypointLocator
+    from humansim_ros.cameras import write_calibration
+    from humansim_ros.people import keypoint_set
+    from humansim_ros.people.keypoints.locator import KeypointLocator
     from humansim_ros.photographs import read_views
     from humansim_ros.photographs.fitting import fit_person
     from humansim_ros.photographs.views import write_points
@@ -207,7 +207,7 @@ def evaluate(path: Path, blender: str, renders: Path, output: Path | None) -> No
     import cv2
 
     from humansim_ros.geometry import matrix_to_quaternion, rotation_vector_to_matrix
-    from humansim_ros.humans import load_human
+    from humansim_ros.people import load_human
     from humansim_ros.photographs.atlas_texture import texture_atlas
     from humansim_ros.photographs.surface import TextureView
     from humansim_ros.photographs.texturing import texture_thesis

@@ -19,12 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.humans.human import Human
-from humansim_ros.humans.loading import load_human
-from humansim_ros.mesh.load import read_mesh
-from humansim_ros.motion.bvh import read_bvh
-from humansim_ros.motion.info import to_world
-from humansim_ros.motion.retarget import Retargeter
+from humansim_ros.files.mesh.load import read_mesh
+from humansim_ros.motion.files.bvh import read_bvh
+from humansim_ros.motion.pose.info import to_world
+from humansim_ros.motion.pose.retarget import Retargeter
+from humansim_ros.people.humans.human import Human
+from humansim_ros.people.loading.loading import load_human
 
 ROOT = Path(__file__).resolve().parents[2]
 SEED = 20080814

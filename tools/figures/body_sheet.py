@@ -17,11 +17,11 @@ ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
 from humansim_ros.cli.human import built_in_humans  # noqa: E402
-from humansim_ros.drawing.people import HumanArtist, SkinnedArtist  # noqa: E402
-from humansim_ros.humans.loading import load_human  # noqa: E402
-from humansim_ros.io.assets import find_asset  # noqa: E402
+from humansim_ros.files.reading.assets import find_asset  # noqa: E402
 from humansim_ros.motion import read_motion  # noqa: E402
-from humansim_ros.motion.info import to_world  # noqa: E402
+from humansim_ros.motion.pose.info import to_world  # noqa: E402
+from humansim_ros.people.loading.loading import load_human  # noqa: E402
+from humansim_ros.scene.pictures.people import HumanArtist, SkinnedArtist  # noqa: E402
 from humansim_ros.types import Image  # noqa: E402
 
 SIZE = (230, 300)

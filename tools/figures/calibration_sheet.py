@@ -21,17 +21,14 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
-from humansim_ros.camera import Camera  # noqa: E402
-from humansim_ros.camera.calibration import load_calibration  # noqa: E402
+from humansim_ros.cameras import Camera  # noqa: E402
+from humansim_ros.cameras.formats.calibration import load_calibration  # noqa: E402
 from humansim_ros.errors import HumansimError, HumansimWarning  # noqa: E402
 from humansim_ros.render import Body, GLRenderer  # noqa: E402
 from humansim_ros.scene import Scene  # noqa: E402
-from humansim_ros.scene.config import SceneConfig  # noqa: E402
-from humansim_ros.scene.room import furnished_room  # noqa: E402
-from humansim_ros.types import (  # noqa: E402
-    Array,
-    Image,
-)
+from humansim_ros.scene.config.config import SceneConfig  # noqa: E402
+from humansim_ros.scene.features.room import furnished_room  # noqa: E402
+from humansim_ros.types import Array, Image  # noqa: E402
 
 _TILE = (330, 252)
 _COLUMNS = 5

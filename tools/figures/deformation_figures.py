@@ -19,13 +19,13 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.body.skinning import SKINNERS, make_skinner, skin
-from humansim_ros.humans.human import Human
-from humansim_ros.humans.loading import load_human
-from humansim_ros.mesh.normals import SurfaceNormals
-from humansim_ros.motion.bvh import read_bvh
-from humansim_ros.motion.info import to_world
-from humansim_ros.motion.retarget import Retargeter
+from humansim_ros.files.mesh.normals import SurfaceNormals
+from humansim_ros.motion.body.skinning import SKINNERS, make_skinner, skin
+from humansim_ros.motion.files.bvh import read_bvh
+from humansim_ros.motion.pose.info import to_world
+from humansim_ros.motion.pose.retarget import Retargeter
+from humansim_ros.people.humans.human import Human
+from humansim_ros.people.loading.loading import load_human
 from humansim_ros.types import Array
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -14,12 +14,12 @@ import numpy as np
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
-from humansim_ros.body.face_actions import EXPRESSIONS, expression  # noqa: E402
-from humansim_ros.camera import Camera  # noqa: E402
-from humansim_ros.drawing.canvas import title_bar  # noqa: E402
+from humansim_ros.cameras import Camera  # noqa: E402
 from humansim_ros.geometry import WORLD_FROM_BODY, transform  # noqa: E402
-from humansim_ros.humans.loading import load_human  # noqa: E402
+from humansim_ros.motion.body.face_actions import EXPRESSIONS, expression  # noqa: E402
+from humansim_ros.people.loading.loading import load_human  # noqa: E402
 from humansim_ros.render import Body, GLRenderer, Lighting  # noqa: E402
+from humansim_ros.render.pictures.canvas import title_bar  # noqa: E402
 from humansim_ros.types import Image  # noqa: E402
 
 SIZE = (260, 310)

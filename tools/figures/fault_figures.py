@@ -12,8 +12,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from humansim_ros.drawing import views
 from humansim_ros.scene import Frame, Scene, Simulation
+from humansim_ros.scene.pictures import views
 from humansim_ros.types import Array, Image
 
 _SIZE = (400, 300)

@@ -20,8 +20,8 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
 from humansim_ros import Frame, Scene, Simulation  # noqa: E402
-from humansim_ros.drawing.canvas import draw_text  # noqa: E402
-from humansim_ros.drawing.views import color_channel, draw_joints  # noqa: E402
+from humansim_ros.render.pictures.canvas import draw_text  # noqa: E402
+from humansim_ros.scene.pictures.views import color_channel, draw_joints  # noqa: E402
 from humansim_ros.types import Image  # noqa: E402
 
 #: Frames per second, and seconds: four rounds of the walk, two of the wave at this speed.

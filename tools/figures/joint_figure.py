@@ -15,10 +15,16 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
 from humansim_ros import Camera, Scene, Simulation, load_human  # noqa: E402
-from humansim_ros.body import Skeleton, hanim_skeleton  # noqa: E402
-from humansim_ros.body.joint_names import JOINT_NAMES, JointName, finger_bones  # noqa: E402
-from humansim_ros.body.skeleton import side_of  # noqa: E402
-from humansim_ros.drawing.canvas import (  # noqa: E402
+from humansim_ros.geometry import WORLD_FROM_BODY, transform  # noqa: E402
+from humansim_ros.motion import (  # noqa: E402
+    Skeleton,
+    hanim_skeleton,
+    load_limits,
+)
+from humansim_ros.motion.body.joint_names import JOINT_NAMES, JointName, finger_bones  # noqa: E402
+from humansim_ros.motion.body.skeleton import side_of  # noqa: E402
+from humansim_ros.render import Body, GLRenderer, Lighting  # noqa: E402
+from humansim_ros.render.pictures.canvas import (  # noqa: E402
     INK,
     PAPER,
     SIDE_COLORS,
@@ -28,9 +34,6 @@ from humansim_ros.drawing.canvas import (  # noqa: E402
     text_size,
     write_png,
 )
-from humansim_ros.geometry import WORLD_FROM_BODY, transform  # noqa: E402
-from humansim_ros.motion import load_limits  # noqa: E402
-from humansim_ros.render import Body, GLRenderer, Lighting  # noqa: E402
 from humansim_ros.types import Array, Image  # noqa: E402
 
 _SIZE = (1180, 860)

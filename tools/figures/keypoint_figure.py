@@ -19,8 +19,11 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
 from humansim_ros import Scene, Simulation, load_human  # noqa: E402
-from humansim_ros.body.skeleton import side_of  # noqa: E402
-from humansim_ros.drawing.canvas import (  # noqa: E402
+from humansim_ros.files.reading.assets import built_in_names  # noqa: E402
+from humansim_ros.geometry import WORLD_FROM_BODY  # noqa: E402
+from humansim_ros.motion.body.skeleton import side_of  # noqa: E402
+from humansim_ros.people import KEYPOINT_SETS, KeypointLocator, KeypointSet  # noqa: E402
+from humansim_ros.render.pictures.canvas import (  # noqa: E402
     INK,
     PAPER,
     SIDE_COLORS,
@@ -28,11 +31,10 @@ from humansim_ros.drawing.canvas import (  # noqa: E402
     draw_line,
     draw_text,
 )
-from humansim_ros.geometry import WORLD_FROM_BODY  # noqa: E402
-from humansim_ros.io.assets import built_in_names  # noqa: E402
-from humansim_ros.keypoints import KEYPOINT_SETS, KeypointLocator, KeypointSet  # noqa: E402
-from humansim_ros.scene import Frame  # noqa: E402
-from humansim_ros.truth import VISIBLE  # noqa: E402
+from humansim_ros.scene import (  # noqa: E402
+    VISIBLE,
+    Frame,
+)
 from humansim_ros.types import Image  # noqa: E402
 
 _SIZE = (520, 620)

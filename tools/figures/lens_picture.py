@@ -14,11 +14,14 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
-from humansim_ros.camera import Camera  # noqa: E402
-from humansim_ros.drawing.views import draw_joints  # noqa: E402
+from humansim_ros.cameras import Camera  # noqa: E402
+from humansim_ros.people import joint_surfaces  # noqa: E402
 from humansim_ros.render import GLRenderer  # noqa: E402
-from humansim_ros.scene import Scene  # noqa: E402
-from humansim_ros.truth import joint_surfaces, view_joints  # noqa: E402
+from humansim_ros.scene import (  # noqa: E402
+    Scene,
+    view_joints,
+)
+from humansim_ros.scene.pictures.views import draw_joints  # noqa: E402
 from humansim_ros.types import Image  # noqa: E402
 
 _SECONDS = 2.3

@@ -16,17 +16,17 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from humansim_ros.drawing.canvas import draw_text
-from humansim_ros.drawing.people import SkinnedArtist
-from humansim_ros.humans.human import Human
-from humansim_ros.humans.loading import load_human
-from humansim_ros.io.assets import built_in_names
-from humansim_ros.motion.files import read_motion
-from humansim_ros.motion.info import to_world
-from humansim_ros.motion.limits import load_limits
-from humansim_ros.motion.penetration import fit_capsules, report_penetration
-from humansim_ros.motion.retarget import Retargeter
-from humansim_ros.motion.soles import find_stances, slide_distances, sole_heights
+from humansim_ros.files.reading.assets import built_in_names
+from humansim_ros.motion.files.files import read_motion
+from humansim_ros.motion.pose.info import to_world
+from humansim_ros.motion.pose.limits import load_limits
+from humansim_ros.motion.pose.penetration import fit_capsules, report_penetration
+from humansim_ros.motion.pose.retarget import Retargeter
+from humansim_ros.motion.pose.soles import find_stances, slide_distances, sole_heights
+from humansim_ros.people.humans.human import Human
+from humansim_ros.people.loading.loading import load_human
+from humansim_ros.render.pictures.canvas import draw_text
+from humansim_ros.scene.pictures.people import SkinnedArtist
 
 ROOT = Path(__file__).resolve().parents[2]
 

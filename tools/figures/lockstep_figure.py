@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from humansim_ros.io.files import atomic_path
+from humansim_ros.files.reading.files import atomic_path
 
 #: Lifelines from left to right, with the distance between them and from the left edge, pixels.
 ACTORS = ("motion player", "skinners", "cameras", "tracker")

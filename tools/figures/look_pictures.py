@@ -19,11 +19,11 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
-from humansim_ros.camera import Camera  # noqa: E402
-from humansim_ros.mesh.mesh import height_to_normal_map  # noqa: E402
+from humansim_ros.cameras import Camera  # noqa: E402
+from humansim_ros.files.mesh.mesh import height_to_normal_map  # noqa: E402
 from humansim_ros.render import GLRenderer, Lighting  # noqa: E402
 from humansim_ros.scene import Scene, Simulation  # noqa: E402
-from humansim_ros.scene.room import furnished_room  # noqa: E402
+from humansim_ros.scene.features.room import furnished_room  # noqa: E402
 
 PEOPLE = """\
 humans:

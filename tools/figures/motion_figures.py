@@ -21,16 +21,15 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.body import hanim_skeleton
 from humansim_ros.errors import HumansimError
 from humansim_ros.geometry import WORLD_FROM_BODY, angle_between
-from humansim_ros.motion import read_bvh
-from humansim_ros.motion.contacts import FootContacts
-from humansim_ros.motion.file_frame import BodyLines, detect_file_frame
-from humansim_ros.motion.joint_matching import match_motion
-from humansim_ros.motion.retarget import Retargeter, RetargetMode
-from humansim_ros.motion.soles import find_stances, slide_distances, sole_heights
-from humansim_ros.motion.world_motion import WorldMotion
+from humansim_ros.motion import hanim_skeleton, read_bvh
+from humansim_ros.motion.matching.file_frame import BodyLines, detect_file_frame
+from humansim_ros.motion.matching.joint_matching import match_motion
+from humansim_ros.motion.motion.world_motion import WorldMotion
+from humansim_ros.motion.pose.contacts import FootContacts
+from humansim_ros.motion.pose.retarget import Retargeter, RetargetMode
+from humansim_ros.motion.pose.soles import find_stances, slide_distances, sole_heights
 from humansim_ros.types import Array
 
 SKELETON = hanim_skeleton()

@@ -12,10 +12,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from humansim_ros.drawing.people import SkinnedArtist
 from humansim_ros.errors import HumansimError
-from humansim_ros.humans.loading import load_human
-from humansim_ros.motion.info import read_with_warnings, to_world
+from humansim_ros.motion.pose.info import read_with_warnings, to_world
+from humansim_ros.people.loading.loading import load_human
+from humansim_ros.scene.pictures.people import SkinnedArtist
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -22,22 +22,22 @@ from scipy.sparse import csr_matrix
 ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "tools" / "assets")]
 
-from humansim_ros.body import Skeleton, fit_skeleton, rig  # noqa: E402
-from humansim_ros.body.rigging import RigRule  # noqa: E402
-from humansim_ros.body.skinning import LinearBlend, limit_bones  # noqa: E402
-from humansim_ros.drawing.people import HumanArtist, SkinnedArtist  # noqa: E402
 from humansim_ros.errors import MeshError  # noqa: E402
-from humansim_ros.humans.human import Human  # noqa: E402
-from humansim_ros.humans.loading import load_human  # noqa: E402
-from humansim_ros.mesh.load import read_mesh  # noqa: E402
-from humansim_ros.mesh.mesh import Mesh  # noqa: E402
-from humansim_ros.motion import read_motion  # noqa: E402
-from humansim_ros.motion.info import to_world  # noqa: E402
-from humansim_ros.motion.retarget import Retargeter  # noqa: E402
-from humansim_ros.types import (  # noqa: E402
-    Array,
-    Image,
+from humansim_ros.files.mesh.load import read_mesh  # noqa: E402
+from humansim_ros.files.mesh.mesh import Mesh  # noqa: E402
+from humansim_ros.motion import (  # noqa: E402
+    Skeleton,
+    read_motion,
 )
+from humansim_ros.motion.body.skinning import LinearBlend, limit_bones  # noqa: E402
+from humansim_ros.motion.pose.info import to_world  # noqa: E402
+from humansim_ros.motion.pose.retarget import Retargeter  # noqa: E402
+from humansim_ros.people import fit_skeleton, rig  # noqa: E402
+from humansim_ros.people.humans.human import Human  # noqa: E402
+from humansim_ros.people.loading.loading import load_human  # noqa: E402
+from humansim_ros.people.rigging.rigging import RigRule  # noqa: E402
+from humansim_ros.scene.pictures.people import HumanArtist, SkinnedArtist  # noqa: E402
+from humansim_ros.types import Array, Image  # noqa: E402
 
 SHARED = Path(os.environ.get("HUMANSIM_SHARED_DATA") or ROOT.parent / "shared" / "data") / "mesh"
 RULES: tuple[RigRule, ...] = ("thesis", "heat")
@@ -131,7 +131,7 @@ def show_joints() -> None:
         _row(name, *(f"{e:.0f}" for e in errors), f"{errors.mean():.0f}")
     from fit_joint_places import body_faces, random_people
 
-    from humansim_ros.humans.makehuman.data import find_data, read_base
+    from humansim_ros.people.makehuman.data import find_data, read_base
 
     source = find_data()
     faces = body_faces(read_base(source, {}))

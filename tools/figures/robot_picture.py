@@ -9,7 +9,7 @@ import sys
 
 import cv2
 
-from humansim_ros.io.assets import resource_path
+from humansim_ros.files.reading.assets import resource_path
 from humansim_ros.scene import Scene, Simulation
 
 #: Frames that are shown.

@@ -13,8 +13,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from humansim_ros import Scene, Simulation
-from humansim_ros.messages import read_image
-from humansim_ros.messages.adapters import adapter_topics
+from humansim_ros.data.messages import read_image
+from humansim_ros.data.messages.adapters import adapter_topics
 
 SCENE = {
     "humans": {

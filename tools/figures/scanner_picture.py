@@ -15,9 +15,15 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
 from humansim_ros import Scene, Simulation  # noqa: E402
-from humansim_ros.drawing.canvas import INK, distinct_hues, draw_disc, draw_text, hsv_colors  # noqa: E402
+from humansim_ros.files.reading.assets import resource_path  # noqa: E402
 from humansim_ros.geometry import quaternion_to_matrix  # noqa: E402
-from humansim_ros.io.assets import resource_path  # noqa: E402
+from humansim_ros.render.pictures.canvas import (  # noqa: E402
+    INK,
+    distinct_hues,
+    draw_disc,
+    draw_text,
+    hsv_colors,
+)
 
 #: Frame with which a sweep ends, pixels of the picture, and pixels per metre.
 _FRAME, _HEIGHT, _SCALE = 30, 480, 64

@@ -15,18 +15,17 @@ from typing import Any
 import cv2
 import numpy as np
 
-from humansim_ros.camera import Camera
-from humansim_ros.drawing.views import color_depth
+from humansim_ros.cameras import Camera, Sensor, SensorConfig
+from humansim_ros.cameras.sensor.depth import metres
+from humansim_ros.files.reading.assets import built_in_names, resource_path
 from humansim_ros.geometry import moved
-from humansim_ros.io.assets import built_in_names, resource_path
 from humansim_ros.render import GLRenderer
 from humansim_ros.scene import Scene, Simulation
-from humansim_ros.scene.actor import Actor
-from humansim_ros.scene.config import SceneConfig, load_config
-from humansim_ros.scene.scene import DEMO_SCENE
-from humansim_ros.scene.source import SceneSource
-from humansim_ros.sensor import Sensor, SensorConfig
-from humansim_ros.sensor.depth import metres
+from humansim_ros.scene.config.config import SceneConfig, load_config
+from humansim_ros.scene.core.actor import Actor
+from humansim_ros.scene.core.scene import DEMO_SCENE
+from humansim_ros.scene.core.source import SceneSource
+from humansim_ros.scene.pictures.views import color_depth
 from humansim_ros.types import Image
 
 _SIZE = (400, 300)

@@ -12,12 +12,12 @@ import cv2
 import numpy as np
 from deformation_figures import BENDS, ROOT, bent, volume_change
 
-from humansim_ros.body.skinning import SKINNERS, make_skinner
-from humansim_ros.camera import Camera
+from humansim_ros.cameras import Camera
+from humansim_ros.files.mesh.mesh import Mesh
 from humansim_ros.geometry import WORLD_FROM_BODY
-from humansim_ros.humans.human import Human
-from humansim_ros.humans.loading import load_human
-from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.motion.body.skinning import SKINNERS, make_skinner
+from humansim_ros.people.humans.human import Human
+from humansim_ros.people.loading.loading import load_human
 from humansim_ros.render import Body, GLRenderer, Lighting
 from humansim_ros.types import Image
 

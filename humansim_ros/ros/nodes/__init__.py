@@ -1,3 +1,5 @@
-"""The executables of the package: motion_player, skinner, skinner_rig, camera, camera_rig, scanner, recorder,
-evaluator, bridge and hri_bridge.
-"""
+"""The executables of the package."""
+
+from humansim_ros.lazy import lazy_exports
+
+__getattr__, __dir__, __all__ = lazy_exports(__name__, __file__)

@@ -15,17 +15,15 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
-from humansim_ros import messages
+from humansim_ros.data import messages
+from humansim_ros.data.messages import CAMERA_INPUTS, AdapterTopic, Frames, adapter_topics, received_frame
 from humansim_ros.errors import HumansimError, SceneError, some_of
-from humansim_ros.io.schema import Section
-from humansim_ros.messages.adapters import CAMERA_INPUTS, AdapterTopic, adapter_topics, received_frame
-from humansim_ros.messages.frames import Frames
-from humansim_ros.ros.frame_synchronizer import FrameSynchronizer
-from humansim_ros.ros.node import SceneNode
-from humansim_ros.ros.qos import subscription_profile
-from humansim_ros.ros.runtime import run_node
-from humansim_ros.scene import Scene
-from humansim_ros.scene.state import SceneState
+from humansim_ros.files.yaml import Section
+from humansim_ros.ros.graph.qos import subscription_profile
+from humansim_ros.ros.nodes.frame_synchronizer import FrameSynchronizer
+from humansim_ros.ros.processes.node import SceneNode
+from humansim_ros.ros.processes.runtime import run_node
+from humansim_ros.scene.core import Scene, SceneState
 
 #: Stands for a topic: bodies and objects of a frame.
 _STATE = "state"

@@ -18,11 +18,13 @@ from typing import Any
 
 from geometry_msgs.msg import PoseStamped, TransformStamped
 
-from humansim_ros import messages
+from humansim_ros.data import messages
+from humansim_ros.data.messages import CameraTopics
 from humansim_ros.errors import HumansimError, RosError, SceneError, located, printable, unknown
-from humansim_ros.messages.topics import CameraTopics
-from humansim_ros.render.channels import comparing_with
-from humansim_ros.ros.camera.publishers import (
+from humansim_ros.render.interface import comparing_with
+from humansim_ros.ros.graph.qos import NEWEST
+from humansim_ros.ros.nodes.frame_synchronizer import FrameSynchronizer
+from humansim_ros.ros.nodes.publishers import (
     CameraDriver,
     DepthSensorPublishers,
     FaultsPublisher,
@@ -32,23 +34,24 @@ from humansim_ros.ros.camera.publishers import (
     TruthPublishers,
     read_single_camera,
 )
-from humansim_ros.ros.frame_synchronizer import FrameSynchronizer
-from humansim_ros.ros.node import SceneNode
-from humansim_ros.ros.qos import NEWEST
-from humansim_ros.ros.runtime import run_node
-from humansim_ros.ros.transforms import TransformSender
-from humansim_ros.scene import Scene
-from humansim_ros.scene.camera import CameraPose, SceneCamera
-from humansim_ros.scene.capture import (
+from humansim_ros.ros.processes.node import SceneNode
+from humansim_ros.ros.processes.runtime import run_node
+from humansim_ros.ros.processes.transforms import TransformSender
+from humansim_ros.scene.config import PictureTimer
+from humansim_ros.scene.core import (
+    NO_FAULTS,
+    CameraPose,
     CameraShot,
+    Exposure,
+    FrameFaults,
+    Scene,
+    SceneCamera,
+    SceneState,
     capture_depth,
     capture_rectified_depth,
     observe,
 )
-from humansim_ros.scene.faults import NO_FAULTS, FrameFaults
-from humansim_ros.scene.state import Exposure, SceneState
-from humansim_ros.scene.timing import PictureTimer
-from humansim_ros.truth import CameraTruth
+from humansim_ros.scene.truth import CameraTruth
 from humansim_ros.types import Image
 
 #: Most received poses that are held. Frames are a little older than the newest pose.

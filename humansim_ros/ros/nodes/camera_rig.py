@@ -13,13 +13,12 @@ from typing import Any
 from rclpy.parameter import Parameter
 
 from humansim_ros.errors import SceneError, unknown
-from humansim_ros.ros.frame_synchronizer import FrameSynchronizer
-from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.nodes.camera import CameraNode
+from humansim_ros.ros.nodes.frame_synchronizer import FrameSynchronizer
+from humansim_ros.ros.processes.node import SceneNode
 from humansim_ros.ros.processes.node_processes import RIG_NODE
-from humansim_ros.ros.runtime import run_node
-from humansim_ros.scene import Scene
-from humansim_ros.scene.state import SceneState
+from humansim_ros.ros.processes.runtime import run_node
+from humansim_ros.scene.core import Scene, SceneState
 
 
 class CameraRigNode(SceneNode):

@@ -19,20 +19,23 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from sensor_msgs.msg import TimeReference
 
+from humansim_ros.data.evaluation import (
+    DEFAULT_GATE,
+    Evaluation,
+    LiveEvaluation,
+    LiveOptions,
+    ReadOptions,
+    SceneTruth,
+    show,
+)
+from humansim_ros.data.messages import PoseFrame, to_nanoseconds
 from humansim_ros.errors import EvaluationError, RosError, printable
-from humansim_ros.evaluate.evaluation import DEFAULT_GATE, Evaluation
-from humansim_ros.evaluate.live import LiveEvaluation, LiveOptions
-from humansim_ros.evaluate.readers.pose_files import ReadOptions
-from humansim_ros.evaluate.report import show
-from humansim_ros.evaluate.truth import SceneTruth
-from humansim_ros.io.files import write_file
-from humansim_ros.messages import to_nanoseconds
-from humansim_ros.messages.people import PoseFrame
-from humansim_ros.ros.estimate_topics import PoseTopics
-from humansim_ros.ros.node import SuiteNode, loaded_scene
-from humansim_ros.ros.qos import DATA, SCENE_TIME, subscription_profile
-from humansim_ros.ros.runtime import run_node
-from humansim_ros.scene import Scene
+from humansim_ros.files.reading import write_file
+from humansim_ros.ros.graph.qos import DATA, SCENE_TIME, subscription_profile
+from humansim_ros.ros.processes.estimate_topics import PoseTopics
+from humansim_ros.ros.processes.node import SuiteNode, loaded_scene
+from humansim_ros.ros.processes.runtime import run_node
+from humansim_ros.scene.core import Scene
 
 #: A tracker counts as silent after this time without an estimate, seconds, if there are frames.
 _SILENT_AFTER = 2.0

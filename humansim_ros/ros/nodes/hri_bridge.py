@@ -8,11 +8,11 @@ from __future__ import annotations
 from typing import Any
 
 from humansim_ros.errors import SceneError, unknown
-from humansim_ros.io.schema import Section
+from humansim_ros.files.yaml import Section
 from humansim_ros.ros.nodes.bridge import BridgeNode
-from humansim_ros.ros.runtime import run_node
-from humansim_ros.scene import Scene
-from humansim_ros.scene.adapter_config import HriConfig
+from humansim_ros.ros.processes.runtime import run_node
+from humansim_ros.scene.config import HriConfig
+from humansim_ros.scene.core import Scene
 
 
 class HriBridgeNode(BridgeNode):

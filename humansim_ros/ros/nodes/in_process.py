@@ -13,8 +13,7 @@ from humansim_ros.ros.nodes.camera_rig import CameraRigNode
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
 from humansim_ros.ros.nodes.scanner import ScannerNode
 from humansim_ros.ros.nodes.skinner import SkinnerNode
-from humansim_ros.scene import Scene
-from humansim_ros.scene.names import skinner_node
+from humansim_ros.scene.core import Scene, skinner_node
 
 
 class InProcessNodes:

@@ -27,31 +27,23 @@ from rclpy.parameter import Parameter
 from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 
+from humansim_ros.data.messages import SCENE_TIME_TOPIC, HumanTopics, ObjectTopics, moving_camera_topics
 from humansim_ros.errors import HumansimError, RosError, printable
-from humansim_ros.messages.topics import (
-    SCENE_TIME_TOPIC,
-    HumanTopics,
-    ObjectTopics,
-    moving_camera_topics,
-)
-from humansim_ros.ros.lockstep.playing import LockstepPlaying, LockstepSettings
-from humansim_ros.ros.player.motions import (
+from humansim_ros.ros.playing.lockstep import LockstepPlaying, LockstepSettings
+from humansim_ros.ros.playing.motions import (
     MAX_SECONDS,
     MOTION_FOLDERS,
     BackgroundWork,
     MotionParameters,
     RequestedMotions,
 )
-from humansim_ros.ros.player.playing import MAX_WAITING, FramePlayer, StampedSteps
-from humansim_ros.ros.player.realtime import RealtimePlaying
-from humansim_ros.ros.player.robot import RobotPort
-from humansim_ros.ros.player.simulation_services import serve_simulation
-from humansim_ros.ros.runtime import run_node
-from humansim_ros.scene import Scene
+from humansim_ros.ros.playing.playing import MAX_WAITING, FramePlayer, StampedSteps
+from humansim_ros.ros.playing.realtime import RealtimePlaying
+from humansim_ros.ros.playing.robot import RobotPort
+from humansim_ros.ros.playing.simulation_services import serve_simulation
+from humansim_ros.ros.processes.runtime import run_node
 from humansim_ros.scene.config import LIVE
-from humansim_ros.scene.live import JointSource
-from humansim_ros.scene.playback import Change, Playback, PlaybackClock, Tick
-from humansim_ros.scene.state import SceneState
+from humansim_ros.scene.core import Change, JointSource, Playback, PlaybackClock, Scene, SceneState, Tick
 
 #: Largest lead that is accepted, seconds.
 MAX_LEAD = 0.1

@@ -28,27 +28,37 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import TimeReference
 from std_msgs.msg import Header
 
-from humansim_ros.bags.bag_thread import BagThread
-from humansim_ros.bags.chunks import BagMessage, Compression
-from humansim_ros.bags.metadata import Storage
-from humansim_ros.bags.reader import BagReader
-from humansim_ros.bags.topics import BagTopic, check_topics
-from humansim_ros.bags.writer import BagWriter
+from humansim_ros.data.bags import (
+    BagMessage,
+    BagReader,
+    BagThread,
+    BagTopic,
+    BagWriter,
+    Compression,
+    Storage,
+    check_topics,
+)
+from humansim_ros.data.messages import (
+    RecordedFrames,
+    TimedTopics,
+    Topic,
+    begins_with_stamp,
+    header,
+    message_type,
+    read_frame_number,
+    scene_topics,
+    serialised_stamp,
+    to_nanoseconds,
+)
 from humansim_ros.errors import HumansimError, HumansimWarning, RosError, printable, some_of, unknown
-from humansim_ros.messages import header, read_frame_number, serialised_stamp, to_nanoseconds
-from humansim_ros.messages.frames import RecordedFrames
-from humansim_ros.messages.topic import Topic
-from humansim_ros.messages.topics import TimedTopics, scene_topics
-from humansim_ros.messages.types import begins_with_stamp, message_type
-from humansim_ros.render.channels import CHANNEL_TABLE
-from humansim_ros.ros.clock import ClockSteps
-from humansim_ros.ros.graph import TopicChoice, similar
-from humansim_ros.ros.guarded_node import ANY_SIZE
-from humansim_ros.ros.node import SuiteNode, loaded_scene
-from humansim_ros.ros.qos import DATA, DONE, FRAME_DONE, SCENE_TIME, recorded_qos, subscription_profile
-from humansim_ros.ros.runtime import run_node
-from humansim_ros.scene import Scene
-from humansim_ros.scene.faults import FaultSchedule
+from humansim_ros.render.interface import CHANNEL_TABLE
+from humansim_ros.ros.graph.clock import ClockSteps
+from humansim_ros.ros.graph.graph import TopicChoice, similar
+from humansim_ros.ros.graph.guarded_node import ANY_SIZE
+from humansim_ros.ros.graph.qos import DATA, DONE, FRAME_DONE, SCENE_TIME, recorded_qos, subscription_profile
+from humansim_ros.ros.processes.node import SuiteNode, loaded_scene
+from humansim_ros.ros.processes.runtime import run_node
+from humansim_ros.scene.core import FaultSchedule, Scene
 
 #: Most frames that are remembered with their images, since late images come after images of newer frames.
 _REMEMBERED = 1000

@@ -15,17 +15,15 @@ from typing import Any
 
 from geometry_msgs.msg import TransformStamped
 
+from humansim_ros.data.messages import ScannerTopics
 from humansim_ros.errors import SceneError, unknown
 from humansim_ros.geometry import ObjectPose
-from humansim_ros.messages.topics import ScannerTopics
-from humansim_ros.ros.frame_synchronizer import FrameSynchronizer
-from humansim_ros.ros.node import SceneNode
-from humansim_ros.ros.runtime import run_node
-from humansim_ros.ros.transforms import TransformSender
-from humansim_ros.scene import Scene
-from humansim_ros.scene.features.robot.keys import ROBOT
-from humansim_ros.scene.features.scanners.sweeps import LiveScanning
-from humansim_ros.scene.state import SceneState
+from humansim_ros.ros.nodes.frame_synchronizer import FrameSynchronizer
+from humansim_ros.ros.processes.node import SceneNode
+from humansim_ros.ros.processes.runtime import run_node
+from humansim_ros.ros.processes.transforms import TransformSender
+from humansim_ros.scene.core import Scene, SceneState
+from humansim_ros.scene.features import ROBOT, LiveScanning
 
 
 class ScannerNode(SceneNode):

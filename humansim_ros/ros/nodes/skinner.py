@@ -18,18 +18,15 @@ import numpy as np
 from sensor_msgs.msg import MultiDOFJointState
 from std_msgs.msg import Header, String
 
+from humansim_ros.data.messages import HumanTopics, read_joints, read_legend, to_nanoseconds
 from humansim_ros.errors import HumansimError, RosError, SceneError, printable, unknown, within_bounds
-from humansim_ros.messages import read_joints, read_legend, to_nanoseconds
-from humansim_ros.messages.topics import HumanTopics
-from humansim_ros.motion.joint_tables import built_in_tables, load_table
-from humansim_ros.ros.node import SceneNode
+from humansim_ros.motion.matching import built_in_tables, load_table
+from humansim_ros.ros.graph.qos import LATCHED, NEWEST
 from humansim_ros.ros.nodes.motion_player import MAX_LEAD
-from humansim_ros.ros.qos import LATCHED, NEWEST
-from humansim_ros.ros.runtime import run_node
-from humansim_ros.scene import Scene
+from humansim_ros.ros.processes.node import SceneNode
+from humansim_ros.ros.processes.runtime import run_node
 from humansim_ros.scene.config import LIVE
-from humansim_ros.scene.human_state import HumanState
-from humansim_ros.scene.live import LiveRetargeter
+from humansim_ros.scene.core import HumanState, LiveRetargeter, Scene
 
 #: Seconds between two log lines about changes of the source.
 _CHANGES_EVERY = 10.0

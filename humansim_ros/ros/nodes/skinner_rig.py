@@ -11,12 +11,11 @@ from typing import Any
 
 from rclpy.parameter import Parameter
 
-from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.nodes.skinner import SkinnerNode
+from humansim_ros.ros.processes.node import SceneNode
 from humansim_ros.ros.processes.node_processes import SKINNER_RIG_NODE
-from humansim_ros.ros.runtime import run_node
-from humansim_ros.scene import Scene
-from humansim_ros.scene.names import skinner_node
+from humansim_ros.ros.processes.runtime import run_node
+from humansim_ros.scene.core import Scene, skinner_node
 
 
 class SkinnerRigNode(SceneNode):

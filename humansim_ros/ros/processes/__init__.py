@@ -1,1 +1,5 @@
-"""Processes of nodes: command lines, supervision, signals."""
+"""What each process of a node needs: options of time, start and end."""
+
+from humansim_ros.lazy import lazy_exports
+
+__getattr__, __dir__, __all__ = lazy_exports(__name__, __file__)

@@ -32,12 +32,18 @@ from humansim_ros.ros.processes.node_processes import NodeProcess
 from humansim_ros.ros.processes.stop_signals import PARENT_PID, end_process_on_stop, end_with_parent
 
 if TYPE_CHECKING:
-    from humansim_ros.scene import Scene
+    from humansim_ros.scene.core import Scene
 
 #: Largest packet, bytes. The arguments of a node are shorter.
 _MAX_PACKET = 1 << 18
 #: Modules that nodes need in addition to the scene, and that do not need ROS.
-_MODULES = ("messages.topics", "scene.capture", "scene.live", "scene.playback", "render.gl")
+_MODULES = (
+    "data.messages.topics",
+    "scene.core.capturing",
+    "scene.core.live",
+    "scene.core.playback",
+    "render.frame.gl",
+)
 #: Nodes that need nothing of the static scene.
 _NOT_SEEING = ("motion_player", "skinner", "skinner_rig", "recorder", "evaluator", "bridge")
 #: Seconds between two checks for the end of a process.
@@ -223,7 +229,7 @@ def _ended() -> list[tuple[int, int]]:
 def _load(path: str) -> Scene | None:
     """Load the scene, with everything that all nodes need; None for a wrong scene, which the nodes will
     report."""
-    from humansim_ros.scene import Scene
+    from humansim_ros.scene.core import Scene
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

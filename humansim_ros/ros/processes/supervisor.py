@@ -12,10 +12,10 @@ from contextlib import suppress
 from dataclasses import dataclass
 from types import TracebackType
 
+from humansim_ros.ros.graph.transport import SharedMemoryFiles, remove_dead_files
 from humansim_ros.ros.processes.node_processes import WARNINGS_SHOWN, NodeProcess, render_threads
 from humansim_ros.ros.processes.node_starter import NodeStarter, StartedNode
 from humansim_ros.ros.processes.stop_signals import PARENT_PID
-from humansim_ros.ros.transport import SharedMemoryFiles, remove_dead_files
 
 #: A helper process must stop within this time after SIGTERM, seconds.
 _STOP_LIMIT = 6.0

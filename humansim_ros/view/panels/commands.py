@@ -17,11 +17,11 @@ from pathlib import Path
 from urllib.parse import quote
 
 from humansim_ros.errors import HumansimError, printable
-from humansim_ros.io.files import size_text
-from humansim_ros.view.document import SceneDocument
+from humansim_ros.files.reading import size_text
+from humansim_ros.view.edit.document import SceneDocument
 from humansim_ros.view.panels.files import FileChoice
 from humansim_ros.view.panels.page import Page, by_user, plain_markdown
-from humansim_ros.view.server import PREFIX, check_value, inside
+from humansim_ros.view.server.server import PREFIX, check_value, inside
 
 _START, _STOP = "Start", "Stop"
 #: Options that a command line begins with, because the command needs them.

@@ -8,17 +8,16 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal, get_args, get_origin
 
 from humansim_ros.errors import HumansimError, SceneError
-from humansim_ros.io.assets import built_in_names
-from humansim_ros.io.schema import ByteColor
-from humansim_ros.io.yaml import parse_yaml
-from humansim_ros.io.yaml_edit import YamlKey, flow
+from humansim_ros.files.reading import built_in_names
+from humansim_ros.files.yaml import ByteColor, parse_yaml
 from humansim_ros.scene.config import LIVE, SceneConfig
-from humansim_ros.scene.objects import BUILT_IN_MESHES
-from humansim_ros.view.document import SceneDocument, SceneFault
+from humansim_ros.scene.core import BUILT_IN_MESHES
+from humansim_ros.view.edit.document import SceneDocument, SceneFault
+from humansim_ros.view.edit.scene_keys import SceneKey, alternatives, find_key
+from humansim_ros.view.edit.yaml_edit import YamlKey, flow
 from humansim_ros.view.panels.files import upload_button
 from humansim_ros.view.panels.page import by_user, plain_markdown
-from humansim_ros.view.scene_keys import SceneKey, alternatives, find_key
-from humansim_ros.view.uploads import files_in, kind_of_key
+from humansim_ros.view.server.uploads import files_in, kind_of_key
 
 #: Changes a key; None removes it.
 KeyChange = Callable[[tuple[YamlKey, ...], Any], None]

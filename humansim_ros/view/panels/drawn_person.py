@@ -9,15 +9,24 @@ from dataclasses import asdict
 from typing import Any
 
 from humansim_ros.errors import HumansimError, MeshError
-from humansim_ros.humans.human import write_human
-from humansim_ros.humans.loading import make_person
-from humansim_ros.humans.makehuman.population import AGES, BMIS, Person, draw_person
-from humansim_ros.humans.makehuman.wardrobe import BEARDS, BOTTOMS, FOOTWEAR, HAIR, TOPS
-from humansim_ros.io.files import exists
-from humansim_ros.view.document import SceneDocument
+from humansim_ros.files.reading import exists
+from humansim_ros.people.humans import write_human
+from humansim_ros.people.loading import make_person
+from humansim_ros.people.makehuman import (
+    AGES,
+    BEARDS,
+    BMIS,
+    BOTTOMS,
+    FOOTWEAR,
+    HAIR,
+    TOPS,
+    Person,
+    draw_person,
+)
+from humansim_ros.view.edit.document import SceneDocument
+from humansim_ros.view.edit.scene_keys import find_key
 from humansim_ros.view.panels.page import Background, Page, by_user, plain_markdown
-from humansim_ros.view.scene_keys import find_key
-from humansim_ros.view.server import inside
+from humansim_ros.view.server.server import inside
 
 _DRAWN = "(drawn)"
 #: Ends and step of the sliders, with names that are options of ``humansim human make``.

@@ -8,14 +8,13 @@ from typing import Any, cast
 
 import numpy as np
 
-from humansim_ros.camera.calibration import load_calibration
-from humansim_ros.drawing.people import StickFigureArtist, strip
+from humansim_ros.cameras.formats import load_calibration
 from humansim_ros.errors import HumansimError, SceneError
-from humansim_ros.io.yaml_edit import YamlKey
-from humansim_ros.scene.actor import Actor
+from humansim_ros.scene.core import Actor
+from humansim_ros.scene.pictures import StickFigureArtist, strip
 from humansim_ros.types import Array, Image
-from humansim_ros.view.document import SceneDocument, SectionName
-from humansim_ros.view.edits import (
+from humansim_ros.view.edit.document import SceneDocument, SectionName
+from humansim_ros.view.edit.edits import (
     add_calibration,
     is_ideal,
     keyframe_times,
@@ -23,12 +22,13 @@ from humansim_ros.view.edits import (
     set_ideal,
     set_keyframe,
 )
+from humansim_ros.view.edit.yaml_edit import YamlKey
 from humansim_ros.view.panels.controls import SectionControls, choices_of
 from humansim_ros.view.panels.files import FileChoice
 from humansim_ros.view.panels.matching import MatchingTools
 from humansim_ros.view.panels.page import Page, by_user, plain_markdown
-from humansim_ros.view.scene_source import SceneViewSource
-from humansim_ros.view.server import check_value, inside
+from humansim_ros.view.server.server import check_value, inside
+from humansim_ros.view.sources.scene_source import SceneViewSource
 
 #: What can be selected in addition to people, objects, cameras and the rig: sections of the file.
 _SECTIONS = ("scene", "room", "light", "world", "randomise", "variety", "time")

@@ -7,9 +7,9 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from humansim_ros.errors import HumansimError
-from humansim_ros.view.document import SceneDocument
+from humansim_ros.view.edit.document import SceneDocument
 from humansim_ros.view.panels.page import Page, by_user
-from humansim_ros.view.uploads import KINDS, files_in, keep_file
+from humansim_ros.view.server.uploads import KINDS, files_in, keep_file
 
 #: Runs a function in the thread of the page. The page shows its errors.
 Post = Callable[[Callable[[], None]], None]
@@ -30,7 +30,7 @@ def upload_button(
     Args:
         gui: Elements of the page.
         document: The scene.
-        kind: Kind of the file, of :data:`humansim_ros.view.uploads.KINDS`.
+        kind: Kind of the file, of :data:`humansim_ros.view.server.uploads.KINDS`.
         take: Function that is called with the name of the kept file, in the thread of the page.
         post: Runs a function in that thread.
         label: Text of the button.

@@ -8,16 +8,16 @@ from typing import Any
 
 import numpy as np
 
+from humansim_ros.data.formats import GlbDocument
 from humansim_ros.errors import HumansimError
-from humansim_ros.export.glb import GlbDocument
 from humansim_ros.geometry import WORLD_FROM_BODY
 from humansim_ros.types import Array
-from humansim_ros.view.document import SceneDocument
-from humansim_ros.view.inputs import EmptySource
+from humansim_ros.view.edit.document import SceneDocument
+from humansim_ros.view.edit.person_draft import PersonDraft
 from humansim_ros.view.panels.drawn_person import DrawnPersonPanel
 from humansim_ros.view.panels.files import FileChoice
 from humansim_ros.view.panels.page import Background, Page, by_user, plain_markdown
-from humansim_ros.view.person_draft import PersonDraft
+from humansim_ros.view.sources.inputs import EmptySource
 
 _DETECTED = "detected"
 _AXES = (_DETECTED, "x", "y", "z", "-x", "-y", "-z")

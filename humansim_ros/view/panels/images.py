@@ -10,7 +10,7 @@ import numpy as np
 
 from humansim_ros.types import Image
 from humansim_ros.view.panels.page import Page
-from humansim_ros.view.source import PixelInfo, ViewFrame, jpeg_of
+from humansim_ros.view.sources.source import PixelInfo, ViewFrame, jpeg_of
 
 #: First word of a message with images; messages with poses begin with the number of a frame.
 _IMAGES = 0xFFFFFFFF

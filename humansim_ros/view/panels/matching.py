@@ -10,13 +10,12 @@ from typing import Any
 import yaml
 
 from humansim_ros.errors import HumansimError, MotionError
-from humansim_ros.io.files import exists, write_file
-from humansim_ros.io.yaml import parse_yaml
-from humansim_ros.motion.joint_match import JointMatch, match_roles, table_text
-from humansim_ros.motion.joint_tables import JointTable, built_in_tables
-from humansim_ros.motion.kinematics import Motion
-from humansim_ros.scene.actor import Actor
-from humansim_ros.view.document import SceneDocument
+from humansim_ros.files.reading import exists, write_file
+from humansim_ros.files.yaml import parse_yaml
+from humansim_ros.motion.body import Motion
+from humansim_ros.motion.matching import JointMatch, JointTable, built_in_tables, match_roles, table_text
+from humansim_ros.scene.core import Actor
+from humansim_ros.view.edit.document import SceneDocument
 from humansim_ros.view.panels.page import Page, by_user, plain_markdown
 
 _NONE = "(none)"

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from humansim_ros.errors import HumansimError
-from humansim_ros.view.server import PageServer
-from humansim_ros.view.source import ViewSource
-from humansim_ros.view.stage import Options
+from humansim_ros.view.panels.stage import Options
+from humansim_ros.view.server.server import PageServer
+from humansim_ros.view.sources.source import ViewSource
 
 _Result = TypeVar("_Result")
 #: Speeds that the page offers.

@@ -10,11 +10,11 @@ import numpy as np
 
 from humansim_ros.errors import HumansimError, printable
 from humansim_ros.types import Array
+from humansim_ros.view.edit.photo_document import FIT_NAME, Overlay
 from humansim_ros.view.panels.page import Page, by_user
-from humansim_ros.view.photo_document import FIT_NAME, Overlay
-from humansim_ros.view.photo_source import PHOTOGRAPH, PhotoSource
-from humansim_ros.view.server import PREFIX
-from humansim_ros.view.source import ViewFrame, jpeg_of
+from humansim_ros.view.server.server import PREFIX
+from humansim_ros.view.sources.photo_source import PHOTOGRAPH, PhotoSource
+from humansim_ros.view.sources.source import ViewFrame, jpeg_of
 
 _SOLVE, _STOP = "Solve", "Stop"
 #: Most rows of the table of residuals.

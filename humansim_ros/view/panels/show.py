@@ -7,13 +7,13 @@ from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
 
-from humansim_ros.camera import Camera
+from humansim_ros.cameras.camera import Camera
 from humansim_ros.geometry import matrix_to_quaternion
 from humansim_ros.view.panels.page import SPEEDS, Page, plain_markdown
-from humansim_ros.view.server import PREFIX
-from humansim_ros.view.source import ViewFrame, jpeg_of
-from humansim_ros.view.stage import Options, person_color
-from humansim_ros.view.tracks import TrackReader, Tracks
+from humansim_ros.view.panels.stage import Options, person_color
+from humansim_ros.view.server.server import PREFIX
+from humansim_ros.view.sources.source import ViewFrame, jpeg_of
+from humansim_ros.view.sources.tracks import TrackReader, Tracks
 
 _LABELS = {
     "cameras": "Cameras",

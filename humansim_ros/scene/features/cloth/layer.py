@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from humansim_ros.body.loose import swing_at_rest
-from humansim_ros.body.rated import Rated
-from humansim_ros.humans.human import Human
-from humansim_ros.motion.kinematics import JointPoses
-from humansim_ros.motion.loose_swing import LOOSE_JOINT, LooseSwing, check_swing, swing_joints
-from humansim_ros.motion.scene_query import PoseStage
-from humansim_ros.scene.layers import BodyPoses, Owner, PoseLayer
+from humansim_ros.motion.body import JointPoses, Rated, swing_at_rest
+from humansim_ros.motion.pose import PoseStage
+from humansim_ros.people.humans import Human
+from humansim_ros.scene.core.layers import BodyPoses, Owner, PoseLayer
+from humansim_ros.scene.features.loose_swing import LOOSE_JOINT, LooseSwing, check_swing, swing_joints
 from humansim_ros.types import Array
 
 

@@ -7,12 +7,12 @@ import math
 import numpy as np
 
 from humansim_ros.errors import SceneError
-from humansim_ros.render.mesh_buffers import PosedMesh, Topology
-from humansim_ros.scene.config import ObjectConfig
-from humansim_ros.scene.draft import Draft
-from humansim_ros.scene.features import Feature
-from humansim_ros.scene.floor import DURATION, Floor, floor_corners
-from humansim_ros.scene.randomise import RandomNumbers, random_numbers
+from humansim_ros.render.device import PosedMesh, Topology
+from humansim_ros.scene.config.config import ObjectConfig
+from humansim_ros.scene.core.draft import Draft
+from humansim_ros.scene.core.floor import DURATION, Floor, floor_corners
+from humansim_ros.scene.core.randomise import RandomNumbers, random_numbers
+from humansim_ros.scene.features.protocol import Feature
 from humansim_ros.types import Array
 
 #: Seconds between two times of the first minute at which humans are not touched.

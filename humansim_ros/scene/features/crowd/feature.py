@@ -15,18 +15,18 @@ import scipy.spatial
 from numpy.typing import NDArray
 
 from humansim_ros.errors import HumansimError, SceneError, in_section, some_of
-from humansim_ros.io.assets import built_in_names
-from humansim_ros.motion.orca import Walkers
-from humansim_ros.motion.path_motion import WalkPath
-from humansim_ros.scene.config import HumanConfig, MotionConfig, SceneConfig, living_face
-from humansim_ros.scene.draft import Draft
-from humansim_ros.scene.features import Feature
+from humansim_ros.files.reading import built_in_names
+from humansim_ros.motion.pose import WalkPath
+from humansim_ros.scene.config.config import HumanConfig, MotionConfig, SceneConfig, living_face
+from humansim_ros.scene.core.draft import Draft
+from humansim_ros.scene.core.floor import floor_corners, footprints, things_on_floor
+from humansim_ros.scene.core.names import variety_names
+from humansim_ros.scene.core.randomise import RandomNumbers, random_numbers
+from humansim_ros.scene.core.source import SceneSource
 from humansim_ros.scene.features.crowd.keys import CrowdConfig
 from humansim_ros.scene.features.crowd.walk_grid import WalkGrid
-from humansim_ros.scene.floor import floor_corners, footprints, things_on_floor
-from humansim_ros.scene.names import variety_names
-from humansim_ros.scene.randomise import RandomNumbers, random_numbers
-from humansim_ros.scene.source import SceneSource
+from humansim_ros.scene.features.orca import Walkers
+from humansim_ros.scene.features.protocol import Feature
 from humansim_ros.types import Array
 
 #: Seconds between two velocities, and seconds in which nobody collides.

@@ -6,8 +6,8 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from humansim_ros.io.schema import FileName, SceneName, Section
-from humansim_ros.scene.camera_config import Area, Bounded
+from humansim_ros.files.yaml import FileName, SceneName, Section
+from humansim_ros.scene.config.camera_config import Area, Bounded
 
 
 class FlowConfig(Section):

@@ -7,16 +7,21 @@ from typing import ClassVar
 
 import numpy as np
 
-from humansim_ros.body.eyes import Eyes, looked_angles, with_looks, within_limits
-from humansim_ros.body.face_actions import FACE_AT_REST
-from humansim_ros.body.jaw import Jaw
-from humansim_ros.body.rated import Rated
 from humansim_ros.errors import MotionError
-from humansim_ros.humans.human import Human
-from humansim_ros.motion.faces import FACE_JOINT, Face, FacePoses, carried_face, check_face
-from humansim_ros.motion.kinematics import JointPoses
-from humansim_ros.motion.scene_query import PoseStage
-from humansim_ros.scene.layers import BodyPoses, Owner, PoseLayer
+from humansim_ros.motion.body import (
+    FACE_AT_REST,
+    Eyes,
+    Jaw,
+    JointPoses,
+    Rated,
+    looked_angles,
+    with_looks,
+    within_limits,
+)
+from humansim_ros.motion.pose import PoseStage
+from humansim_ros.people.humans import Human
+from humansim_ros.scene.core.layers import BodyPoses, Owner, PoseLayer
+from humansim_ros.scene.features.face_tracks import FACE_JOINT, Face, FacePoses, carried_face, check_face
 from humansim_ros.types import Array
 
 

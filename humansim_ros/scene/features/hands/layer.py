@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from humansim_ros.motion.hand_poses import HAND_JOINT, HAND_JOINTS, HandKeys
-from humansim_ros.motion.kinematics import JointPoses
-from humansim_ros.motion.scene_query import PoseStage
-from humansim_ros.scene.layers import BodyPoses, Owner, PoseLayer
+from humansim_ros.motion.body import JointPoses
+from humansim_ros.motion.pose import HAND_JOINT, HAND_JOINTS, HandKeys, PoseStage
+from humansim_ros.scene.core.layers import BodyPoses, Owner, PoseLayer
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from humansim_ros.io.schema import ShortSection
+from humansim_ros.files.yaml import ShortSection
 
 
 class HoldConfig(ShortSection):

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from humansim_ros.motion.keyframes import SPACE_JOINTS, KeyframeSpace, KeyframeTrack, undo_keyframes
-from humansim_ros.motion.kinematics import JointPoses
-from humansim_ros.motion.scene_query import PoseStage
-from humansim_ros.scene.layers import BodyPoses, Owner, PoseLayer
+from humansim_ros.motion.body import JointPoses
+from humansim_ros.motion.files import SPACE_JOINTS, KeyframeSpace, KeyframeTrack, undo_keyframes
+from humansim_ros.motion.pose import PoseStage
+from humansim_ros.scene.core.layers import BodyPoses, Owner, PoseLayer
 from humansim_ros.types import Array
 
 

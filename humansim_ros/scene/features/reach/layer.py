@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from humansim_ros.motion.kinematics import JointPoses
-from humansim_ros.motion.reaches import Reaches
-from humansim_ros.motion.scene_query import PoseStage
-from humansim_ros.scene.layers import Owner, PoseLayer
+from humansim_ros.motion.body import JointPoses
+from humansim_ros.motion.pose import PoseStage, Reaches
+from humansim_ros.scene.core.layers import Owner, PoseLayer
 from humansim_ros.types import Array
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from humansim_ros.scene.draft import Draft
-from humansim_ros.scene.features import Feature
+from humansim_ros.scene.core.draft import Draft
+from humansim_ros.scene.features.protocol import Feature
 from humansim_ros.scene.features.robot.keys import ROBOT
 
 

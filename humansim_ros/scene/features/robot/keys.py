@@ -6,8 +6,8 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from humansim_ros.io.schema import ByteColor, FileName, Section, TopicName
-from humansim_ros.scene.camera_config import Bounded, NumberSection, TrajectoryConfig
+from humansim_ros.files.yaml import ByteColor, FileName, Section, TopicName
+from humansim_ros.scene.config.camera_config import Bounded, NumberSection, TrajectoryConfig
 
 #: Name of the robot among the objects of the scene.
 ROBOT = "robot"

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from humansim_ros.camera.trajectory import Trajectory
+from humansim_ros.cameras.camera import Trajectory
 from humansim_ros.errors import in_section
 from humansim_ros.geometry import (
     ObjectPose,
@@ -19,12 +19,12 @@ from humansim_ros.geometry import (
     quaternion_to_matrix,
     rotation_vector_to_quaternion,
 )
-from humansim_ros.scene.carriers import Route
-from humansim_ros.scene.config import ObjectConfig, SceneConfig
+from humansim_ros.scene.config.config import ObjectConfig, SceneConfig
+from humansim_ros.scene.core.carriers import Route
+from humansim_ros.scene.core.objects import SceneObject
+from humansim_ros.scene.core.randomise import random_numbers
+from humansim_ros.scene.core.source import SceneSource
 from humansim_ros.scene.features.robot.keys import ROBOT, PathConfig, RobotConfig, VibrationConfig
-from humansim_ros.scene.objects import SceneObject
-from humansim_ros.scene.randomise import random_numbers
-from humansim_ros.scene.source import SceneSource
 from humansim_ros.types import Array
 
 #: Sines of each axis of a vibration, and the share of its middle frequency by which theirs differ from it.

@@ -6,11 +6,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from humansim_ros.scanner.casting import Poses
-from humansim_ros.scene.draft import Draft
-from humansim_ros.scene.features import Feature
+from humansim_ros.cameras.scanner import Poses
+from humansim_ros.scene.core.draft import Draft
+from humansim_ros.scene.core.findings import Finding, SceneSamples, misplaced
+from humansim_ros.scene.features.protocol import Feature
 from humansim_ros.scene.features.scanners.scanner import SceneScanner, build_scanners
-from humansim_ros.scene.findings import Finding, SceneSamples, misplaced
 from humansim_ros.types import Array
 
 #: Flesh around joints, metres, and degrees of azimuth that rays may be apart.

@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from humansim_ros.io.schema import Section, Share
-from humansim_ros.scene.camera_config import BoundedVector3, Mount, TrajectoryConfig
+from humansim_ros.files.yaml import Section, Share
+from humansim_ros.scene.config.camera_config import BoundedVector3, Mount, TrajectoryConfig
 
 #: Most rays of a sweep, and of a second: more keep no pace, and need much memory.
 MAX_RAYS, MAX_RAYS_PER_SECOND = 1 << 19, 6_000_000

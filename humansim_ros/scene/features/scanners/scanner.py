@@ -7,17 +7,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from humansim_ros.camera.trajectory import Trajectory
+from humansim_ros.cameras.camera import Trajectory
+from humansim_ros.cameras.scanner import (
+    MODELS,
+    SUBRAYS,
+    Layout,
+    Measuring,
+    Pattern,
+    Poses,
+    ScannerModel,
+    StampOf,
+    raster,
+    spinning,
+)
 from humansim_ros.errors import SceneError, in_section
 from humansim_ros.geometry import ObjectPose, compose_poses, from_degrees
-from humansim_ros.scanner.casting import Poses
-from humansim_ros.scanner.models import MODELS, Layout, ScannerModel, StampOf
-from humansim_ros.scanner.pattern import SUBRAYS, Pattern, raster, spinning
-from humansim_ros.scanner.returns import Measuring
-from humansim_ros.scene.carriers import Carrier, Route, robot_of_mount
-from humansim_ros.scene.config import SceneConfig
+from humansim_ros.scene.config.config import SceneConfig
+from humansim_ros.scene.core.carriers import Carrier, Route, robot_of_mount
+from humansim_ros.scene.core.source import SceneSource
 from humansim_ros.scene.features.scanners.keys import MAX_RAYS, MAX_RAYS_PER_SECOND, ScannerConfig
-from humansim_ros.scene.source import SceneSource
 from humansim_ros.types import Array
 
 

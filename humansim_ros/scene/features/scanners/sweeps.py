@@ -11,18 +11,25 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.camera.trajectory import Trajectory
-from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.render.renderer import Body, check_bodies
-from humansim_ros.scanner.casting import Hits, MovingTriangles, Poses, Shot
-from humansim_ros.scanner.pattern import Rays
-from humansim_ros.scanner.reflectivity import reflectivity
-from humansim_ros.scanner.returns import SINGLE_STRONGEST, Returns, measure
+from humansim_ros.cameras.camera import Trajectory
+from humansim_ros.cameras.scanner import (
+    SINGLE_STRONGEST,
+    Hits,
+    MovingTriangles,
+    Poses,
+    Rays,
+    Returns,
+    Shot,
+    measure,
+    reflectivity,
+)
+from humansim_ros.cameras.sensor import generator
+from humansim_ros.files.mesh import Mesh
+from humansim_ros.render.interface import Body, check_bodies
+from humansim_ros.scene.core.scene import Scene
+from humansim_ros.scene.core.state import SceneState
 from humansim_ros.scene.features.robot.keys import ROBOT
 from humansim_ros.scene.features.scanners.scanner import SceneScanner, poses_of
-from humansim_ros.scene.scene import Scene
-from humansim_ros.scene.state import SceneState
-from humansim_ros.sensor.sensor import generator
 from humansim_ros.types import Array, Float32Array, FloatArray, Indices
 
 #: Speed in m/s above which a body has jumped, and the step of the vertices by which it is measured.

@@ -8,19 +8,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from humansim_ros.files.mesh import Mesh
 from humansim_ros.geometry import segments_crossing
-from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.motion.activity import needs_table
-from humansim_ros.motion.path_motion import PathMotion
-from humansim_ros.scene.actor import Actor
-from humansim_ros.scene.config import LIVE, MotionConfig, ObjectConfig, SceneConfig
-from humansim_ros.scene.draft import Draft
-from humansim_ros.scene.features import Feature
-from humansim_ros.scene.findings import Finding, SceneSamples, motion_key, numbers
-from humansim_ros.scene.objects import SceneObject
-from humansim_ros.scene.room import furniture_tops
-from humansim_ros.scene.seats import HIGHEST_HIPS, SEAT_HEIGHT, TO_TABLE, Sitting, find_sittings
-from humansim_ros.scene.source import SceneSource
+from humansim_ros.motion.files import needs_table
+from humansim_ros.motion.pose import PathMotion
+from humansim_ros.scene.config.config import LIVE, MotionConfig, ObjectConfig, SceneConfig
+from humansim_ros.scene.core.actor import Actor
+from humansim_ros.scene.core.draft import Draft
+from humansim_ros.scene.core.findings import Finding, SceneSamples, motion_key, numbers
+from humansim_ros.scene.core.objects import SceneObject
+from humansim_ros.scene.core.seats import HIGHEST_HIPS, SEAT_HEIGHT, TO_TABLE, Sitting, find_sittings
+from humansim_ros.scene.core.source import SceneSource
+from humansim_ros.scene.features.protocol import Feature
+from humansim_ros.scene.features.room import furniture_tops
 from humansim_ros.types import Array
 
 #: Seconds between two times, and most seconds, in which people are watched.

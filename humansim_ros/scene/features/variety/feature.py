@@ -13,20 +13,20 @@ import scipy
 from numpy.typing import NDArray
 
 from humansim_ros.errors import HumansimError, HumansimWarning, SceneError, in_section, some_of
-from humansim_ros.humans.human import Human
-from humansim_ros.humans.makehuman.population import PeopleLimits, person_name
-from humansim_ros.io.assets import built_in_names
-from humansim_ros.motion.activity import ACTIVITY, needs_table
-from humansim_ros.scene.actor import Actor
-from humansim_ros.scene.config import HumanConfig, MotionConfig, SceneConfig, living_face
-from humansim_ros.scene.draft import Draft
-from humansim_ros.scene.features import Feature
+from humansim_ros.files.reading import built_in_names
+from humansim_ros.motion.files import ACTIVITY, needs_table
+from humansim_ros.people.humans import Human
+from humansim_ros.people.makehuman import PeopleLimits, person_name
+from humansim_ros.scene.config.config import HumanConfig, MotionConfig, SceneConfig, living_face
+from humansim_ros.scene.core.actor import Actor
+from humansim_ros.scene.core.draft import Draft
+from humansim_ros.scene.core.floor import Floor, Footprint, floor_corners, footprints, things_on_floor
+from humansim_ros.scene.core.names import variety_names
+from humansim_ros.scene.core.randomise import RandomNumbers, random_numbers
+from humansim_ros.scene.core.seats import Seat, seats_of
+from humansim_ros.scene.core.source import SceneSource
+from humansim_ros.scene.features.protocol import Feature
 from humansim_ros.scene.features.variety.keys import VarietyConfig
-from humansim_ros.scene.floor import Floor, Footprint, floor_corners, footprints, things_on_floor
-from humansim_ros.scene.names import variety_names
-from humansim_ros.scene.randomise import RandomNumbers, random_numbers
-from humansim_ros.scene.seats import Seat, seats_of
-from humansim_ros.scene.source import SceneSource
 from humansim_ros.types import Array
 
 #: Least distances in metres of joints, which are inside the body, from walls, things and joints of others.

@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from humansim_ros.io.schema import FileName, SceneName, Section, Share
-from humansim_ros.scene.camera_config import Area
+from humansim_ros.files.yaml import FileName, SceneName, Section, Share
+from humansim_ros.scene.config.camera_config import Area
 
 _Age = Annotated[float, Field(ge=2, le=90)]
 _Stature = Annotated[float, Field(ge=0.6, le=2.3)]

@@ -1,0 +1,5 @@
+"""Calibration formats, one module per family; ``all_formats.py`` has the table."""
+
+from humansim_ros.lazy import lazy_exports
+
+__getattr__, __dir__, __all__ = lazy_exports(__name__, __file__)

@@ -1,0 +1,416 @@
+"""Depth and stereo cameras: ZED .conf, JSON of Azure Kinect and RealSense, camera files of Open3D.
+
+- ZED (SN….conf): sections of the left and right camera for each resolution; the right camera is
+  x_right = R x_left + t with R of the rotation vector (RX, CV, RZ) and t = (-Baseline, TY, TZ), millimetres.
+  https://github.com/stereolabs/zed-opencv-native
+- Azure Kinect (k4a_device_get_raw_calibration): focal lengths and principal points are fractions of the
+  sensor, Rt is in metres from the depth camera; the lens is rational_polynomial with p2 before p1. A colour
+  mode of 16:9 is the middle of the sensor. https://github.com/microsoft/Azure-Kinect-Sensor-SDK
+  (src/transformation/mode_specific_calibration.c)
+- RealSense (dumps of rs2_intrinsics by librealsense and pyrealsense2): the fields of rs2_intrinsics, for one
+  camera or for streams by name; also rs2_extrinsics from depth to colour (metres, rotation in column order).
+  https://github.com/realsenseai/librealsense/wiki/Projection-in-RealSense-SDK-2.0
+- Open3D: matrices in column order, and maybe extrinsics (x = R X + t, metres). It measures pixels from the
+  centre of the first one, as RealSense does. https://www.open3d.org/docs/release/python_api/open3d.camera.html
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from humansim_ros.cameras.camera.camera import Camera, pinhole
+from humansim_ros.cameras.formats.base import (
+    CalibrationFile,
+    Keys,
+    RawCamera,
+    SourceLocation,
+    check_count,
+    find_cameras,
+    has_keys,
+    nested,
+    number,
+    reader_of,
+)
+from humansim_ros.cameras.formats.checks import IMAGE_SIZES
+from humansim_ros.cameras.formats.spellings import POSE, find_parameters, plain, role_of
+from humansim_ros.cameras.formats.syntax import TOML_HEAD, ZED_SECTION
+from humansim_ros.cameras.formats.table import Values, calibration_format
+from humansim_ros.errors import CameraError, warn_about
+from humansim_ros.types import Array, ImageSize
+
+# -- ZED
+
+#: Image size of each resolution of ZED cameras.
+_ZED_SIZES: dict[str, ImageSize] = {mode: (w, h) for mode, (w, h) in IMAGE_SIZES["zed"].items()}
+_ZED_CAMERA = re.compile(r"(LEFT|RIGHT)_CAM_([A-Z0-9]+)", re.IGNORECASE)
+_SECTION = re.compile(r"\[\s*([A-Za-z0-9_]{1,60})\s*\]")
+_MOST_LINES = 2000
+_Section = dict[str, tuple[int, str]]
+
+
+def _is_zed(file: CalibrationFile) -> bool:
+    return ZED_SECTION.search(file.text, 0, TOML_HEAD) is not None
+
+
+def _zed_sections(file: CalibrationFile) -> dict[str, tuple[int, _Section]]:
+    sections: dict[str, tuple[int, _Section]] = {}
+    section: _Section = {}
+    for line, text in file.lines():
+        if line > _MOST_LINES:
+            raise CameraError("the file is too long for a calibration", path=file.path, line=line)
+        heading = _SECTION.fullmatch(text)
+        if heading:
+            section = {}
+            sections[heading[1].upper()] = line, section
+        elif "=" in text:
+            key, _, value = text.partition("=")
+            section[key.strip().lower()] = line, value.strip()
+    return sections
+
+
+def _zed_number(
+    file: CalibrationFile,
+    sections: Mapping[str, tuple[int, _Section]],
+    name: str,
+    *keys: str,
+    needed: bool = True,
+) -> float:
+    """Number of the first of these keys in a section. An absent number that is not needed is 0."""
+    start, section = sections.get(name, (None, {}))
+    for key in keys:
+        if key.lower() in section:
+            line, word = section[key.lower()]
+            return file.row([word], line, f"{name}.{key}")[0]
+    if needed:
+        raise CameraError("is missing", path=file.path, line=start, key=f"{name}.{keys[0]}")
+    return 0.0
+
+
+def _read_zed(file: CalibrationFile) -> dict[str, RawCamera]:
+    sections = _zed_sections(file)
+    found = {name: _ZED_CAMERA.fullmatch(name) for name in sections}
+    modes = list(dict.fromkeys(match[2] for match in found.values() if match))
+    unknown = [mode for mode in modes if mode not in _ZED_SIZES]
+    known = [mode for mode in modes if mode in _ZED_SIZES]
+    fitting = [mode for mode in known if file.given_size in (None, _ZED_SIZES[mode])]
+    if unknown:
+        warn_about(file.path, f"left out, because their image size is not known: {', '.join(unknown)}")
+    if not fitting:
+        sizes = ", ".join("{}x{}".format(*_ZED_SIZES[mode]) for mode in known)
+        raise CameraError(f"has no resolution of that size; there are {sizes}", path=file.path, key="size")
+    cameras: dict[str, RawCamera] = {}
+    for mode in fitting:
+        for side in ("LEFT", "RIGHT"):
+            name = f"{side}_CAM_{mode}"
+            if name in sections:
+                file.add(cameras, name, _zed_camera(file, sections, name, mode, side), line=sections[name][0])
+    return cameras
+
+
+def _zed_camera(
+    file: CalibrationFile, sections: Mapping[str, tuple[int, _Section]], name: str, mode: str, side: str
+) -> RawCamera:
+    fx, fy, cx, cy = (_zed_number(file, sections, name, key) for key in ("fx", "fy", "cx", "cy"))
+    keys = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+    disto = f"{side}_DISTO"  # the distortion of all modes; the SDK uses this lens
+    if thin := [f"s{i}" for i in range(1, 5) if _zed_number(file, sections, disto, f"s{i}", needed=False)]:
+        if "k1" not in sections[name][1]:
+            start = sections[disto][0]
+            message = "thin prism models are not supported"
+            raise CameraError(message, path=file.path, line=start, key=f"{disto}.{thin[0]}")
+        warn_about(file.path, f"{disto}: a thin prism is not supported; the lens of {name} is taken")
+    lens_at = disto if disto in sections and not thin else name
+    lens = np.array([_zed_number(file, sections, lens_at, key, needed=key == "k1") for key in keys])
+    fisheye = lens_at == disto and lens[5] and not lens[[2, 3, 6, 7]].any()
+    lens, model = (lens, "rational_polynomial") if lens[5:].any() else (lens[:5], "plumb_bob")
+    lens, model = (lens[[0, 1, 4, 5]], "equidistant") if fisheye else (lens, model)
+    rotation, t = np.eye(3), np.zeros(3)
+    if side == "RIGHT":
+        base = _zed_number(file, sections, "STEREO", "Baseline")
+        ty, tz = (_zed_number(file, sections, "STEREO", f"{k}_{mode}", k, needed=False) for k in ("TY", "TZ"))
+        vector = [_zed_number(file, sections, "STEREO", f"{k}_{mode}", k) for k in ("RX", "CV", "RZ")]
+        rotation = np.asarray(Rotation.from_rotvec(vector).as_matrix())
+        t = np.array([-base, ty, tz])
+    where = SourceLocation(name, sections[name][0])
+    return RawCamera(
+        pinhole(fx, fy, cx, cy),
+        rotation,
+        t,
+        size=_ZED_SIZES[mode],
+        distortion=tuple(lens),
+        model=model,
+        locations={"": where, "K": where},
+    )
+
+
+def _write_zed(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
+    lines: list[str] = []
+    modes = {size: mode for mode, size in reversed(_ZED_SIZES.items())}
+    if len(cameras) != 2 or len({camera.size for camera in cameras.values()}) > 1:
+        raise CameraError("this format needs the left and the right camera of one size")
+    (name, left), (_, right) = cameras.items()
+    mode = modes.get(left.size)
+    if mode is None:
+        known = ", ".join(f"{w}x{h}" for w, h in modes)
+        raise CameraError(f"this format needs an image size of ZED cameras: {known}", key=name)
+    if not (np.allclose(left.R, np.eye(3)) and np.allclose(left.t, 0)):
+        raise CameraError("this format needs the left camera as the world", key=name)
+    for side, camera in (("LEFT", left), ("RIGHT", right)):
+        k = camera.K
+        values = {"fx": k[0, 0], "fy": k[1, 1], "cx": k[0, 2], "cy": k[1, 2]}
+        values |= dict(zip(("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"), camera.distortion, strict=False))
+        lines += [f"[{side}_CAM_{mode}]", *(f"{key}={number(value)}" for key, value in values.items()), ""]
+    rx, cv, rz = Rotation.from_matrix(right.R).as_rotvec()
+    stereo = {"Baseline": -right.t[0], "TY": right.t[1], "TZ": right.t[2]}
+    stereo |= {f"RX_{mode}": rx, f"CV_{mode}": cv, f"RZ_{mode}": rz}
+    lines += ["[STEREO]", *(f"{key}={number(value)}" for key, value in stereo.items())]
+    return {"": "\n".join(lines) + "\n"}
+
+
+ZED = calibration_format("zed", _is_zed, _read_zed, _write_zed)
+
+
+# -- Azure Kinect
+
+_K4A: Keys = ("CalibrationInformation", "Cameras")
+_BROWN = "CALIBRATION_LensDistortionModelBrownConrady"
+_COLOR = "CALIBRATION_CameraPurposePhotoVideo"
+#: By size of a mode: side of the scaled sensor, and the first pixel of the mode in the sensor.
+_DEPTH_MODES = {
+    (640, 576): (1024, (192, 180)),
+    (320, 288): (512, (96, 90)),
+    (1024, 1024): (1024, (0, 0)),
+    (512, 512): (512, (0, 0)),
+}
+
+
+def _is_k4a(file: CalibrationFile) -> bool:
+    return isinstance(file.get(*_K4A), list)
+
+
+def _read_k4a(file: CalibrationFile) -> dict[str, RawCamera]:
+    cameras: dict[str, RawCamera] = {}
+    skipped = []
+    for index, _ in enumerate(file.need(*_K4A)):
+        at: Keys = (*_K4A, index)
+        color = file.need(*at, "Purpose") == _COLOR
+        name = "color" if color else "depth"
+        name = name if name not in cameras else str(file.get(*at, "Location") or index)
+        sensor = file.size((*at, "SensorWidth"), (*at, "SensorHeight"))
+        mode = _mode(file.given_size or sensor, sensor, color)
+        if mode is None:
+            skipped.append(name)
+            continue
+        file.add(cameras, name, _k4a_camera(file, at, file.given_size or sensor, *mode), *at)
+    if not cameras:
+        raise CameraError("no camera has a mode of this size", path=file.path, key="size")
+    if skipped:
+        width, height = file.given_size or (0, 0)
+        warn_about(
+            file.path, f"left out, because they have no mode of {width}x{height}: {', '.join(skipped)}"
+        )
+    return cameras
+
+
+def _mode(size: ImageSize, sensor: ImageSize, color: bool) -> tuple[Array, Array] | None:
+    """Size (2,) of the scaled sensor, and first pixel (2,) of a mode in the sensor; None for an unknown
+    mode."""
+    if size == sensor:
+        return np.array(sensor, dtype=float), np.zeros(2)
+    if not color:
+        if size not in _DEPTH_MODES:
+            return None
+        side, corner = _DEPTH_MODES[size]
+        return np.array([side, side], dtype=float), np.array(corner, dtype=float)
+    scaled = np.array(sensor) * (size[0] / sensor[0])
+    cut = (scaled[1] - size[1]) / 2
+    return (scaled, np.array([0, cut])) if 0 <= cut < size[1] / 4 else None
+
+
+def _k4a_camera(file: CalibrationFile, at: Keys, size: ImageSize, scale: Array, corner: Array) -> RawCamera:
+    inner: Keys = (*at, "Intrinsics")
+    values = file.some_numbers(*inner, "ModelParameters")
+    if len(values) < 14:
+        raise file.error(f"needs 14 numbers, not {len(values)}", *inner, "ModelParameters")
+    cx, cy, fx, fy, k1, k2, k3, k4, k5, k6, codx, cody, p2, p1 = values[:14]
+    model = str(file.need(*inner, "ModelType"))
+    if model != _BROWN:
+        raise file.error(f"{model[:60]!r} is not a supported lens; known is {_BROWN}", *inner, "ModelType")
+    if codx or cody:
+        message = "a centre of distortion beside the axis (numbers 11 and 12) is not supported"
+        raise file.error(message, *inner, "ModelParameters")
+    k = pinhole(
+        fx * scale[0], fy * scale[1], cx * scale[0] - corner[0] - 0.5, cy * scale[1] - corner[1] - 0.5
+    )
+    rotation, t = None, np.zeros(3)
+    if file.get(*at, "Rt") is not None:
+        rotation = file.numbers((3, 3), *at, "Rt", "Rotation")
+        t = file.numbers((3,), *at, "Rt", "Translation")
+    return RawCamera(
+        k,
+        rotation,
+        t,
+        size=size,
+        distortion=(k1, k2, p1, p2, k3, k4, k5, k6),
+        model="rational_polynomial",
+        locations=file.locations(at, K=("Intrinsics", "ModelParameters"), R="Rt", t="Rt"),
+    )
+
+
+def _k4a_values(own: Values, camera: Camera) -> Values:
+    if own["name"] not in ("depth", "color"):
+        raise CameraError("this format has cameras of the names depth and color only", key=own["name"])
+    width, height = camera.size
+    point = own["cx_corner"] / width, own["cy_corner"] / height
+    lens = (own.get(key, 0.0) for key in ("k1", "k2", "k3", "k4", "k5", "k6"))
+    values = (*point, own["fx"] / width, own["fy"] / height, *lens, 0.0, 0.0, own["p2"], own["p1"])
+    purpose = _COLOR if own["name"] == "color" else "CALIBRATION_CameraPurposeDepth"
+    return {"parameters": nested(values), "purpose": purpose}
+
+
+K4A = calibration_format("k4a", _is_k4a, _read_k4a, values=_k4a_values)
+
+
+# -- RealSense and Open3D
+
+#: Names of rs2_distortion in lower case, and its numbers.
+_MODELS = {
+    **dict.fromkeys(("none", "0"), None),
+    **dict.fromkeys(("modified brown conrady", "1", "inverse brown conrady", "2"), "plumb_bob"),
+    **dict.fromkeys(("brown conrady", "4"), "plumb_bob"),
+    **dict.fromkeys(("kannala brandt4", "5"), "equidistant"),
+}
+#: Models that almost equal the models of OpenCV.
+_NEARLY = ("modified brown conrady", "1", "inverse brown conrady", "2")
+_WRITTEN = {"plumb_bob": "brown_conrady", "equidistant": "kannala_brandt4"}
+#: Keys of the lens of RealSense.
+_OWN_LENS = {"coeffs", "distortion"}
+_FIELDS = ({"fx"}, {"fy"}, {"ppx", "cx"}, {"ppy", "cy"}, {"width"}, {"height"})
+
+
+def _realsense_cameras(file: CalibrationFile) -> list[tuple[str, Keys]]:
+    if '"ppx"' not in file.text and find_parameters(plain(file)).having(POSE):
+        return []  # cx, cy and extrinsics come from another program
+    found = find_cameras(file, has_keys(*_FIELDS), has_keys({"fx", "ppx"}))
+    own = (role_of(key) for _, at in found for key in file.mapping(*at).keys() - _OWN_LENS)
+    return [] if {"k1", "radial", "distortion"}.intersection(own) else found  # a file of another program
+
+
+def _realsense_camera(file: CalibrationFile, at: Keys) -> RawCamera:
+    fx, fy = (file.number(*at, key) for key in ("fx", "fy"))
+    cx, cy = (
+        float(file.numbers((), *at, next((k for k in keys if file.get(*at, k) is not None), keys[0])))
+        for keys in (("ppx", "cx"), ("ppy", "cy"))
+    )
+    key = "coeffs" if file.get(*at, "coeffs") is not None else "distortion"
+    distortion = file.optional_numbers(*at, key)
+    model = _model(file, at, key, distortion)
+    return RawCamera(
+        pinhole(fx, fy, cx, cy),
+        size=file.size((*at, "width"), (*at, "height")),
+        distortion=tuple(distortion) if model else (),
+        model=model,
+        locations=file.locations(at, K="fx", distortion=key, size="width"),
+    )
+
+
+def _model(file: CalibrationFile, at: Keys, coefficients: str, distortion: Array) -> str | None:
+    keys = (*at, "model" if file.get(*at, "model") is not None else "distortion_model")
+    value = file.get(*keys)
+    # distortion.inverse_brown_conrady, RS2_DISTORTION_NONE, Brown Conrady, 4
+    word = re.sub(r"^.*distortion[._]|[^a-z0-9]+", " ", str(value).lower()).strip()
+    if value is None or not distortion.any():
+        word = "none" if not distortion.any() and word != "kannala brandt4" else word
+        word = "brown conrady" if value is None and distortion.any() else word
+    if word not in _MODELS:
+        known = "none, brown_conrady, modified_brown_conrady, inverse_brown_conrady, kannala_brandt4"
+        raise file.error(f"{str(value)[:40]!r} is not a supported lens model; known are {known}", *keys)
+    model = _MODELS[word]
+    if model is None and distortion.any():
+        raise file.error(f"is {str(value)[:40]!r}, but there are distortion coefficients", *keys)
+    if model is not None:
+        check_count(file, model, distortion, (*at, coefficients))
+    if word in _NEARLY:
+        warn_about(
+            file.path, f"{'.'.join(map(str, keys))}: {word} is taken for plumb_bob, as realsense-ros does"
+        )
+    return model
+
+
+# -- Open3D
+
+
+def _open3d_cameras(file: CalibrationFile) -> list[tuple[str, Keys]]:
+    return find_cameras(file, _is_open3d_camera, has_keys({"intrinsic", "intrinsic_matrix", "extrinsic"}))
+
+
+def _is_open3d_camera(value: Any) -> bool:
+    if not isinstance(value, dict):
+        return False
+    inner = value.get("intrinsic")
+    if isinstance(inner, dict):
+        return "intrinsic_matrix" in inner
+    k = value.get("intrinsic_matrix")
+    # nine numbers in column order; other programs write rows
+    return isinstance(k, list) and len(k) == 9 and (not k[2] or bool(k[6]))
+
+
+def _open3d_camera(file: CalibrationFile, at: Keys) -> RawCamera:
+    inner = (*at, "intrinsic") if isinstance(file.get(*at, "intrinsic"), dict) else at
+    rotation, t = None, np.zeros(3)
+    if file.get(*at, "extrinsic") is not None:
+        pose = file.numbers((4, 4), *at, "extrinsic").T
+        if not np.allclose(pose[3], [0, 0, 0, 1], atol=1e-6):
+            raise file.error("needs 4 x 4 numbers in column order, the last row 0 0 0 1", *at, "extrinsic")
+        rotation, t = pose[:3, :3], pose[:3, 3]
+    sized = file.get(*inner, "width") is not None
+    return RawCamera(
+        file.numbers((3, 3), *inner, "intrinsic_matrix").T,
+        rotation,
+        t,
+        size=file.size((*inner, "width"), (*inner, "height")) if sized else None,
+        locations={
+            **file.locations(at, R="extrinsic", t="extrinsic"),
+            "K": file.location(*inner, "intrinsic_matrix"),
+        },
+    )
+
+
+#: Keys of rs2_extrinsics between the streams of one device.
+_EXTRINSICS = ("extrinsics", "depth_to_color", "depth_to_color_extrinsics", "extrinsics_depth_to_color")
+_matches_realsense, _read_streams = reader_of(_realsense_cameras, _realsense_camera)
+
+
+def _read_realsense(file: CalibrationFile) -> dict[str, RawCamera]:
+    """Read streams. If rs2_extrinsics from the depth to the colour stream are known, the depth camera is the
+    world."""
+    cameras = _read_streams(file)
+    at = next((key for key in _EXTRINSICS if isinstance(file.get(key), dict)), None)
+    depth = [name for name in cameras if "depth" in name.lower()]
+    color = [name for name in cameras if "color" in name.lower() or "rgb" in name.lower()]
+    if at is None or len(depth) != 1 or len(color) != 1:
+        return cameras
+    # librealsense stores rotations in column order
+    rotation = file.numbers((3, 3), at, "rotation").T
+    t = file.numbers((3,), at, "translation")
+    where = {"R": file.location(at, "rotation"), "t": file.location(at, "translation")}
+    if at == "extrinsics":
+        warn_about(file.path, f"{at}: taken from depth to color, with the rotation in column order")
+    posed = replace(cameras[color[0]], R=rotation, t=t, locations={**cameras[color[0]].locations, **where})
+    return cameras | {depth[0]: replace(cameras[depth[0]], R=np.eye(3)), color[0]: posed}
+
+
+def _realsense_values(own: Values, camera: Camera) -> Values:
+    if not camera.distorted:
+        return {"lens": "none", "coeffs": [0.0] * 5}
+    return {"lens": _WRITTEN[str(camera.model)], "coeffs": [*nested(camera.distortion), 0.0][:5]}
+
+
+REALSENSE = calibration_format("realsense", _matches_realsense, _read_realsense, values=_realsense_values)
+OPEN3D = calibration_format("open3d", *reader_of(_open3d_cameras, _open3d_camera))

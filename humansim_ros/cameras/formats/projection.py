@@ -1,0 +1,263 @@
+"""Plain text of numbers: projection matrices, KRTD, par.txt of the Middlebury multi-view data, MVSNet.
+
+- A projection matrix P (3x4), of any scale and sign, is three lines of four numbers or one line of twelve.
+  The name of a matrix stands before it ("P0: ...") or on a line above. A comment "# left 640x480" also gives
+  the image size. Files of some data sets begin with the word CONTOUR, which is ignored.
+- KRTD of Kitware's tools: K (3x3), R (3x3), t (3) and the distortion coefficients of OpenCV without trailing
+  zeros; a single 0 means no distortion.
+- par.txt: a count, then lines of an image name, K (9), R (9) and t (3); P = K [R | t].
+  https://vision.middlebury.edu/mview/data/
+- cam.txt of MVSNet: the matrix from the world to the camera (4x4) and K. https://github.com/YoYo000/MVSNet
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+from humansim_ros.cameras.camera.camera import Camera
+from humansim_ros.cameras.formats.base import (
+    MAX_CAMERAS,
+    CalibrationFile,
+    RawCamera,
+    SourceLocation,
+    check_names,
+    image_names,
+    row,
+    without_suffix,
+)
+from humansim_ros.cameras.formats.checks import size_of_named_image
+from humansim_ros.cameras.formats.spellings import role_of
+from humansim_ros.cameras.formats.table import calibration_format
+from humansim_ros.errors import CameraError, located
+from humansim_ros.types import ImageSize
+
+_SIZE = re.compile(r"([0-9]{1,5})x([0-9]{1,5})")
+#: Transforms that KITTI's calib.txt has in addition to cameras.
+_OTHER_SENSORS = re.compile(r"(?:Tr(?:_[a-z_]+)?|R0?_rect)[:\s]")
+_NAMED = re.compile(r"([A-Za-z_][^\s:=]*)\s*[:=]\s*(.*)")
+
+
+def _is_projection(file: CalibrationFile) -> bool:
+    return next(_rows(file), None) is not None
+
+
+def _rows(file: CalibrationFile) -> Iterator[tuple[int, str, list[str]]]:
+    """Line, name and words of the rows of matrices. Only the first row of a matrix has a name, which may
+    contain a size ("# name 640x480")."""
+    name = ""
+    for line, text in file.all_lines():
+        if text[:1] in ("#", ";", "%") or text.startswith("//"):
+            name = text.lstrip("#;%/ ").strip()
+            continue
+        if not text or text.upper() == "CONTOUR" or _OTHER_SENSORS.match(text):
+            continue
+        named = _NAMED.fullmatch(text)
+        if named:
+            name, text = named[1], named[2]
+        words = text.strip("[]").replace(",", " ").replace(";", " ").split()
+        if not words:
+            continue
+        if len(words) not in (4, 12) or role_of(words[0]) is not None:
+            return
+        yield line, name, words
+        name = ""
+
+
+def _read_projection(file: CalibrationFile) -> dict[str, RawCamera]:
+    matrices: list[tuple[int, str, list[float]]] = []
+    last = 0
+    for line, name, words in _rows(file):
+        last = line
+        values = file.row(words, line)
+        incomplete = bool(matrices) and len(matrices[-1][2]) < 12
+        if incomplete and len(values) == 4 and not name:
+            matrices[-1][2].extend(values)
+        elif incomplete:
+            raise CameraError("the matrix above has fewer than three rows", path=file.path, line=line)
+        elif len(matrices) == MAX_CAMERAS:
+            raise CameraError(f"there are more than {MAX_CAMERAS} cameras", path=file.path, line=line)
+        else:
+            matrices.append((line, name, values))
+    if len(matrices) == 2 and matrices[-1][2] == [0, 0, 0, 1] and not matrices[-1][1]:
+        message = "found one 4 x 4 matrix: rotation and translation; missing: K or focal length, image size"
+        raise CameraError(message, path=file.path, line=last)
+    if len(matrices[-1][2]) < 12:
+        count = sum(len(values) for _, _, values in matrices) // 4
+        message = f"found {count} rows of 4 numbers, which are not matrices P of three rows each"
+        raise CameraError(f"{message}; missing: K or focal length", path=file.path, line=last)
+    after = ((n, text) for n, text in file.lines() if n > last and not _OTHER_SENSORS.match(text))
+    rest = next((n for n, text in after if text[0] not in "%/"), None)
+    if rest is not None:
+        message = "rows of P have 4 numbers each, or all 12 on one line"
+        raise CameraError(message, path=file.path, line=rest)
+    cameras: dict[str, RawCamera] = {}
+    stem = Path(file.path).stem
+    for number, (line, comment, values) in enumerate(matrices):
+        name, size = _name_and_size(comment)
+        name = name or (stem if len(matrices) == 1 else str(number))
+        file.add(cameras, name, _camera(file, values, line, size), line=line)
+    return cameras
+
+
+def _name_and_size(comment: str) -> tuple[str, ImageSize | None]:
+    """Name and size in a comment. The comment must be one word, or one word and a size."""
+    words = comment.rstrip(":").split()
+    size = _SIZE.fullmatch(words[-1]) if words else None
+    if size:
+        words = words[:-1]
+    name = words[0] if len(words) == 1 else ""
+    return name, (int(size[1]), int(size[2])) if size else None
+
+
+def _camera(file: CalibrationFile, values: list[float], line: int, size: ImageSize | None) -> RawCamera:
+    with located(path=file.path, line=line, key="P"):
+        # any size is good enough here, since the decomposition of P does not depend on it
+        camera = Camera.from_projection_matrix(np.reshape(values, (3, 4)), (1, 1))
+    locations = {"": SourceLocation("P", line)}
+    return RawCamera(camera.K, camera.R, camera.t, size=size, locations=locations)
+
+
+def _write_projection(cameras: Mapping[str, Camera]) -> dict[str, str]:
+    check_names(cameras, words=True)
+    lines = []
+    for name, camera in cameras.items():
+        lines += [f"# {name} {camera.size[0]}x{camera.size[1]}", *(row(values) for values in camera.P)]
+    return {"": "\n".join(lines) + "\n"}
+
+
+PROJECTION = calibration_format("p", _is_projection, _read_projection, _write_projection)
+
+
+#: most coefficients of OpenCV, and most lines
+_MAX_COEFFICIENTS, _MAX_LINES = 14, 21
+
+
+def _is_krtd(file: CalibrationFile) -> bool:
+    rows = [line.split() for line in file.head]
+    return len(rows) == 3 and all(len(row) == 3 and row[0][:1].strip("+-.0123456789") == "" for row in rows)
+
+
+def _read_krtd(file: CalibrationFile) -> dict[str, RawCamera]:
+    lines = [(line, text.split()) for line, text in islice(file.lines(), _MAX_LINES + 1)]
+    if len(lines) < 7 or any(len(words) != 3 for _, words in lines[:7]):
+        message = "needs K (3 x 3), R (3 x 3) and t (3), then the distortion coefficients or a 0"
+        raise CameraError(message, path=file.path, line=lines[-1][0])
+    count = sum(len(words) for _, words in lines) - 21
+    if count > _MAX_COEFFICIENTS:
+        message = (
+            f"more than {_MAX_COEFFICIENTS} distortion coefficients: does the file hold more than one camera?"
+        )
+        raise CameraError(message, path=file.path, line=lines[7][0])
+    numbers = np.array([value for line, words in lines for value in file.row(words, line)])
+    distortion = numbers[21:]
+    locations = {
+        "K": SourceLocation("K", lines[0][0]),
+        "R": SourceLocation("R", lines[3][0]),
+        "t": SourceLocation("t", lines[6][0]),
+    }
+    if len(distortion):
+        locations["distortion"] = SourceLocation("distortion", lines[7][0])
+    camera = RawCamera(
+        numbers[:9].reshape(3, 3),
+        numbers[9:18].reshape(3, 3),
+        numbers[18:21],
+        distortion=tuple(distortion),
+        locations=locations,
+    )
+    return {Path(file.path).stem: camera}
+
+
+def _write_krtd(cameras: Mapping[str, Camera]) -> dict[str, str]:
+    (camera,) = cameras.values()
+    distortion = np.trim_zeros(np.array(camera.distortion), "b")
+    blocks = [
+        *("\n".join(row(values) for values in matrix) for matrix in (camera.K, camera.R)),
+        row(camera.t),
+        row(distortion) if len(distortion) else "0",
+    ]
+    return {"": "\n\n".join(blocks) + "\n"}
+
+
+KRTD = calibration_format("krtd", _is_krtd, _read_krtd, _write_krtd)
+
+
+def _is_par(file: CalibrationFile) -> bool:
+    count, *images = file.head or [""]
+    return count.isdecimal() and bool(images) and len(images[0].split()) > 12
+
+
+def _read_middlebury(file: CalibrationFile) -> dict[str, RawCamera]:
+    lines = file.lines()
+    first, count = next(lines)
+    cameras: dict[str, RawCamera] = {}
+    folder = Path(file.path).parent
+    for line, text in lines:
+        image, *words = text.split()
+        if len(words) != 21:
+            message = f"needs an image name, K (9), R (9) and t (3): 21 numbers, not {len(words)}"
+            raise CameraError(message, path=file.path, line=line)
+        values = np.array(file.row(words, line))
+        camera = RawCamera(
+            values[:9].reshape(3, 3),
+            values[9:18].reshape(3, 3),
+            values[18:],
+            size=size_of_named_image(folder, image),
+            locations={"": SourceLocation(None, line)},
+        )
+        file.add(cameras, without_suffix(image), camera, line=line)
+    if not 0 < len(cameras) == int(count[:9]):
+        message = f"declares {count[:9]} cameras, but has {len(cameras)}: is the file complete?"
+        raise CameraError(message, path=file.path, line=first)
+    return cameras
+
+
+def _write_middlebury(cameras: Mapping[str, Camera]) -> dict[str, str]:
+    images = image_names(cameras)
+    lines = [str(len(cameras))]
+    for name, camera in cameras.items():
+        numbers = (*camera.K.ravel(), *camera.R.ravel(), *camera.t)
+        lines.append(f"{images[name]} {row(numbers)}")
+    return {"": "\n".join(lines) + "\n"}
+
+
+MIDDLEBURY = calibration_format("middlebury", _is_par, _read_middlebury, _write_middlebury)
+
+
+# -- MVSNet
+
+
+def _is_mvsnet(file: CalibrationFile) -> bool:
+    return bool(file.head) and file.head[0].lower() == "extrinsic"
+
+
+def _read_mvsnet(file: CalibrationFile) -> dict[str, RawCamera]:
+    lines = list(islice(file.lines(), 12))
+    words = [text.split() for _, text in lines]
+    inner = next((i for i, w in enumerate(words) if w[0].lower() == "intrinsic"), None)
+    if inner != 5 or [len(w) for w in words[1:5]] != [4] * 4 or [len(w) for w in words[6:9]] != [3] * 3:
+        message = "needs 'extrinsic' with 4 x 4 numbers, then 'intrinsic' with 3 x 3 numbers"
+        raise CameraError(message, path=file.path, line=lines[-1][0])
+    pose = np.array([file.row(w, line) for w, (line, _) in zip(words[1:5], lines[1:5], strict=True)])
+    k = np.array([file.row(w, line) for w, (line, _) in zip(words[6:9], lines[6:9], strict=True)])
+    if not np.allclose(pose[3], [0, 0, 0, 1], atol=1e-6):
+        message = "needs 0 0 0 1 as the last row of its 4 x 4 numbers"
+        raise CameraError(message, path=file.path, line=lines[4][0], key="extrinsic")
+    at = SourceLocation("extrinsic", lines[1][0])
+    where = {"K": SourceLocation("intrinsic", lines[6][0]), "R": at, "t": at}
+    name = Path(file.path).stem.removesuffix("_cam")
+    return {name: RawCamera(k, pose[:3, :3], pose[:3, 3], locations=where)}
+
+
+def _write_mvsnet(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
+    check_names(cameras, words=True)
+    (camera,) = cameras.values()
+    lines = ["extrinsic", *(row(values) for values in camera.optical_from_world), "", "intrinsic"]
+    return {"": "\n".join([*lines, *(row(values) for values in camera.K), "", "0.1 0.01"]) + "\n"}
+
+
+MVSNET = calibration_format("mvsnet", _is_mvsnet, _read_mvsnet, _write_mvsnet)

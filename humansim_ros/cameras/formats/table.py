@@ -1,0 +1,190 @@
+"""Table of the calibration formats: their names, units and what they store, and the functions of each.
+
+``config/calibration_formats.json`` has a row for each format. The keys of a row are fields of
+:class:`CalibrationFormat`, which has their defaults. The module of the format's family adds the functions
+with :func:`calibration_format`.
+
+``written`` of a row is a template: the content of a JSON file, or of an XML file as attributes and lists of
+elements by tag. ``$fx`` is replaced by the value ``fx`` of a camera (:func:`_values`, and the values of the
+format); in a longer text, by its digits. The content of the key ``$each`` is written once for each camera, as
+a list; the content of ``$name`` once for each camera, under its name. A key is left out if the camera has no
+value for it. ``names`` is ``words`` or ``printable``: the names that can be written.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from string import Template
+from typing import Any
+
+import numpy as np
+
+from humansim_ros.cameras.camera.camera import Camera
+from humansim_ros.cameras.camera.lens import MODELS
+from humansim_ros.cameras.formats.base import (
+    OPENGL,
+    CalibrationFile,
+    RawCamera,
+    check_names,
+    json_file,
+    nested,
+    text_of,
+    xml_file,
+)
+from humansim_ros.files.reading import read_table
+from humansim_ros.geometry import matrix_to_quaternion
+from humansim_ros.types import ImageSize
+
+_ROWS: Mapping[str, dict[str, Any]] = read_table("calibration_formats")
+
+
+@dataclass(frozen=True)
+class CalibrationFormat:
+    """A calibration format.
+
+    Attributes:
+        name: Name on the command line.
+        title: Name in messages.
+        suffix: Suffix of its files.
+        syntax: ``text``, ``yaml``, ``json``, ``toml``, ``xml`` or ``npz``.
+        matches: Whether a file of this syntax has this format.
+        read: Cameras of a file by name.
+        write: Content of each file by file name. If the format has one file, its name is "".
+        multiple: Whether a file holds more than one camera.
+        unit: Metres per unit of the file.
+        up: Axis of its world that points up.
+        holds_size, holds_pose, holds_skew, holds_rectified: Whether the format can store these values of a
+            camera.
+        lenses: Distortion models that the format can store, with the number of their coefficients.
+        sizes: Usual image sizes of a format that does not store the size.
+        find_unit: Finds the metres per unit of a file, if the format does not define the unit.
+        also: Other syntaxes that the format is read from, after the formats of that syntax have been tried.
+    """
+
+    name: str
+    title: str
+    suffix: str
+    syntax: str
+    matches: Callable[[CalibrationFile], bool]
+    read: Callable[[CalibrationFile], dict[str, RawCamera]]
+    write: Callable[[Mapping[str, Camera]], Mapping[str, str | bytes]]
+    multiple: bool = True
+    unit: float = 1.0
+    up: str = "z"
+    holds_size: bool = True
+    holds_pose: bool = True
+    holds_skew: bool = True
+    holds_rectified: bool = False
+    lenses: Mapping[str, int] = field(default_factory=dict)
+    sizes: tuple[ImageSize, ...] = ()
+    find_unit: Callable[[CalibrationFile, Mapping[str, RawCamera]], float] | None = None
+    also: tuple[str, ...] = ()
+
+
+#: Values of a camera for a template, by name.
+Values = Mapping[str, Any]
+
+
+def calibration_format(
+    name: str,
+    matches: Callable[[CalibrationFile], bool],
+    read: Callable[[CalibrationFile], dict[str, RawCamera]],
+    write: Callable[[Mapping[str, Camera]], Mapping[str, str | bytes]] | None = None,
+    find_unit: Callable[[CalibrationFile, Mapping[str, RawCamera]], float] | None = None,
+    values: Callable[[Values, Camera], Values] = lambda own, camera: {},
+) -> CalibrationFormat:
+    """Create a format from a row of the table.
+
+    Args:
+        name: Name of the format. ``matches``, ``read``, ``write`` and ``find_unit``: see
+            :class:`CalibrationFormat`.
+        matches: Whether a file has this format.
+        read: Cameras of a file.
+        write: Files of cameras. If None, the row has a template.
+        find_unit: Metres per unit.
+        values: Computes values that only this template needs from the other values of a camera.
+    """
+    row: Any = {key: _tuples(value) for key, value in _ROWS[name].items()}
+    template, names = row.pop("written", None), row.pop("names", "")
+
+    def write_template(cameras: Mapping[str, Camera]) -> Mapping[str, str | bytes]:
+        if names:
+            check_names(cameras, words=names == "words")
+        each = []
+        for index, (name, camera) in enumerate(cameras.items()):
+            own = _values(name, index, camera)
+            each.append({**own, **values(own, camera)})
+        fisheyes = all(camera.model == "equidistant" for camera in cameras.values()) or None
+        content = _filled(template, each, {"count": len(each), "all_fisheye": fisheyes})
+        return json_file(content) if row["syntax"] == "json" else xml_file(content)
+
+    write = write or write_template
+    return CalibrationFormat(name, matches=matches, read=read, write=write, find_unit=find_unit, **row)
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(map(_tuples, value)) if isinstance(value, list) else value
+
+
+def _values(name: str, index: int, camera: Camera) -> dict[str, Any]:
+    """Values of a camera that templates may use.
+
+    Matrices are ``K``, ``R``, ``Rt``, ``w2c``, ``c2w`` (camera to world) and ``gl`` (like ``c2w`` with the
+    camera axes of OpenGL: y up, z backward). The end ``_flat`` gives row order, ``_columns`` column order.
+    Single numbers of R and gl have row and column in their names (``R12``). Vectors are ``t`` and ``center``,
+    also with the end ``_column``.
+    """
+    (width, height), k = camera.size, camera.K
+    own = dict(zip(MODELS[str(camera.model)], camera.distortion, strict=True))
+    c2w, w2c = camera.world_from_optical, camera.optical_from_world
+    matrices = {"K": k, "R": camera.R, "Rt": w2c[:3], "w2c": w2c, "c2w": c2w, "gl": c2w @ OPENGL}
+    vectors = {"t": camera.t, "center": camera.center, "distortion": np.array(camera.distortion)}
+    return {
+        "name": name,
+        "image": f"{name}.png",
+        "index": index,
+        "number": index + 1,
+        "size": list(camera.size),
+        "width": width,
+        "height": height,
+        "model": str(camera.model),
+        "fx": k[0, 0],
+        "fy": k[1, 1],
+        "cx": k[0, 2],
+        "cy": k[1, 2],
+        "skew": k[0, 1],
+        "cx_corner": k[0, 2] + 0.5,
+        "cy_corner": k[1, 2] + 0.5,
+        "aspect": k[0, 0] / k[1, 1],
+        **{key: nested(value) for key, value in {**matrices, **vectors}.items()},
+        **{f"{key}_flat": nested(matrix.ravel()) for key, matrix in matrices.items()},
+        **{f"{key}_columns": nested(matrix.T.ravel()) for key, matrix in matrices.items()},
+        **{f"{key}_column": nested(vector[:, None]) for key, vector in vectors.items()},
+        **{f"{m}{i + 1}{j + 1}": matrices[m][i, j] for m in ("R", "gl") for i in range(3) for j in range(3)},
+        "quaternion": nested(matrix_to_quaternion(camera.R)),
+        **own,
+        **dict(zip(("t1", "t2", "t3", "x", "y", "z"), (*camera.t, *camera.center), strict=True)),
+    }
+
+
+def _filled(template: Any, each: Sequence[Values], values: Values) -> Any:
+    """Fill a template with ``values``, or with those of ``each`` camera. Returns None if all values are
+    missing."""
+    if isinstance(template, str):
+        if "$" not in template:
+            return template
+        if template[1:].isidentifier():
+            return values.get(template[1:])
+        return Template(template).substitute({key: text_of(value) for key, value in values.items()})
+    if isinstance(template, Mapping):
+        if "$each" in template:
+            return [_filled(template["$each"], each, one) for one in each]
+        if "$name" in template:
+            return {one["name"]: _filled(template["$name"], each, one) for one in each}
+        items = {key: _filled(value, each, values) for key, value in template.items()}
+        return {key: value for key, value in items.items() if value is not None} or None
+    if isinstance(template, list):
+        filled = [item for below in template if (item := _filled(below, each, values)) is not None]
+        return filled if filled or not template else None
+    return template

@@ -1,0 +1,308 @@
+"""Intersection of rays with moving triangles. It finds the surface that each ray meets first when it is
+fired."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.cameras.scanner.ray_index import Angles, Bounds, RayIndex
+from humansim_ros.geometry import quaternion_to_matrix
+from humansim_ros.types import Array, Float32Array, FloatArray, Indices
+
+#: Barycentric coordinates down to this count as inside, so that no ray passes between two triangles.
+_SEAM = 1e-9
+#: A surface is around the scanner if it is nearer than this, metres.
+_AROUND = 0.3
+#: Corners of a box, as all choices of low and high along the axes.
+_CORNERS = np.array([[i & 1, i >> 1 & 1, i >> 2] for i in range(8)], dtype=float)
+
+
+@dataclass(frozen=True, eq=False)
+class MovingTriangles:
+    """Triangles that move in straight lines from one moment to another.
+
+    Attributes:
+        number: Number of the surface, for :class:`Hits`.
+        triangles: (T, 3) indices of vertices.
+        start: Vertices (V, 3) in ``map`` at the first moment, metres.
+        end: Vertices at the second moment. If the surface does not move, the same array as ``start``.
+    """
+
+    number: int
+    triangles: NDArray[np.integer]
+    start: FloatArray
+    end: FloatArray
+
+    def at(self, share: float) -> FloatArray:
+        """Vertices (V, 3) after a share of the time between the two moments."""
+        if self.end is self.start:
+            return self.start
+        return self.start + np.float32(share) * (self.end - self.start)
+
+
+@dataclass(frozen=True, eq=False)
+class Poses:
+    """Poses of a scanner in ``map`` when N rays are fired. If the scanner stands still, there is one pose for
+    all.
+
+    Attributes:
+        positions: (N, 3) or (1, 3) metres.
+        rotations: (N, 4) or (1, 4) unit quaternions xyzw.
+    """
+
+    positions: Array
+    rotations: Array
+
+    @property
+    def still(self) -> bool:
+        """Whether there is one pose for all."""
+        return len(self.positions) == 1
+
+    def take(self, chosen: Indices | slice) -> Poses:
+        """Poses of some rays."""
+        return self if self.still else Poses(self.positions[chosen], self.rotations[chosen])
+
+    def to_map(self, vectors: Array) -> Array:
+        """Turn vectors (N, 3) from the scanner's frame to ``map``."""
+        matrices = quaternion_to_matrix(self.rotations)
+        return vectors @ matrices[0].T if self.still else np.einsum("nij,nj->ni", matrices, vectors)
+
+    def to_scanner(self, vectors: Array) -> Array:
+        """Turn vectors (N, 3) from ``map`` to the scanner's frame."""
+        matrices = quaternion_to_matrix(self.rotations)
+        return vectors @ matrices[0] if self.still else np.einsum("nji,nj->ni", matrices, vectors)
+
+
+@dataclass(frozen=True, eq=False)
+class Hits:
+    """The first surface that each of N rays meets.
+
+    Attributes:
+        ranges: (N,) metres. Infinite if the ray meets no surface.
+        surfaces: (N,) number of the surface. -1 if the ray meets no surface.
+        triangles: (N,) index of the triangle in the surface.
+        weights: (N, 2) barycentric weights of the second and the third corner.
+        cosines: (N,) cosine of the angle between the ray and the normal of the triangle.
+    """
+
+    ranges: Array
+    surfaces: NDArray[np.int32]
+    triangles: NDArray[np.int32]
+    weights: Array
+    cosines: Array
+
+    @classmethod
+    def none(cls, count: int) -> Hits:
+        """Hits of rays that meet no surface."""
+        return cls(
+            np.full(count, np.inf),
+            np.full(count, -1, np.int32),
+            np.zeros(count, np.int32),
+            np.zeros((count, 2)),
+            np.zeros(count),
+        )
+
+    def copy(self) -> Hits:
+        """A copy with arrays that may be changed."""
+        return Hits(*(part.copy() for part in self._arrays()))
+
+    def take(self, chosen: Any) -> Hits:
+        """Hits of some rays."""
+        return Hits(*(part[chosen] for part in self._arrays()))
+
+    def put(self, chosen: Indices, values: Hits) -> None:
+        """Replace the hits of some rays."""
+        for part, new in zip(self._arrays(), values._arrays(), strict=True):
+            part[chosen] = new
+
+    def _arrays(self) -> tuple[NDArray[Any], ...]:
+        return self.ranges, self.surfaces, self.triangles, self.weights, self.cosines
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """Rays that are fired between two moments.
+
+    Attributes:
+        directions: (N, 3) unit vectors in the scanner's frame.
+        shares: (N,) time of each ray, as a share of the time from the first moment to the second; ascending.
+        poses: Pose of the scanner when each ray is fired.
+        index: The rays by direction.
+    """
+
+    directions: Array
+    shares: Array
+    poses: Poses
+    index: RayIndex
+
+    def cast(self, surfaces: Sequence[MovingTriangles], hits: Hits) -> None:
+        """Find surfaces that are nearer than ``hits`` (N). The hits are replaced in place.
+
+        Raises:
+            SceneError: There are too many triangles near the scanner.
+        """
+        if not surfaces or not len(self.shares):
+            return
+        vectors = self.poses.to_map(self.directions)
+        for surface, first, last in self._near(surfaces):
+            bounds = self._bounds(surface, first, last)
+            order, near = self._by_distance(surface, first, last)
+            for rays, triangles in self.index.pairs(bounds if order is None else bounds.take(order)):
+                if order is not None:
+                    open_rays = hits.ranges[rays] > near[triangles]
+                    rays, triangles = rays[open_rays], order[triangles[open_rays]]
+                found = self._test(surface, vectors, rays, triangles)
+                if found is not None:
+                    _keep_nearest(hits, *found)
+
+    def _near(self, surfaces: Sequence[MovingTriangles]) -> Iterator[tuple[MovingTriangles, int, int]]:
+        """Surfaces with boxes that rays meet, with the first and the last of these rays."""
+        starts, ends = (
+            np.concatenate([_box(getattr(surface, moment)) for surface in surfaces])
+            for moment in ("start", "end")
+        )
+        corners = np.arange(8 * len(surfaces)).reshape(-1, 8)
+        whole = 0, len(self.shares) - 1
+        margins = np.array([self._margin(surface, *whole) for surface in surfaces])
+        boxes = Bounds.of(corners, self._seen(MovingTriangles(-1, corners, starts, ends), *whole), margins)
+        first, last = np.full(len(surfaces), len(self.shares)), np.full(len(surfaces), -1)
+        for rays, numbers in self.index.pairs(boxes):
+            np.minimum.at(first, numbers, rays)
+            np.maximum.at(last, numbers, rays)
+        for number in np.flatnonzero(last >= 0).tolist():
+            yield surfaces[number], int(first[number]), int(last[number])
+
+    def _bounds(self, surface: MovingTriangles, first: int, last: int) -> Bounds:
+        """Bounds of all triangles, from the time of the first ray to that of the last."""
+        margin = self._margin(surface, first, last)
+        return Bounds.of(surface.triangles, self._seen(surface, first, last), margin)
+
+    def _by_distance(self, surface: MovingTriangles, first: int, last: int) -> tuple[Indices | None, Array]:
+        """Order of the triangles by distance, and a lower bound of each distance. Both hold from the first to
+        the last ray. The order is None if the surface is not around the scanner. Around it, each triangle
+        meets many rays, and most are hidden by nearer triangles."""
+        positions = self.poses.take(slice(first, last + 1)).positions
+        if _distance(positions[0], surface.start) > _AROUND:
+            return None, np.zeros(0)
+        corners = surface.at(self.shares[first])[surface.triangles]
+        middles = corners.mean(axis=1)
+        radii = np.linalg.norm(corners - middles[:, None], axis=2).max(axis=1)
+        moved = np.linalg.norm(positions - positions[0], axis=1).max()
+        if surface.end is not surface.start:
+            moved += np.linalg.norm(surface.end - surface.start, axis=1).max()
+        near = np.linalg.norm(middles - positions[0], axis=1) - radii - moved
+        order = np.argsort(near)
+        return order, near[order]
+
+    def _seen(self, surface: MovingTriangles, first: int, last: int) -> tuple[Angles, ...]:
+        """Directions of the vertices when the first and the last ray are fired. One entry if nothing
+        moves."""
+        still = surface.end is surface.start and self.poses.still
+        return tuple(self._seen_by(surface, ray) for ray in ((first,) if still else (first, last)))
+
+    def _seen_by(self, surface: MovingTriangles, ray: int) -> Angles:
+        here = self.poses.take(slice(ray, ray + 1))
+        vertices = surface.at(self.shares[ray])
+        turn = quaternion_to_matrix(here.rotations[0]).astype(np.float32)
+        return Angles.of((vertices - here.positions).astype(np.float32) @ turn)
+
+    def _margin(self, surface: MovingTriangles, first: int, last: int) -> float:
+        """Radians by which directions deviate from straight paths in the scanner's frame while the scanner
+        moves."""
+        if self.poses.still or first == last:
+            return 0.0
+        here = self.poses.take(slice(first, last + 1))
+        shares = self.shares[first : last + 1]
+        share = ((shares - shares[0]) / max(shares[-1] - shares[0], 1e-12))[:, None]
+        start, end = here.positions[0], here.positions[-1]
+        off = np.linalg.norm(here.positions - ((1 - share) * start + share * end), axis=1).max()
+        axes = quaternion_to_matrix(here.rotations)
+        chord = (1 - share[:, :, None]) * axes[0] + share[:, :, None] * axes[-1]
+        turn = np.sqrt(((axes - chord) ** 2).sum(axis=(1, 2)).max())
+        # points that move while the axes turn
+        turned, paths = np.sqrt(((axes[-1] - axes[0]) ** 2).sum()), np.linalg.norm(end - start)
+        if surface.end is not surface.start:
+            paths += np.linalg.norm(surface.end - surface.start, axis=1).max()
+        distance = min(_distance(start, surface.start), _distance(end, surface.end)) - paths
+        near = max(0.05, float(distance))
+        return float(2 * (off / near + turn + turned * paths / near))
+
+    def _test(
+        self, surface: MovingTriangles, vectors: Array, rays: Indices, triangles: Indices
+    ) -> tuple[Indices, Hits] | None:
+        """Test pairs of ray and triangle [Moller 1997]. Returns the rays that meet their triangle, and their
+        hits."""
+        corners = surface.triangles[triangles]
+        start = [surface.start[corners[:, i]].astype(float) for i in range(3)]
+        if surface.end is not surface.start:
+            share = self.shares[rays][:, None]
+            start = [a + share * (surface.end[corners[:, i]] - a) for i, a in enumerate(start)]
+        a, b, c = start
+        origin = self.poses.take(rays).positions
+        ray, ab, ac = vectors[rays], b - a, c - a
+        p = _cross(ray, ac)
+        determinant = _dot(ab, p)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            inverse = 1 / determinant
+            from_a = origin - a
+            u = _dot(from_a, p) * inverse
+            q = _cross(from_a, ab)
+            v = _dot(ray, q) * inverse
+            distance = _dot(ac, q) * inverse
+            inside = (u >= -_SEAM) & (v >= -_SEAM) & (u + v <= 1 + _SEAM) & (distance > 0)
+        hit = np.flatnonzero(inside & np.isfinite(distance))
+        if not len(hit):
+            return None
+        normal = _cross(ab[hit], ac[hit])
+        cosine = np.abs(determinant[hit]) / np.sqrt(_dot(normal, normal))
+        return rays[hit], Hits(
+            distance[hit],
+            np.full(len(hit), surface.number, np.int32),
+            triangles[hit].astype(np.int32),
+            np.stack([u[hit], v[hit]], axis=-1),
+            np.minimum(cosine, 1.0),
+        )
+
+
+def _keep_nearest(hits: Hits, rays: Indices, found: Hits) -> None:
+    """Replace hits by nearer ones. If two are equal, the earlier one remains."""
+    order = np.lexsort((found.ranges, rays))
+    first = np.ones(len(order), dtype=bool)
+    first[1:] = rays[order][1:] != rays[order][:-1]
+    chosen = order[first]
+    chosen = chosen[found.ranges[chosen] < hits.ranges[rays[chosen]]]
+    hits.put(rays[chosen], found.take(chosen))
+
+
+def _box(vertices: FloatArray) -> Float32Array:
+    """Corners (8, 3) of the bounding box of vertices."""
+    low, high = _limits(vertices)
+    return np.asarray(low + _CORNERS * (high - low), np.float32)
+
+
+def _limits(vertices: FloatArray) -> tuple[Array, Array]:
+    """Lowest and highest coordinates (3,) of vertices (V, 3)."""
+    # axis by axis, which is three times as fast as along the first axis
+    low = np.array([axis.min() for axis in vertices.T], dtype=float)
+    return low, np.array([axis.max() for axis in vertices.T], dtype=float)
+
+
+def _distance(point: Array, vertices: FloatArray) -> float:
+    """Distance of a point from the bounding box of vertices."""
+    low, high = _limits(vertices)
+    return float(np.linalg.norm(np.maximum(0, np.maximum(low - point, point - high))))
+
+
+def _dot(a: Array, b: Array) -> Array:
+    return np.asarray(a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] + a[:, 2] * b[:, 2])
+
+
+def _cross(a: Array, b: Array) -> Array:
+    ax, ay, az = a[:, 0], a[:, 1], a[:, 2]
+    bx, by, bz = b[:, 0], b[:, 1], b[:, 2]
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)

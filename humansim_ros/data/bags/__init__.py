@@ -1,0 +1,5 @@
+"""Bags of rosbag2 (MCAP, sqlite3): written in chunks, read, and continued after interruptions."""
+
+from humansim_ros.lazy import lazy_exports
+
+__getattr__, __dir__, __all__ = lazy_exports(__name__, __file__)

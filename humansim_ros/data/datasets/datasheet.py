@@ -1,0 +1,455 @@
+"""Datasheet of a data set [Gebru 2021]: one HTML page, and the README of Hugging Face with the same answers.
+
+Gebru et al., Datasheets for datasets, Communications of the ACM 64(12), 2021: questions on motivation,
+composition, collection, processing, uses, distribution and maintenance. Their order is kept; questions about
+living people are answered together, as there are none.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import yaml
+
+from humansim_ros.data.datasets.recipe import RecipeConfig
+from humansim_ros.data.formats.croissant import card_header
+from humansim_ros.data.formats.markup import Markup, element, joined, page, picture, section, svg, table
+from humansim_ros.data.formats.statistics import ANGLES, HISTOGRAMS, Histogram, Totals
+from humansim_ros.data.formats.writer import LICENSES, frame_name
+from humansim_ros.errors import ExportError
+from humansim_ros.files.reading import ANY_SIZE, read_bytes
+from humansim_ros.people.makehuman import MONK_TONES
+
+#: The paper of the questions.
+_PAPER = "https://doi.org/10.1145/3458723"
+_INK, _PALE, _BAR, _LINE = "#1d2433", "#6b7385", "#2f6fab", "#dfe3ea"
+#: Size of a plot, and its margins, pixels.
+_WIDTH, _HEIGHT, _MARGIN, _TOP, _BOTTOM = 330, 170, 12, 30, 34
+#: Example images, and their width in pixels.
+_EXAMPLES, _EXAMPLE_WIDTH = 8, 264
+#: Traits of people as quantities.
+_TRAITS = {
+    "age": Histogram("Age", "years", "people", 0, 10, 9),
+    "stature": Histogram("Stature", "m", "people", 0.6, 0.1, 17),
+}
+#: Rows of a list of counts.
+_MOST_ROWS = 10
+
+
+@dataclass(frozen=True)
+class DataSetSummary:
+    """What the pages of a data set say.
+
+    Attributes:
+        config: Its recipe.
+        totals: Counts of all scenes.
+        parts: Counts by split.
+        own_licenses: Licences of the data set: that of the recipe, or those that its scenes state.
+        licenses: Licences of the bodies.
+        versions: Versions of programs, and the device that rendered.
+        examples: Paths of some images.
+        suffix: Suffix of the images.
+    """
+
+    config: RecipeConfig
+    totals: Totals
+    parts: Mapping[str, Totals]
+    own_licenses: Sequence[str]
+    licenses: Sequence[str]
+    versions: Mapping[str, str]
+    examples: Sequence[Path]
+    suffix: str = ".png"
+
+    @property
+    def title(self) -> str:
+        """Title of the data set."""
+        return self.config.about.title or self.config.recipe
+
+    @property
+    def made(self) -> str:
+        """What it has, and how it was made, in a sentence."""
+        totals = self.totals
+        return (
+            f"{totals.images} synthetic images with ground truth of {len(totals.people)} people in "
+            f"{totals.scenes} scenes, drawn from a recipe by humansim_ros {self.versions['humansim_ros']}."
+        )
+
+    @cached_property
+    def license_links(self) -> dict[str, str]:
+        """Licence of the data set, then of its bodies, with the addresses of their texts."""
+        names = dict.fromkeys([*self.own_licenses, *self.licenses])
+        return {name: LICENSES.get(name, name) for name in names}
+
+    @cached_property
+    def card(self) -> dict[str, Any]:
+        """Properties of the data card."""
+        return card_header(self.config.about, self.config.recipe, self.made, self.license_links)
+
+
+# -- answers, for both pages
+
+
+#: What holds for all data sets.
+_TRUTH = "The truth is computed; images have the noise of the sensors."
+_PURPOSE = "Training and tests of detectors, trackers, and pose estimators with one or many cameras."
+_LIMITS = """People are rendered: skin, cloth and light are simpler than in photographs, so test on real
+images as well. Statures and weights of drawn people follow a survey of the United States; skin tones, hair
+and clothes are spread without a source. Motions are a small number of recordings and built activities."""
+
+
+def _answers(summary: DataSetSummary) -> dict[str, dict[str, str]]:
+    """Answers by section and question."""
+    config, totals, about = summary.config, summary.totals, summary.config.about
+    unknown, require, missing = "The recipe does not say.", config.require, config.scenes - totals.scenes
+    drawn = sum("age" in person for person in totals.people.values())
+    files = f"; in further files {', '.join(config.formats)}" if config.formats else ""
+    wanted = []
+    if require.cameras:
+        wanted = [f"at least {require.cameras} cameras see {100 * require.visible:g} % of each person"]
+        wanted[0] += f", {require.pixels:g} pixels high" if require.pixels else ""
+    wanted += ["scenes have no finding of humansim check"] if require.clean else []
+    made_with = ", ".join(f"{name} {value}" for name, value in summary.versions.items())
+    links = [name if name == url else f"{name} ({url})" for name, url in summary.license_links.items()]
+    return {
+        "Motivation": {
+            "For what purpose was it made?": about.description or unknown,
+            "Who made it?": ", ".join(about.creators) or unknown,
+        },
+        "Composition": {
+            "What do the instances represent?": f"Images of virtual people: {config.frames} frames of each "
+            f"of {totals.scenes} scenes, from all cameras.",
+            "What does each instance have?": "A colour image, the calibration and pose of its camera, and of "
+            f"each visible person box, visible share and the keypoints {config.keypoints}{files}.",
+            "Is anything missing?": f"{missing} of {config.scenes} scenes could not be drawn."
+            if missing
+            else "No.",
+            "Are there splits?": f"{', '.join(config.splits)}: no scene and no body is in two of them."
+            if len(config.splits) > 1
+            else "No.",
+            "Does it identify people?": f"Nobody is real. {drawn} of {len(totals.people)} people are drawn "
+            "by seed; statistics.json of a scene has their age, sex, stature and skin tone.",
+            "Are there errors or noise?": _TRUTH,
+        },
+        "Collection": {
+            "How was it made?": f"Drawn from the recipe {config.recipe} with seed {config.seed}, and "
+            f"rendered. Versions: {made_with}. The same recipe and versions give the same files.",
+            "How were scenes chosen?": f"So that {' and '.join(wanted)}. Others were drawn anew, which "
+            "shifts the distributions of the recipe."
+            if wanted
+            else "As drawn, without a choice.",
+        },
+        "Uses and limits": {
+            "What is it for?": _PURPOSE,
+            "What must be kept in mind?": " ".join(_LIMITS.split()),
+        },
+        "Distribution and maintenance": {
+            "Under which licence?": ", ".join(links) or "The recipe states none.",
+            "How is it cited?": summary.card["citeAs"],
+            "Which version is this?": f"{about.version}{f', {about.date}' if about.date else ''}. A new "
+            "version has a new number; SHA256SUMS has the hash of each file.",
+            **({"Where is it?": about.url} if about.url else {}),
+        },
+    }
+
+
+def _split_rows(summary: DataSetSummary) -> list[list[str]]:
+    return [
+        [name, *(f"{number:,}" for number in (part.scenes, part.images, len(part.people)))]
+        for name, part in summary.parts.items()
+    ]
+
+
+_SPLIT_HEADER = ("split", "scenes", "images", "people")
+
+
+# -- the HTML page
+
+
+def datasheet(summary: DataSetSummary) -> str:
+    """The page, which loads nothing else."""
+    totals = summary.totals
+    about = summary.config.about
+    cameras = sum(totals.histograms["fov"].values())
+    tiles = {
+        "scenes": totals.scenes,
+        "images": totals.images,
+        "people": len(totals.people),
+        "cameras": cameras,
+        "boxes": sum(totals.histograms["visible"].values()),
+        "poses": sum(totals.histograms["knee.flexion"].values()) // 2,
+    }
+    facts = [about.version, about.date, ", ".join(about.creators), ", ".join(summary.own_licenses)]
+    answers = _answers(summary)
+    plots = dict(_plots(summary))
+    return page(
+        summary.title,
+        "datasheet",
+        element("h1", summary.title),
+        element("p", " · ".join(filter(None, ["Datasheet", *facts])), class_="lead"),
+        element(
+            "div",
+            *(
+                element("div", element("b", f"{n:,}"), element("span", name), class_="tile")
+                for name, n in tiles.items()
+            ),
+            class_="tiles",
+        ),
+        element("div", *_examples(summary.examples), class_="examples"),
+        *(_answered(title, answers.pop(title), summary) for title in ("Motivation", "Composition")),
+        *(section(title, element("div", *shapes, class_="row")) for title, shapes in plots.items()),
+        *(_answered(title, rows, summary) for title, rows in answers.items()),
+        element(
+            "p",
+            f"Questions after Gebru et al., Datasheets for datasets, 2021, {_PAPER}.",
+            class_="lead",
+        ),
+    )
+
+
+def _answered(title: str, rows: Mapping[str, str], summary: DataSetSummary) -> Markup:
+    """A section with questions and answers."""
+    parts = [joined([element("h3", question), element("p", text)]) for question, text in rows.items()]
+    if title == "Composition":
+        parts.append(table(_SPLIT_HEADER, _split_rows(summary)))
+    return section(title, joined(parts))
+
+
+def _examples(paths: Iterable[Path]) -> Iterator[Markup]:
+    for path in paths:
+        encoded = np.frombuffer(read_bytes(path, ExportError, "image", ANY_SIZE), np.uint8)
+        image = cv2.imdecode(encoded, cv2.IMREAD_COLOR) if encoded.size else None
+        if image is not None:
+            height = round(image.shape[0] * _EXAMPLE_WIDTH / image.shape[1])
+            small = cv2.resize(image, (_EXAMPLE_WIDTH, height), interpolation=cv2.INTER_AREA)
+            yield picture(
+                small[..., ::-1].astype(np.uint8), f"{path.parent.parent.parent.name} {path.parent.name}"
+            )
+
+
+def example_paths(root: Path, scenes: Mapping[str, Sequence[str]], frames: int, suffix: str) -> list[Path]:
+    """Images of some scenes, spread evenly.
+
+    Args:
+        root: Folder of the data set.
+        scenes: Cameras of each scene by the folder of the scene.
+        frames: Frames of a scene.
+        suffix: Suffix of the images.
+    """
+    names = list(scenes)
+    count = max(_EXAMPLES, len(names)) if names else 0
+    chosen = [(k * max(len(names), 1)) // min(count, _EXAMPLES) for k in range(min(count, _EXAMPLES))]
+    paths = []
+    for number, index in enumerate(chosen):
+        name = names[index % len(names)]
+        cameras = scenes[name]
+        frame = frame_name((number * frames) // _EXAMPLES)
+        paths.append(root / name / "images" / cameras[number % len(cameras)] / f"{frame}{suffix}")
+    return paths
+
+
+def _plots(summary: DataSetSummary) -> Iterator[tuple[str, list[Markup]]]:
+    totals, people = summary.totals, list(summary.totals.people.values())
+    yield (
+        "People",
+        [
+            *(
+                _columns(row, row.count(person[key] for person in people if key in person), (0, row.bins))
+                for key, row in _TRAITS.items()
+            ),
+            _bars("Sex", Counter(person.get("sex", "not known") for person in people)),
+            _skin(Counter(person["skin"] for person in people if "skin" in person)),
+            _bars("Clothes", Counter(word for person in people for word in person.get("clothes", ()))),
+        ],
+    )
+    yield "Poses", [_bars("Motion", totals.motions), _ranges(totals)]
+    for title, names in (
+        ("Cameras", ("cameras", "camera_height", "fov", "distance", "elevation", "heading")),
+        ("Visibility", ("people", "visible", "truncation", "height")),
+        ("Light", ("brightness", "sun")),
+    ):
+        plots = [_histogram(name, totals) for name in names]
+        if title == "Cameras":
+            plots += [_bars("Image size", totals.sizes), _bars("Lens", totals.lenses)]
+        yield title, plots
+
+
+def _histogram(name: str, totals: Totals) -> Markup:
+    """Histogram of a quantity, from its first to its last bin with values."""
+    row, counts = HISTOGRAMS[name], totals.histograms[name]
+    used = sorted(number for number, count in counts.items() if count)
+    span = (used[0], used[-1] + 1) if used else (0, 1)
+    return _columns(row, counts, span)
+
+
+def _columns(row: Histogram, counts: Mapping[int, int], span: tuple[int, int]) -> Markup:
+    """Columns of the bins from the first up to, but not including, the last of a span."""
+    first, last = span
+    most = max((counts.get(number, 0) for number in range(*span)), default=0) or 1
+    step, bottom = (_WIDTH - 2 * _MARGIN) / (last - first), _HEIGHT - _BOTTOM
+    shapes = [_title(row.title)]
+    shapes.append(element("line", x1=_MARGIN, y1=bottom, x2=_WIDTH - _MARGIN, y2=bottom, stroke=_LINE))
+    for number in (each for each in range(first, last) if counts.get(each)):
+        height = max(1.0, (bottom - _TOP) * counts[number] / most)
+        x = _MARGIN + step * (number - first) + 0.5
+        bar = element("rect", x=x, y=bottom - height, width=max(step - 1, 1.0), height=height, fill=_BAR)
+        ends = f"{row.edge(number):.4g} to {row.edge(number + 1):.4g} {row.unit}"
+        shapes.append(element("g", element("title", f"{ends}: {counts[number]:,}"), bar))
+    is_count = row.width == 1 and not row.unit
+    for number in range(first, last + (not is_count), max(1, -(-(last - first) // 6))):
+        x = _MARGIN + step * (number - first + 0.5 * is_count)
+        shapes.append(_text(f"{row.edge(number):.4g}", x, bottom + 14, "middle"))
+    shapes.append(_note(counts, most, row.of, row.unit))
+    return svg(shapes, _WIDTH, _HEIGHT)
+
+
+def _title(text: str) -> Markup:
+    return element("text", text, x=_MARGIN, y=16, font_size=13, font_weight=600, fill=_INK)
+
+
+def _text(text: str, x: float, y: float, anchor: str = "start", color: str = _PALE) -> Markup:
+    return element(
+        "text", text, x=x, y=y, font_size=12 if color == _INK else 11, fill=color, text_anchor=anchor
+    )
+
+
+def _note(counts: Mapping[int, int], most: int, of: str, unit: str = "") -> Markup:
+    """Text below columns."""
+    total = sum(counts.values())
+    text = (
+        f"{f'{unit}, ' if unit else ''}{total:,} {of}, {most:,} in the highest column" if total else "no data"
+    )
+    return _text(text, _MARGIN, _HEIGHT - 5)
+
+
+def _bars(title: str, counts: Mapping[str, int]) -> Markup:
+    """Bars of the most frequent words."""
+    rows = sorted(counts.items(), key=lambda item: (-item[1], item[0]))
+    if len(rows) > _MOST_ROWS + 1:
+        left = sum(count for _, count in rows[_MOST_ROWS:])
+        rows = [*rows[:_MOST_ROWS], (f"{len(rows) - _MOST_ROWS} others", left)]
+    most = max((count for _, count in rows), default=0) or 1
+    shapes = [_title(title)] if rows else [_title(title), _text("no data", _MARGIN, 40)]
+    for number, (name, count) in enumerate(rows):
+        y, width = 40 + 18 * number, (_WIDTH - 190) * count / most
+        shapes.append(_text(name[:22], 132, y, "end", _INK))
+        shapes.append(element("rect", x=140, y=y - 10, width=width, height=12, fill=_BAR))
+        shapes.append(_text(f"{count:,}", 146 + width, y))
+    return svg(shapes, _WIDTH, 48 + 18 * len(rows))
+
+
+def _skin(counts: Mapping[int, int]) -> Markup:
+    """Numbers of people by tone of the Monk scale, in its colours."""
+    most, step = max(counts.values(), default=0) or 1, (_WIDTH - 2 * _MARGIN) / len(MONK_TONES)
+    bottom = _HEIGHT - _BOTTOM - 6
+    shapes = [_title("Skin tone, Monk scale")]
+    for number, (red, green, blue) in enumerate(MONK_TONES, 1):
+        x, height = _MARGIN + step * (number - 1), (bottom - _TOP) * counts.get(number, 0) / most
+        for top, size in ((bottom - height, height), (bottom + 3, 6.0)):
+            fill = f"rgb({red},{green},{blue})"
+            shapes.append(
+                element(
+                    "rect",
+                    x=x + 1,
+                    y=top,
+                    width=step - 2,
+                    height=size,
+                    fill=fill,
+                    stroke=_PALE,
+                    stroke_width=0.5,
+                )
+            )
+        shapes.append(_text(str(number), x + step / 2, bottom + 20, "middle"))
+    return svg([*shapes, _note(counts, most, "people")], _WIDTH, _HEIGHT)
+
+
+def _ranges(totals: Totals) -> Markup:
+    """Spread of the angles of joints: from the 5th to the 95th percentile, and the median."""
+    width, left, right, low, high = 2 * _WIDTH + 24, 140, 90, -90, 180
+    scale = (width - left - right) / (high - low)
+    known = [name for name in ANGLES if totals.histograms[name]]
+    bottom = 34 + 22 * len(known)
+    shapes = [_title("Joint angles: 5th to 95th percentile, and median")]
+    for angle in range(low, high + 1, 30):
+        x = left + scale * (angle - low)
+        shapes.append(element("line", x1=x, y1=26, x2=x, y2=bottom, stroke=_LINE))
+        shapes.append(_text(f"{angle}°", x, bottom + 14, "middle"))
+    for number, name in enumerate(known):
+        y = 40 + 22 * number
+        values = (totals.quantile(name, share) for share in (0.05, 0.5, 0.95))
+        first, middle, last = (float(np.clip(value, low, high)) for value in values)
+        x, length = left + scale * (first - low), max(scale * (last - first), 1.0)
+        at = left + scale * (middle - low)
+        shapes += [
+            _text(ANGLES[name], left - 10, y + 4, "end", _INK),
+            element("rect", x=x, y=y - 5, width=length, height=10, fill=_BAR),
+            element("line", x1=at, x2=at, y1=y - 8, y2=y + 8, stroke=_INK, stroke_width=2),
+            _text(f"{first:.0f}° to {last:.0f}°", width - right + 8, y + 4),
+        ]
+    return svg(shapes, width, bottom + 22)
+
+
+# -- the page of Hugging Face
+
+
+def readme(summary: DataSetSummary) -> str:
+    """README.md with the header that ``datasets`` reads: splits, licence and sizes."""
+    text = [f"---\n{yaml.safe_dump(_front_matter(summary), sort_keys=False, allow_unicode=True)}---"]
+    text += [f"# {summary.title}", summary.card["description"]]
+    rows = [_SPLIT_HEADER, ("---",) * len(_SPLIT_HEADER), *_split_rows(summary)]
+    text.append("\n".join(f"| {' | '.join(row)} |" for row in rows))
+    text.append(
+        "```python\nfrom datasets import load_dataset\n\n"
+        'images = load_dataset("FOLDER", split="' + next(iter(summary.parts)) + '")\n'
+        'images[0]["image"], images[0]["objects"]["bbox"]\n```'
+    )
+    text.append(
+        "`datasheet.html` has the distributions of people, poses, cameras, light and visibility. Each folder "
+        "`SPLIT/SCENE` has the scene (`scene.yaml`, opened by `humansim view`), `calibration.yaml`, "
+        "`metadata.jsonl` and its images"
+        + (f", and {', '.join(summary.config.formats)}" if summary.config.formats else "")
+        + ". `sha256sum -c --quiet SHA256SUMS` checks all files."
+    )
+    for title, answers in _answers(summary).items():
+        text.append(f"## {title}")
+        text += [f"**{question}** {answer}" for question, answer in answers.items()]
+    return "\n\n".join(text) + "\n"
+
+
+#: Most images of each class of sizes of Hugging Face.
+_SIZES = {"n<1K": 1e3, "1K<n<10K": 1e4, "10K<n<100K": 1e5, "100K<n<1M": 1e6, "1M<n<10M": 1e7}
+
+
+def _front_matter(summary: DataSetSummary) -> dict[str, Any]:
+    own, images = summary.own_licenses, summary.totals.images
+    if all(name in LICENSES for name in own):
+        identifiers = [name.lower() for name in own]
+        stated = {"license": identifiers[0] if len(own) == 1 else identifiers} if own else {}
+    else:
+        stated = {"license": "other", "license_name": ", ".join(own)}
+    return {
+        "pretty_name": summary.title,
+        **stated,
+        "task_categories": ["object-detection", "keypoint-detection"],
+        "size_categories": [next((name for name, most in _SIZES.items() if images < most), "10M<n<100M")],
+        "tags": ["synthetic", "human-pose-estimation", "croissant", "humansim_ros"],
+        "configs": [
+            {
+                "config_name": "default",
+                "data_files": [
+                    {
+                        "split": name,
+                        "path": [f"{name}/*/metadata.jsonl", f"{name}/*/images/*/*{summary.suffix}"],
+                    }
+                    for name, part in summary.parts.items()
+                    if part.images
+                ],
+            }
+        ],
+    }

@@ -1,0 +1,730 @@
+"""Recipes of data sets: a scene with distributions in place of values. Many scenes are drawn from it.
+
+Scene i of a recipe depends only on the seed and on i, and each value has its own random numbers. So another
+number of scenes, or another distribution of one value, does not change the others.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field, StringConstraints, field_validator
+
+from humansim_ros.data.datasets.draws import DRAWS, MAX_OPTIONS, ChoiceDraw, Keys, draw_at, values_at_ends
+from humansim_ros.data.formats.formats import ExportFormat, chosen_formats
+from humansim_ros.errors import (
+    CameraError,
+    ExportError,
+    HumansimError,
+    HumansimWarning,
+    MeshError,
+    MotionError,
+    SceneError,
+    did_you_mean,
+    in_section,
+    located,
+)
+from humansim_ros.files.reading import built_in_names
+from humansim_ros.files.yaml import Expected, Section, Share, line_of, read_yaml, show_value, validated
+from humansim_ros.motion.files import find_motion
+from humansim_ros.people.keypoints import keypoint_set
+from humansim_ros.people.loading import find_human
+from humansim_ros.people.makehuman import PeopleLimits, is_person, person_name
+from humansim_ros.scene.checks import check_scene
+from humansim_ros.scene.config import (
+    LIVE,
+    AboutConfig,
+    RoomConfig,
+    SceneConfig,
+    Vector3,
+    check_config,
+    checked_license,
+    file_keys,
+)
+from humansim_ros.scene.core import RandomNumbers, Scene, SceneSource, Simulation, random_numbers
+from humansim_ros.scene.features import PeopleConfig
+from humansim_ros.scene.truth import REQUIRED_CHANNELS, BodyBox
+
+if TYPE_CHECKING:
+    import yaml
+
+#: Most scenes of a data set, and frames of a scene.
+MAX_SCENES, MAX_SCENE_FRAMES = 1_000_000, 100_000
+#: Seeds are below this number. They are whole numbers in JSON, and two scenes hardly ever have the same seed.
+_SEEDS = 2**53
+#: Number of frames of a scene that ``require`` is checked in.
+_CHECKED_FRAMES = 10
+#: Number of people in the pool that a scene draws from.
+_MAX_BODIES = 200
+#: Distance of the cameras of a ring from walls and ceiling, metres.
+_FROM_WALLS = 0.3
+#: Formats that each scene of a data set has.
+ALWAYS = ("images", "statistics", "huggingface")
+#: Errors of a draw. After such an error, the scene is drawn again.
+_DRAW_ERRORS = (SceneError, MotionError, MeshError, CameraError)
+
+_Name = Annotated[
+    str,
+    StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$", max_length=60),
+    Expected("a name of letters, digits, - and _ that begins with a letter"),
+]
+_Split = Annotated[
+    str,
+    StringConstraints(pattern=r"^[a-z][a-z0-9_]*$", max_length=40),
+    Expected("a name of small letters, digits and _"),
+]
+
+
+class DataSetAbout(AboutConfig):
+    """What a data card says about a data set of many scenes."""
+
+    license: str | None = Field(default=None, description="licence, such as CC-BY-4.0, or its address")
+
+    _license_is_a_line = field_validator("license")(checked_license)
+
+
+class RingConfig(Section):
+    """Cameras around the people. All values may be distributions. The names are ``camera_1`` and so on."""
+
+    count: Any = Field(default=4, description="number of cameras")
+    radius: Any = Field(description="metres from the point that they look at; drawn for each camera")
+    height: Any = Field(description="metres above the floor; drawn for each camera")
+    look_at: Any = Field(default=[0, 0, 0.9], description="a point in map; drawn for each camera")
+    scatter_deg: Any = Field(default=0, description="most degrees from even places on the ring")
+    camera: dict[str, Any] = Field(default_factory=dict, description="keys of all cameras, drawn once")
+    each: dict[str, Any] = Field(default_factory=dict, description="keys drawn for each camera")
+
+
+class _Ring(Section):
+    """Drawn values of all cameras of a ring."""
+
+    count: int = Field(ge=1, le=100)
+    scatter_deg: float = Field(ge=0, le=180)
+
+
+class _Place(Section):
+    """Drawn values of one camera of a ring."""
+
+    radius: float = Field(gt=0, le=1000)
+    height: float = Field(ge=-100, le=1000)
+    look_at: Vector3
+
+
+class RequireConfig(Section):
+    """Conditions that each scene must fulfil. A scene that does not is drawn again."""
+
+    cameras: int = Field(default=0, ge=0, le=100, description="cameras that see each person in each frame")
+    visible: Share = Field(default=0.1, description="visible share of a person from which a camera sees it")
+    pixels: float = Field(default=0, ge=0, le=1e5, description="height in the image from which it does")
+    clean: bool = Field(default=False, description="neither warnings nor findings of humansim check")
+
+
+class RecipeConfig(Section):
+    """Content of a recipe file."""
+
+    recipe: _Name = Field(description="name of the data set")
+    seed: int = Field(default=1, ge=0, description="the same seed gives the same data set")
+    scenes: int = Field(ge=1, le=MAX_SCENES, description="number of scenes")
+    frames: int = Field(ge=1, le=MAX_SCENE_FRAMES, description="frames of each scene, from its start")
+    splits: dict[_Split, Annotated[float, Field(ge=0, le=1e9)]] = Field(
+        default_factory=lambda: {"train": 1.0},
+        min_length=1,
+        max_length=20,
+        description="shares of the scenes",
+    )
+    formats: tuple[str, ...] = Field(default=(), description="formats beside images (docs/export.md)")
+    keypoints: str = Field(default="coco17", description="keypoint set")
+    images: Literal["png", "jpg"] = Field(default="png", description="format of the images")
+    pool: int | None = Field(
+        default=None,
+        ge=1,
+        le=MAX_OPTIONS,
+        description="number of different people whom variety.people draws; new ones in each scene if absent",
+    )
+    attempts: int = Field(default=20, ge=1, le=10_000, description="draws of a scene before it is given up")
+    about: DataSetAbout = DataSetAbout()
+    require: RequireConfig = RequireConfig()
+    ring: RingConfig | None = Field(default=None, description="cameras around the people")
+    scene: dict[str, Any] = Field(description="keys of a scene; each value may be a distribution")
+
+    @field_validator("splits")
+    @classmethod
+    def _has_splits(cls, splits: dict[str, float]) -> dict[str, float]:
+        if not sum(splits.values()) > 0:
+            raise ValueError("the shares sum to 0: no scene has a split")
+        return splits
+
+
+@dataclass(frozen=True)
+class DrawnScene:
+    """A scene of a recipe.
+
+    Attributes:
+        number: Its number, from 0.
+        split: Name of its split.
+        attempt: Number of draws that did not fulfil the recipe.
+        scene: The scene.
+    """
+
+    number: int
+    split: str
+    attempt: int
+    scene: Scene
+
+
+class _Unmet(Exception):
+    """Raised for a draw that does not fulfil the recipe. ``key``: key of the condition in the recipe."""
+
+    def __init__(self, key: str, text: str) -> None:
+        super().__init__(text)
+        self.key = key
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """A recipe that is ready to be drawn. It can be copied to another process.
+
+    Attributes:
+        path: Its file, absolute.
+        config: Its content.
+        tree: YAML nodes of the file.
+        split_of_body: Split of each body that the recipe names. Those of drawn people are all different.
+    """
+
+    path: Path
+    config: RecipeConfig
+    tree: yaml.Node | None
+    split_of_body: Mapping[str, str]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.path, self.config, self.tree, self.split_of_body)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str], scenes: int | None = None) -> Recipe:
+        """Read a recipe, and check the ends of its distributions.
+
+        ``scenes``: number of scenes in place of the number in the file.
+
+        Raises:
+            ExportError: The recipe is not valid. The error names file, line and key.
+        """
+        content, tree = read_yaml(path, ExportError, "recipe")
+        config = validated(RecipeConfig, content, ExportError, path, tree)
+        if scenes is not None:
+            config = config.model_copy(update={"scenes": scenes})
+        recipe = cls(Path(path).resolve(), config, tree, {})
+        for key, check in (
+            ("formats", lambda: recipe.formats),
+            ("keypoints", lambda: keypoint_set(config.keypoints)),
+        ):
+            try:
+                check()
+            except HumansimError as error:
+                raise recipe.error_at(key, error.message) from None
+        recipe._check_pool()
+        draws = list(recipe._draws())
+        recipe = cls(recipe.path, config, tree, recipe._split_bodies())
+        recipe._check_ends(draws)
+        return recipe
+
+    @cached_property
+    def formats(self) -> tuple[ExportFormat, ...]:
+        """Rows of the formats of each scene."""
+        if "croissant" in self.config.formats:
+            raise ExportError("croissant.json of the data set is always written: leave croissant out")
+        return tuple(chosen_formats([*ALWAYS, *self.config.formats]))
+
+    @cached_property
+    def splits(self) -> tuple[str, ...]:
+        """Split of each scene. The first n scenes have the shares of the splits, for each n, within one."""
+        return tuple(_shared(self.config.splits, self.config.scenes))
+
+    @cached_property
+    def hash(self) -> str:
+        """Hash that is equal for recipes with the same scenes, as far as both have them."""
+        content = self.config.model_dump(mode="json", exclude={"about", "scenes"})
+        text = json.dumps([content, self.config.about.license], sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    def name(self, number: int) -> str:
+        """Folder of a scene in the folder of the data set."""
+        return f"{self.splits[number]}/scene_{number:06d}"
+
+    def draw(self, number: int) -> DrawnScene:
+        """Draw a scene that fulfils the recipe.
+
+        Raises:
+            ExportError: No draw fulfils it. The error names the line of the key that most draws failed at.
+            RenderError: This machine cannot render.
+        """
+        failed: Counter[str] = Counter()
+        texts: dict[str, str] = {}
+        for attempt in range(self.config.attempts):
+            try:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("error" if self.config.require.clean else "ignore", HumansimWarning)
+                    scene = Scene.from_config(self.scene(number, attempt), self.source)
+                self._check(scene)
+                return DrawnScene(number, self.splits[number], attempt, scene)
+            except _Unmet as unmet:
+                key, text = unmet.key, str(unmet)
+            except HumansimWarning as warning:
+                key, text = "require.clean", str(warning)
+            except _DRAW_ERRORS as error:
+                key = self._key_of(error.key)
+                text = str(error) if error.path else error.message
+            failed[key] += 1
+            texts[key] = text
+        key, count = failed.most_common(1)[0]
+        draws = self.config.attempts
+        raise self.error_at(
+            key,
+            f"scene {number} ({self.splits[number]}) cannot be drawn: {count} of {draws} draws failed here, "
+            f"the last one because {texts[key]}",
+        )
+
+    @property
+    def source(self) -> SceneSource:
+        """Source that finds the files named by the recipe."""
+        return SceneSource(folder=self.path.parent)
+
+    def scene(self, number: int, attempt: int, given: Mapping[Keys, Any] | None = None) -> SceneConfig:
+        """Configuration of a draw of a scene.
+
+        Args:
+            number: Number of the scene.
+            attempt: Number of the draw.
+            given: Values in place of drawn ones, by key.
+
+        Raises:
+            HumansimError: A drawn value is wrong. A SceneError names the key in the scene.
+        """
+        draws = _Draws(self, number, attempt, given or {})
+        scene = _mapping(draws.value(self.config.scene, ("scene",)), "")
+        if self.config.ring is not None:
+            cameras = _mapping(scene.get("cameras") or {}, "cameras")
+            scene["cameras"] = {**draws.ring(self.config.ring, scene), **cameras}
+        self._share_pool(scene.get("variety"), number)
+        for section in ("variety", "crowd"):
+            self._share_bodies(scene.get(section), section, number)
+        config = check_config(scene)
+        self._check_fixed_bodies(config, number)
+        seeded = _with_seeds(config, ("scene",), draws.seed)
+        assert isinstance(seeded, SceneConfig)
+        return seeded
+
+    # -- people in one split only
+
+    def _split_bodies(self) -> dict[str, str]:
+        """Split of each body that the recipe names. Raises ExportError if a split would have no body."""
+        shares = {name: share for name, share in self.config.splits.items() if share > 0}
+        if len(shares) == 1:
+            return {}
+        of: dict[str, str] = {}
+        for keys, bodies in self._named_bodies():
+            left = [body for _, body in sorted((_order(self.config.seed, each), each) for each in bodies)]
+            left = [body for body in left if body not in of]
+            missing = [name for name in shares if name not in {of.get(body) for body in bodies}]
+            if len(missing) > len(left):
+                raise self.error_at(
+                    ".".join(map(str, keys)),
+                    f"{len(shares)} splits need as many bodies, so that nobody is in two of them, and here "
+                    f"are {len(bodies)}: name more, or draw people (variety.people)",
+                )
+            names = [*missing, *_shared(shares, len(left) - len(missing))]
+            of |= dict(zip(left, names, strict=True))
+        return of
+
+    def _named_bodies(self) -> Iterator[tuple[Keys, list[str]]]:
+        """Bodies to choose from, by key. Those of drawn people have no names."""
+        for section in ("variety", "crowd"):
+            content = self.config.scene.get(section)
+            if isinstance(content, dict) and content.get("people") is None:
+                key = (*("scene", section), *(("bodies",) if "bodies" in content else ()))
+                yield key, sorted(set(_texts(content.get("bodies") or built_in_names("humans"))))
+        humans = self.config.scene.get("humans")
+        for name, human in humans.items() if isinstance(humans, dict) else ():
+            body = human.get("body", "adult_man") if isinstance(human, dict) else human
+            yield ("scene", "humans", name, "body"), sorted(set(_texts(body)))
+
+    def is_of_split(self, body: str, number: int) -> bool:
+        """Whether a body may be in a scene."""
+        return self.split_of_body.get(body, self.splits[number]) == self.splits[number]
+
+    def _check_pool(self) -> None:
+        """Check that the pool has people for each split. Raises ExportError."""
+        if self.config.pool is None:
+            return
+        variety = self.config.scene.get("variety")
+        if not isinstance(variety, dict) or "people" not in variety:
+            raise self.error_at("pool", "a pool is of drawn people: give scene.variety.people, such as {}")
+        given = set(_shared(self.config.splits, self.config.pool))
+        if missing := [name for name, share in self.config.splits.items() if share and name not in given]:
+            raise self.error_at("pool", f"nobody is left for the split {missing[0]}: give a larger pool")
+
+    def _share_pool(self, variety: Any, number: int) -> None:
+        """Give a scene those people of the pool that belong to its split, in place of new people."""
+        if (
+            self.config.pool is None
+            or not isinstance(variety, dict)
+            or not isinstance(variety.get("people"), dict)
+        ):
+            return
+        with in_section("variety.people"):
+            people = validated(PeopleConfig, variety.pop("people"), SceneError)
+        splits = enumerate(_shared(self.config.splits, self.config.pool))
+        numbers = [each for each, split in splits if split == self.splits[number]]
+        if not numbers:
+            raise self.error_at(
+                "pool", f"no person is left for the split {self.splits[number]}: give more people"
+            )
+        shuffled = sorted(numbers, key=lambda each: _order(self.config.seed, f"{each} in scene {number}"))
+        limits = PeopleLimits(**dict(people))
+        chosen = sorted(shuffled[:_MAX_BODIES])
+        variety["bodies"] = [person_name(self.config.seed, each, limits) for each in chosen]
+
+    def _share_bodies(self, section: Any, name: str, number: int) -> None:
+        """Keep only those bodies of a section that belong to the split of a scene."""
+        if self.split_of_body and isinstance(section, dict) and section.get("people") is None:
+            bodies = section.get("bodies") or built_in_names("humans")
+            kept = [body for body in bodies if self.is_of_split(body, number)]
+            if not kept:
+                raise SceneError(f"no body is of the split {self.splits[number]}", key=f"{name}.bodies")
+            section["bodies"] = kept
+
+    def _check_fixed_bodies(self, config: SceneConfig, number: int) -> None:
+        for name, human in config.humans.items():
+            if not self.is_of_split(str(human.body), number):
+                raise self.error_at(
+                    f"scene.humans.{name}.body",
+                    f"{human.body} would be in several splits: give a choice with a body for each split",
+                )
+
+    # -- checks
+
+    def _check_ends(self, draws: Sequence[tuple[Keys, Any]]) -> None:
+        """Check the scene with each distribution at its ends. Raises ExportError with line and key."""
+        self._try({}, (), None)
+        for keys, content in draws:
+            for place, end, value in values_at_ends(content, keys):
+                self._try({keys: value}, place, end)
+
+    def _draws(self) -> Iterator[tuple[Keys, Any]]:
+        """Distributions by key. A distribution in a choice is part of the choice. Raises ExportError if one
+        is wrong."""
+        pending: list[tuple[Keys, Any, bool]] = [(("scene",), self.config.scene, False)]
+        if self.config.ring is not None:
+            pending.append((("ring",), dict(self.config.ring), False))
+        while pending:
+            keys, value, is_inner = pending.pop()
+            with located(ExportError, self.path, line_of(self.tree, keys)):
+                try:
+                    draw = draw_at(value)
+                except ExportError as error:
+                    raise error.within(".".join(map(str, keys))) from None
+            if draw is not None and not is_inner:
+                yield keys, value
+            is_inner |= draw is not None
+            if isinstance(value, dict):
+                pending += [((*keys, name), part, is_inner) for name, part in value.items()]
+            elif isinstance(value, (list, tuple)):
+                pending += [((*keys, number), part, is_inner) for number, part in enumerate(value)]
+
+    def _try(self, given: Mapping[Keys, Any], place: Keys, end: Any) -> None:
+        """Check a scene, and that its files exist.
+
+        Args:
+            given: A value in place of a drawn one, by key; empty: all are drawn.
+            place: Key of the distribution that has an end there.
+            end: Its value.
+        """
+        number = 0
+        if given and self.split_of_body:  # a body of another split would be an error of this one
+            body = next(iter(given.values()))
+            numbers = (n for n, split in enumerate(self.splits) if self.split_of_body.get(str(body)) == split)
+            number = next(numbers, 0)
+        try:
+            config = self.scene(number, 0, given)
+            for keys, name in file_keys(config):
+                try:
+                    self._check_file(keys, name)
+                except HumansimError as error:
+                    raise SceneError(error.message, key=".".join(map(str, keys))) from None
+        except _DRAW_ERRORS as error:
+            key = self._key_of(error.key)
+            if given:
+                (outer,) = given
+                if _is_part(key, outer):
+                    key = ".".join(map(str, place if _is_part(key, _without_options(place)) else outer))
+            known = self._known(key)
+            rest = key.removeprefix(known).strip(".")
+            texts = (f"with {end!r}" if given else "", "" if rest.isdecimal() else rest, error.message)
+            text = ": ".join(filter(None, texts)) + ("" if given else self._hint(key))
+            raise self.error_at(key, text) from None
+
+    def _check_file(self, keys: Keys, name: str) -> None:
+        """Check that a body, a motion or a file exists."""
+        words = [key for key in keys if isinstance(key, str)]
+        folder = self.path.parent
+        if words[-1] in ("body", "bodies"):
+            find_human(name, folder, SceneError)
+        elif words[-1] == "motions" or words[-2:] == ["motion", "file"]:
+            if name != LIVE:
+                find_motion(name, folder, SceneError)
+        elif Path(name).suffix and "://" not in name and "{name}" not in name:
+            self.source.find(name.split("#")[0])
+
+    def _hint(self, key: str) -> str:
+        """End of a message about a mapping that may be meant as a distribution."""
+        value: Any = self.config.model_dump()
+        for word in key.split("."):
+            value = value.get(word) if isinstance(value, dict) else None
+        words = list(value) if isinstance(value, dict) else []
+        return did_you_mean(str(words[0]), DRAWS) if len(words) == 1 and words[0] not in DRAWS else ""
+
+    def _check(self, scene: Scene) -> None:
+        """Check that a scene fulfils the recipe; raises _Unmet."""
+        require = self.config.require
+        if require.clean and (findings := check_scene(scene, quick=True)):
+            raise _Unmet("require.clean", str(findings[0]))
+        bodies = [str(human.body) for human in scene.config.humans.values()]
+        if twins := [body for body, count in Counter(filter(is_person, bodies)).items() if count > 1]:
+            raise _Unmet("pool", f"{twins[0]} is there twice: give a larger pool, or fewer people")
+        if not require.cameras:
+            return
+        # cheap, before anything is rendered
+        heights = [camera.size[1] for camera in scene.cameras.values()]
+        if len(heights) < require.cameras:
+            raise _Unmet("require.cameras", f"it has {len(heights)} cameras, not {require.cameras}")
+        if (high := sum(height >= require.pixels for height in heights)) < require.cameras:
+            text = f"{high} of its {len(heights)} images are {require.pixels:g} pixels high"
+            raise _Unmet("require.pixels", text)
+        last = self.config.frames - 1
+        frames = np.unique(np.linspace(0, last, min(last + 1, _CHECKED_FRAMES)).round().astype(int))
+        with closing(Simulation(scene, REQUIRED_CHANNELS["boxes"])) as simulation:
+            for index in frames.tolist():
+                truth = simulation.frame(index, scanners=()).truth
+                for name in scene.actors:
+                    self._check_person(name, index, [each.boxes[name] for each in truth.values()])
+
+    def _check_person(self, name: str, index: int, boxes: Sequence[BodyBox]) -> None:
+        require = self.config.require
+        inside = [box for box in boxes if box.pixels]
+        large = [box for box in inside if box.visible[3] - box.visible[1] >= require.pixels]
+        seen = [box for box in large if box.visible_fraction >= require.visible]
+        if len(seen) >= require.cameras:
+            return
+        many = [box for box in inside if box.visible_fraction >= require.visible]
+        key = "pixels" if len(many) >= require.cameras else "visible"
+        if max(len(large), len(many)) < require.cameras:
+            key = "cameras"
+        raise _Unmet(
+            f"require.{key}",
+            f"{len(seen)} of the {len(boxes)} cameras see {name} in frame {index}, not {require.cameras}",
+        )
+
+    def _key_of(self, key: str | None) -> str:
+        """Key of the recipe that corresponds to a key of a drawn scene."""
+        words = (key or "").split(".")
+        given = self.config.scene.get("cameras")
+        named = given if isinstance(given, dict) else {}
+        if self.config.ring is not None and words[0] == "cameras" and words[1:] and words[1] not in named:
+            of = (
+                part for part in ("each", "camera") if set(words[2:3]) & set(getattr(self.config.ring, part))
+            )
+            words = ["ring", *(f"{part}.{words[2]}" for part in of)][:2]
+        if words[0] == "ring":
+            return ".".join(words)
+        return ".".join(["scene", *filter(None, words)])
+
+    def error_at(self, key: str, message: str) -> ExportError:
+        """An error at a key of the recipe, or at the deepest key above it that the file has."""
+        line = line_of(self.tree, key.split("."))
+        return ExportError(message, path=self.path, line=line, key=self._known(key) or None)
+
+    def _known(self, key: str) -> str:
+        """The deepest key that the file contains: this key, or one above it."""
+        content: Any = self.config.model_dump()
+        known: list[str] = []
+        for word in key.split("."):
+            if isinstance(content, dict) and word in content:
+                content = content[word]
+            elif isinstance(content, (list, tuple)) and word.isdecimal() and int(word) < len(content):
+                content = content[int(word)]
+            else:
+                break
+            known.append(word)
+        return ".".join(known)
+
+
+class _Draws:
+    """Draws the values of one draw of a scene.
+
+    Args:
+        recipe: The recipe.
+        number: Number of the scene.
+        attempt: Number of the draw.
+        given: Values in place of drawn ones, by key.
+    """
+
+    def __init__(self, recipe: Recipe, number: int, attempt: int, given: Mapping[Keys, Any]) -> None:
+        self._recipe, self._number, self._given = recipe, number, given
+        self._place = f"scene {number}.{attempt}"
+
+    def _random(self, keys: Keys) -> RandomNumbers:
+        return random_numbers(self._recipe.config.seed, f"{self._place} {'.'.join(map(str, keys))}")
+
+    def seed(self, keys: Keys) -> int:
+        """A seed for a key that the recipe leaves out."""
+        return int(_SEEDS * self._random(keys)())
+
+    def value(self, value: Any, keys: Keys, purpose: Keys | None = None) -> Any:
+        """Draw the distributions in a value.
+
+        Args:
+            value: The value, or the distribution in its place.
+            keys: Key of the recipe.
+            purpose: Key of its random numbers, if a distribution is drawn more than once.
+        """
+        purpose = purpose or keys
+        if keys in self._given:
+            return self.value(self._given[keys], (*keys, "given"), purpose)
+        draw = draw_at(value)
+        if isinstance(draw, ChoiceDraw) and keys[-1] == "body":
+            draw = draw.among(lambda body: self._recipe.is_of_split(str(body), self._number)) or draw
+        if draw is not None:
+            return self.value(draw.value(self._random(purpose)), (*keys, "drawn"), (*purpose, "drawn"))
+        if isinstance(value, dict):
+            return {key: self.value(part, (*keys, key), (*purpose, key)) for key, part in value.items()}
+        if isinstance(value, (list, tuple)):
+            return [self.value(part, (*keys, n), (*purpose, n)) for n, part in enumerate(value)]
+        return value
+
+    def ring(self, ring: RingConfig, scene: Mapping[str, Any]) -> dict[str, Any]:
+        """Cameras of a ring, by name. Raises SceneError, which names the key."""
+        whole = {key: self.value(getattr(ring, key), ("ring", key)) for key in _Ring.model_fields}
+        checked = _of_ring(_Ring, whole)
+        shared = self.value(ring.camera, ("ring", "camera"))
+        turn = 2 * math.pi * self._random(("ring", "turn"))()
+        cameras = {}
+        for index in range(checked.count):
+            own = (f"camera {index}",)
+
+            def drawn(key: str, own: tuple[str] = own) -> Any:
+                return self.value(getattr(ring, key), ("ring", key), ("ring", key, *own))
+
+            place = _of_ring(_Place, {key: drawn(key) for key in _Place.model_fields})
+            scatter = math.radians(checked.scatter_deg) * (2 * self._random(("ring", "scatter", *own))() - 1)
+            angle = turn + 2 * math.pi * index / checked.count + scatter
+            x, y, _ = place.look_at
+            point = (x + place.radius * math.cos(angle), y + place.radius * math.sin(angle), place.height)
+            cameras[f"camera_{index + 1}"] = {
+                "position": _inside_room(point, scene),
+                "look_at": list(place.look_at),
+                **_mapping(shared, "ring.camera"),
+                **_mapping(drawn("each"), "ring.each"),
+            }
+        return cameras
+
+
+def _mapping(value: Any, key: str) -> dict[str, Any]:
+    """A drawn value that must be a mapping. Raises SceneError with a key."""
+    if not isinstance(value, dict):
+        raise SceneError(f"give a mapping of keys to values; found {show_value(value)}", key=key)
+    return value
+
+
+def _of_ring(model: type[Any], values: Mapping[str, Any]) -> Any:
+    """Checked values of a ring."""
+    try:
+        return validated(model, values, SceneError)
+    except SceneError as error:
+        raise error.within("ring") from None
+
+
+def _inside_room(point: Sequence[float], scene: Mapping[str, Any]) -> list[float]:
+    """A point, moved away from walls and ceiling if the scene has a room. It is rounded to millimetres."""
+    room = scene.get("room", {})
+    if isinstance(room, dict):
+        size = room.get("size", RoomConfig.model_fields["size"].default)
+        try:
+            most = np.array(size, dtype=float) / (2, 2, 1) - _FROM_WALLS
+        except (TypeError, ValueError):
+            return list(point)  # an error of the scene
+        point = np.clip(point, (-most[0], -most[1], -np.inf), most).tolist()
+    return [round(value, 3) for value in point]
+
+
+def _shared(shares: Mapping[str, float], count: int) -> Iterator[str]:
+    """Names in proportion to their shares. The next name is always the one that is most behind."""
+    whole = sum(shares.values())
+    given = dict.fromkeys(shares, 0)
+    for number in range(1, count + 1):
+        name = max(shares, key=lambda name: shares[name] / whole * number - given[name])
+        given[name] += 1
+        yield name
+
+
+def _order(seed: int, body: str) -> float:
+    return random_numbers(seed, f"split of {body}")()
+
+
+def _texts(value: Any) -> Iterator[str]:
+    """Texts in a value, and in the values of a choice."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, dict):
+        for part in value.get("choice", ()):
+            yield from _texts(part)
+    elif isinstance(value, (list, tuple)):
+        for part in value:
+            yield from _texts(part)
+
+
+def _is_part(key: str, keys: Keys) -> bool:
+    """Whether one of two key paths is equal to the other one or a part of it."""
+    words, others = key.split("."), [str(part) for part in keys]
+    least = min(len(words), len(others))
+    return words[:least] == others[:least]
+
+
+def _without_options(keys: Keys) -> Keys:
+    """Key in a scene for a key of a recipe: without the numbers of options of choices."""
+    words = list(keys)
+    while "choice" in words:
+        at = words.index("choice")
+        del words[at : at + 2]
+    return tuple(words)
+
+
+def _with_seeds(section: Section, keys: Keys, seed: Callable[[Keys], int]) -> Section:
+    """A section with a seed for each key ``seed`` in it that is left out."""
+    changes: dict[str, Any] = {}
+    for name in type(section).model_fields:
+        value = getattr(section, name)
+        if name == "seed" and name not in section.model_fields_set:
+            changes[name] = seed((*keys, name))
+        elif (changed := _seeded(value, (*keys, name), seed)) is not value:
+            changes[name] = changed
+    return section.model_copy(update=changes) if changes else section
+
+
+def _seeded(value: Any, keys: Keys, seed: Callable[[Keys], int]) -> Any:
+    if isinstance(value, Section):
+        return _with_seeds(value, keys, seed)
+    if isinstance(value, dict):
+        changed = {name: _seeded(part, (*keys, name), seed) for name, part in value.items()}
+        return changed if any(changed[name] is not value[name] for name in value) else value
+    return value

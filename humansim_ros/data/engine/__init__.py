@@ -1,0 +1,5 @@
+"""Work on frames in processes and on Ray."""
+
+from humansim_ros.lazy import lazy_exports
+
+__getattr__, __dir__, __all__ = lazy_exports(__name__, __file__)

@@ -1,0 +1,10 @@
+from humansim_ros.data.engine.frame_job import Costs as Costs
+from humansim_ros.data.engine.frame_job import FrameJob as FrameJob
+from humansim_ros.data.engine.frame_job import FrameProgress as FrameProgress
+from humansim_ros.data.engine.frame_job import FrameResult as FrameResult
+from humansim_ros.data.engine.output import is_url as is_url
+from humansim_ros.data.engine.ray_cluster import PART_FRAMES as PART_FRAMES
+from humansim_ros.data.engine.workers import WorkerDiedError as WorkerDiedError
+from humansim_ros.data.engine.workers import WorkerProcess as WorkerProcess
+from humansim_ros.data.engine.workers import Workers as Workers
+from humansim_ros.data.engine.workers import children_of as children_of

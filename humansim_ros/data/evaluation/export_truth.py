@@ -1,0 +1,336 @@
+"""Ground truth from exports, and from the images of scenes, for evaluations."""
+
+from __future__ import annotations
+
+import hashlib
+from bisect import bisect_right
+from collections.abc import Collection, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from humansim_ros.cameras.camera import Camera
+from humansim_ros.data.evaluation.boxes import BoxTracks, scene_boxes
+from humansim_ros.data.evaluation.images import ImageTruth, image_table
+from humansim_ros.data.evaluation.pictures import ScenePictures
+from humansim_ros.data.evaluation.pose_sequence import PoseSequence
+from humansim_ros.data.evaluation.readers.box_files import read_box_file
+from humansim_ros.data.evaluation.readers.estimates import is_bag, read_estimates
+from humansim_ros.data.evaluation.readers.pose_files import ReadOptions
+from humansim_ros.data.evaluation.truth import FIRST_STAMP
+from humansim_ros.data.formats.aicity import TRUTH_FILE
+from humansim_ros.data.formats.coco import CHANNELS, CocoWriter, coco_document, scene_categories
+from humansim_ros.data.formats.plan import INDEX, read_index
+from humansim_ros.data.formats.writer import ExportFolder, ExportFrame, ExportScene, ExportSettings
+from humansim_ros.errors import EvaluationError, located
+from humansim_ros.files.reading import MAX_IMAGE_BYTES, decode_image, read_bytes, read_json
+from humansim_ros.people.keypoints import KeypointSet, keypoint_set
+from humansim_ros.scene.core import Scene, Simulation
+from humansim_ros.types import Image
+
+#: Formats with 3D poses, each with its keypoint set. None stands for the set of the export.
+_POSES: dict[str, str | None] = {"trc": None, "c3d": None, "panoptic": "panoptic19"}
+_COCO = "coco/instances.json"
+#: Largest file of truth, bytes.
+_MAX_BYTES = 1 << 32
+#: Most frames of a scene that are rendered as truth: an hour at 30 Hz.
+MAX_RENDERED_FRAMES = 108_000
+
+
+def is_export(path: Path) -> bool:
+    """Whether a folder is an export."""
+    return (path / INDEX).is_file()
+
+
+class ExportTruth:
+    """Ground truth of a finished export: 3D poses from TRC, C3D or Panoptic files, and images from its COCO
+    file.
+
+    Files are checked against the hashes of the index.
+
+    Raises:
+        ExportError: The folder has no index.
+        EvaluationError: The export is not finished.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self._index = folder, read_index(folder)
+        if not self._index.get("finished"):
+            raise EvaluationError(
+                "this export is not finished: continue it with humansim export --resume", path=folder
+            )
+        try:
+            plan = self._index["plan"]
+            self.formats: tuple[str, ...] = tuple(plan["formats"])
+            self.keypoints: KeypointSet = keypoint_set(plan["keypoints"])
+            self.rate = float(self._index["rate"])
+            self.period, self.start = round(1e9 / self.rate), FIRST_STAMP
+            self._frames = range(plan["first"], plan["end"])
+            self._files: dict[str, dict[str, Any]] = dict(self._index["files"])
+        except (KeyError, TypeError, ValueError, ZeroDivisionError) as reason:
+            raise EvaluationError(f"the index is damaged: {reason}", path=folder / INDEX) from None
+
+    def poses(self, span: tuple[int, int], around: float, keypoints: KeypointSet | None) -> PoseSequence:
+        """All poses of the export, with the keypoint set if the export has it. Raises EvaluationError if it
+        has no poses."""
+        found = {name: _POSES[name] or self.keypoints.name for name in _POSES if name in self.formats}
+        chosen = sorted(found, key=lambda name: keypoints is not None and found[name] != keypoints.name)
+        if not chosen:
+            text = "the export has no 3D poses; export them with --format trc, or give its scene"
+            raise EvaluationError(text, path=self.folder, key="--truth")
+        for name in self._files:
+            if name.startswith(f"{chosen[0]}/"):
+                self._check(name)
+        options = ReadOptions(None, self.period, self.start)
+        return read_estimates([str(self.folder / chosen[0])], options)
+
+    @property
+    def cameras(self) -> Sequence[str]:
+        """Names of the cameras."""
+        return list(dict.fromkeys(row["camera"] for row in self._document["images"]))
+
+    def number(self, camera: str, frame: int) -> int | None:
+        """Number of the image of a camera in a frame, in the COCO file; None if there is no image."""
+        return self._numbers.get((camera, frame))
+
+    def size(self, number: int) -> tuple[int, int] | None:
+        """Width and height of an image; None if there is no image with this number."""
+        return self._sizes.get(number)
+
+    @property
+    def first(self) -> int:
+        """Number of the first frame."""
+        return self._frames.start
+
+    def images(self, numbers: Collection[int], keypoints: KeypointSet | None = None) -> ImageTruth:
+        """Truth of all images of the COCO file. The parameters are used for scenes only."""
+        document = self._document
+        return ImageTruth(
+            document["images"],
+            document["annotations"],
+            document["categories"],
+            self.keypoints,
+            str(self.folder),
+        )
+
+    def boxes(self) -> BoxTracks:
+        """Upright boxes of people in all frames. Raises EvaluationError if the export has no boxes."""
+        name = f"aicity/{TRUTH_FILE}"
+        if name not in self._files:
+            raise EvaluationError(
+                "the export has no boxes in map: export it with --format aicity, or give its scene",
+                path=self.folder,
+                key="--truth",
+            )
+        self._check(name)
+        found = read_box_file(self.folder / name)
+        frames = {index: found.at(index) for index in self._frames}
+        names = dict(enumerate(self._index.get("humans", ()), 1))
+        return BoxTracks(frames, str(self.folder), names)
+
+    def pictures(self) -> ExportPictures:
+        """Images of the export."""
+        rows = self._document["images"] if _COCO in self._files else ()
+        return ExportPictures(self.folder, rows, self.period)
+
+    @cached_property
+    def _document(self) -> dict[str, Any]:
+        if _COCO not in self._files:
+            raise EvaluationError(
+                "the export has no truth in images: export it with --format coco, or give its scene",
+                path=self.folder,
+                key="--truth",
+            )
+        self._check(_COCO)
+        document: dict[str, Any] = read_json(self.folder / _COCO, EvaluationError, "COCO", _MAX_BYTES)
+        return document
+
+    @cached_property
+    def _numbers(self) -> dict[tuple[str, int], int]:
+        return image_table(self._document["images"])
+
+    @cached_property
+    def _sizes(self) -> dict[int, tuple[int, int]]:
+        return {row["id"]: (row["width"], row["height"]) for row in self._document["images"]}
+
+    def _check(self, name: str) -> None:
+        """Check that a file is the one that the index lists."""
+        data = read_bytes(self.folder / name, EvaluationError, "exported", _MAX_BYTES)
+        if hashlib.sha256(data).hexdigest() != self._files[name].get("sha256"):
+            raise EvaluationError(
+                "this file has changed since it was exported: its hash differs from the index",
+                path=self.folder / name,
+            )
+
+
+class ExportPictures:
+    """Colour images of an export.
+
+    Stamps of 3D files are rounded, so an image belongs to a stamp if it is the nearest one.
+
+    Args:
+        folder: Folder of the export.
+        rows: Images of its COCO file. May be empty.
+        period: Nanoseconds between frames.
+    """
+
+    def __init__(self, folder: Path, rows: Sequence[dict[str, Any]], period: int) -> None:
+        self._folder, self._period = folder, period
+        self._rows: dict[int, dict[str, dict[str, Any]]] = {}
+        for row in rows:
+            self._rows.setdefault(row["stamp"], {})[row["camera"]] = row
+
+    def _at(self, stamp: int) -> dict[str, dict[str, Any]]:
+        nearest = min(self._rows, key=lambda each: abs(each - stamp), default=stamp)
+        return self._rows.get(nearest, {}) if abs(nearest - stamp) <= self._period // 2 else {}
+
+    def cameras(self, stamp: int) -> dict[str, Camera]:
+        """Cameras with an image at a stamp, from the COCO file."""
+        return {
+            name: Camera(
+                (row["width"], row["height"]),
+                np.array(row["K"]),
+                np.array(row["R"]),
+                np.array(row["t"]),
+                tuple(row["distortion"]),
+                row["distortion_model"],
+            )
+            for name, row in self._at(stamp).items()
+        }
+
+    def image(self, stamp: int, camera: str) -> Image | None:
+        """Image of a camera at a stamp; None if there is no image. Raises HumansimError for a damaged
+        file."""
+        row = self._at(stamp).get(camera)
+        if row is None:
+            return None
+        path = self._folder / "images" / row["file_name"]
+        with located(EvaluationError, path):
+            return decode_image(read_bytes(path, EvaluationError, "image", MAX_IMAGE_BYTES), "image")
+
+    def close(self) -> None:
+        """Do nothing, since no file is open."""
+
+
+class SceneImages:
+    """Ground truth of the images of a scene. The scene is rendered without colours.
+
+    Images have the same numbers as in an export from frame 0 on. Numbers begin at 1 and go frame by frame, in
+    each frame in the order of the cameras.
+
+    ``keypoints``: set of the keypoints of an estimate without names.
+    """
+
+    def __init__(self, scene: Scene, keypoints: KeypointSet) -> None:
+        self.scene, self.keypoints = scene, keypoints
+        self.rate, self.first = scene.config.rate, 0
+
+    @property
+    def cameras(self) -> Sequence[str]:
+        """Names of the cameras."""
+        return list(self.scene.scene_cameras)
+
+    def number(self, camera: str, frame: int) -> int | None:
+        """Number of the image of a camera in a frame; None if there is no image."""
+        pictured = self._pictured(frame)
+        return self._first(frame) + pictured.index(camera) if camera in pictured else None
+
+    def size(self, number: int) -> tuple[int, int] | None:
+        """Width and height of an image; None for numbers below 1."""
+        if number < 1:
+            return None
+        frame = self._frame_of(number)
+        width, height = self.scene.cameras[self._pictured(frame)[number - self._first(frame)]].size
+        return width, height
+
+    def _pictured(self, frame: int) -> list[str]:
+        """Cameras that capture a frame."""
+        return [name for name, camera in self.scene.scene_cameras.items() if frame in camera.timing]
+
+    def _first(self, frame: int) -> int:
+        """Number of the first image at or after a frame."""
+        return 1 + sum(camera.timing.number(frame - 1) + 1 for camera in self.scene.scene_cameras.values())
+
+    def _frame_of(self, number: int) -> int:
+        """Frame of an image."""
+        timings = [camera.timing for camera in self.scene.scene_cameras.values()]
+        last = (number + 1) * max(timing.step for timing in timings)
+        return bisect_right(range(last), number, key=self._first) - 1
+
+    def images(self, numbers: Collection[int], keypoints: KeypointSet | None = None) -> ImageTruth:
+        """Render the frames from the first to the last of some images (at least one). Needs OpenGL.
+
+        ``keypoints``: set of the estimate. The truth uses it if its OKS constants are published, or else its
+        own set, or else coco17.
+
+        Raises:
+            EvaluationError: There are too many frames.
+            RenderError: OpenGL is missing.
+        """
+        sets = (keypoints, self.keypoints, keypoint_set("coco17"))
+        judged = next(each for each in sets if each is not None and each.sigmas is not None)
+        numbers = numbers or [1]
+        frames = range(self._frame_of(min(numbers)), self._frame_of(max(numbers)) + 1)
+        if len(frames) > MAX_RENDERED_FRAMES:
+            raise EvaluationError(
+                f"the estimate has images of frames {frames[0]} to {frames[-1]}, more than "
+                f"{MAX_RENDERED_FRAMES}: do the numbers of the images come from an export of the scene? "
+                "Give the export as --truth",
+                path=self.scene.path,
+                key="--truth",
+            )
+        described = ExportScene.of(self.scene)
+        settings = ExportSettings(described, frames, judged.name)
+        writer, folder = CocoWriter(settings), ExportFolder(Path())
+        with Simulation(self.scene, CHANNELS) as simulation:
+            records = [
+                (index, writer.frame(ExportFrame(simulation.frame(index), settings), folder))
+                for index in frames
+            ]
+        document = coco_document(records, *scene_categories(described, judged), first=self._first(frames[0]))
+        source = str(self.scene.path or "the scene")
+        return ImageTruth(document["images"], document["annotations"], document["categories"], judged, source)
+
+    def pictures(self) -> ScenePictures:
+        """Images of the scene."""
+        return ScenePictures(self.scene)
+
+
+def open_image_truth(path: Path, keypoints: str | None) -> ExportTruth | SceneImages:
+    """Open the truth of images: an export, or a scene that is rendered.
+
+    ``keypoints``: name of the keypoint set for a scene. If None, coco17.
+
+    Raises:
+        HumansimError: The scene or export is wrong, or the path is a bag.
+    """
+    if is_export(path):
+        return ExportTruth(path)
+    if is_bag(path) or path.is_dir():
+        raise EvaluationError(
+            "the truth of detections in images is a scene, or a folder of humansim export",
+            path=path,
+            key="--truth",
+        )
+    return SceneImages(Scene.load(path), keypoint_set(keypoints or "coco17"))
+
+
+def open_box_truth(path: Path, estimate: BoxTracks) -> BoxTracks:
+    """Open the truth of boxes: an export with the format ``aicity``, or a scene at the frames of the
+    estimate.
+
+    Raises:
+        HumansimError: The scene or export is wrong or has no boxes, or the path is a bag.
+    """
+    if is_export(path):
+        return ExportTruth(path).boxes()
+    if is_bag(path) or path.is_dir():
+        raise EvaluationError(
+            "the truth of boxes is a scene, or a folder of humansim export with the format aicity",
+            path=path,
+            key="--truth",
+        )
+    first, last = min(estimate.frames, default=0), max(estimate.frames, default=0)
+    return scene_boxes(Scene.load(path), range(first, last + 1))

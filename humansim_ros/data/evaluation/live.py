@@ -1,0 +1,211 @@
+"""Evaluation of an estimate while it arrives: over a window of time, and in total."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from humansim_ros.data.evaluation.alignment import axes_matrix, seconds
+from humansim_ros.data.evaluation.evaluation import DEFAULT_GATE, Evaluation, evaluate_poses
+from humansim_ros.data.evaluation.joint_names import read_names
+from humansim_ros.data.evaluation.readers.estimates import in_map
+from humansim_ros.data.evaluation.readers.pose_files import ReadOptions
+from humansim_ros.data.evaluation.report import to_data
+from humansim_ros.data.evaluation.stream import EstimateStream
+from humansim_ros.data.evaluation.truth import SceneTruth
+from humansim_ros.data.messages.people import Pose, PoseFrame
+from humansim_ros.errors import EvaluationError, printable
+from humansim_ros.people.keypoints import KeypointSet, keypoint_set
+
+#: Most frames and joint positions that are kept of the truth, and of the estimate: some 500 MB in all.
+MAX_FRAMES, MAX_POINTS = 100_000, 5_000_000
+#: Frame that all positions must be in.
+_WORLD = "map"
+#: An estimate may be before the first frame of the truth, or after the newest one, by this time, nanoseconds.
+_MAX_AHEAD = 5 * 10**9
+
+
+@dataclass(frozen=True)
+class LiveOptions:
+    """How an estimate is read and compared. The options are those of ``humansim evaluate``.
+
+    Attributes:
+        keypoints: Keypoint set of the estimate and of the truth. If None, the joints of bodies.
+        names: Names for points without names, in their order.
+        table: Name of a joint in the truth by name in the estimate.
+        scale: Metres of a unit of the estimate.
+        axes: Axes of the estimate, the same as in ``axes_matrix``.
+        gate: Largest mean joint distance at which a person counts as found, metres.
+    """
+
+    keypoints: KeypointSet | None = None
+    names: tuple[str, ...] | None = None
+    table: Mapping[str, str] | None = None
+    scale: float = 1.0
+    axes: str | None = None
+    gate: float = DEFAULT_GATE
+
+    @classmethod
+    def of(cls, keypoints: str, names: str, scale: float, axes: str, gate: float) -> LiveOptions:
+        """Options from texts and numbers. An empty text stands for the default.
+
+        Args:
+            keypoints: Name of a keypoint set.
+            names: YAML file, the same as in ``read_names``.
+            scale: Metres of a unit of the estimate.
+            axes: Axes of the estimate.
+            gate: Largest mean joint distance at which a person counts as found, metres.
+
+        Raises:
+            HumansimError: There is no such set or file, or the axes are not valid.
+        """
+        points = keypoint_set(keypoints) if keypoints else None
+        given = read_names(Path(names)) if names else None
+        if axes:
+            axes_matrix(axes)
+        listed = tuple(given) if isinstance(given, list) else points.names if points is not None else None
+        return cls(points, listed, given if isinstance(given, dict) else None, scale, axes or None, gate)
+
+    @property
+    def reading(self) -> ReadOptions:
+        """Options of readers."""
+        return ReadOptions(self.names, axes=self.axes, scale=self.scale)
+
+
+def check_world(frame: PoseFrame) -> None:
+    """Raise EvaluationError if the positions of a message are not in ``map``."""
+    if frame.frame_id not in ("", _WORLD):
+        raise EvaluationError(f"frame_id is '{printable(frame.frame_id, 80)}': publish positions in {_WORLD}")
+
+
+class LiveEvaluation:
+    """Truth and estimate that arrive message by message, and their comparison.
+
+    Memory is bounded, so that the oldest frames of a long run are forgotten.
+
+    Args:
+        source: Name of the estimate, for errors.
+        options: How the estimate is read and compared.
+        scene: Scene. Its truth is computed for the stamps of the estimate. If None, truth is added by
+            messages.
+    """
+
+    def __init__(self, source: str, options: LiveOptions, scene: SceneTruth | None = None) -> None:
+        self._options, self._scene = options, scene
+        self.truth = EstimateStream("the truth", MAX_POINTS, MAX_FRAMES)
+        self.estimate = EstimateStream(source, MAX_POINTS, MAX_FRAMES)
+        #: First and newest stamp of the truth.
+        self._known: tuple[int, int] | None = None
+
+    def add_truth(self, frame: PoseFrame, topic: str, arrival: int, person: str | None) -> None:
+        """Add a message of the truth.
+
+        Args:
+            frame: People of the message.
+            topic: Topic of the message.
+            arrival: Nanoseconds of any clock that does not go back.
+            person: Name that the topic gives to the person.
+
+        Raises:
+            EvaluationError: In the cases of ``EstimateStream.add``.
+        """
+        if frame.stamp is not None and self.truth.add(frame, topic, arrival, person):
+            self.add_time(frame.stamp)
+
+    def add_time(self, stamp: int) -> None:
+        """Note that the truth has a frame with this stamp."""
+        first, newest = self._known or (stamp, stamp)
+        self._known = min(first, stamp), max(newest, stamp)
+
+    def add_estimate(
+        self,
+        frame: PoseFrame,
+        topic: str,
+        arrival: int,
+        person: str | None = None,
+        latency: float | None = None,
+    ) -> None:
+        """Add a message of the estimate.
+
+        Args:
+            frame, topic, arrival, person: The same as in :meth:`add_truth`.
+            latency: Seconds since the frame of the message. None if unknown.
+
+        Raises:
+            EvaluationError: The stamp or the frame does not fit the truth. The message is ignored.
+        """
+        self._check(frame)
+        self.estimate.add(frame, topic, arrival, person, latency)
+
+    def _check(self, frame: PoseFrame) -> None:
+        if frame.stamp is None:
+            return
+        check_world(frame)
+        if frame.stamp == 0:
+            raise EvaluationError("the message has no stamp: give it the stamp of the images")
+        if self._known is None:
+            return
+        first, newest = self._known
+        if not first - _MAX_AHEAD <= frame.stamp <= newest + _MAX_AHEAD:
+            raise EvaluationError(
+                f"the stamp {seconds(frame.stamp)} is not one of the truth, which has {seconds(first)} to "
+                f"{seconds(newest)}: give estimates the stamps of the images"
+            )
+
+    @property
+    def newest_frame(self) -> int:
+        """Newest stamp of the truth in nanoseconds; -1 before the first message."""
+        return -1 if self._known is None else self._known[1]
+
+    def window(self, duration: float) -> Evaluation:
+        """Compare the newest frames.
+
+        ``duration``: seconds until the newest frame of the estimate.
+
+        Raises:
+            EvaluationError: The frames cannot be compared.
+        """
+        newest = self.estimate.newest
+        return self._evaluated(max(0, newest - round(duration * 1e9)))
+
+    def total(self) -> Evaluation:
+        """Compare all frames that are kept.
+
+        Raises:
+            EvaluationError: The frames cannot be compared, for example if there is no estimate.
+        """
+        return self._evaluated(0)
+
+    def to_data(self, total: Evaluation, ignored: int) -> dict[str, Any]:
+        """Result for JSON, the same as that of ``humansim evaluate``. ``live`` has two more keys: the number
+        of messages that were ``ignored``, and of frames that were ``forgotten``."""
+        data = to_data(total)
+        assert total.live is not None
+        live = {**asdict(total.live), "ignored": ignored, "forgotten": self.estimate.forgotten}
+        return {**data, "live": live}
+
+    def _evaluated(self, since: int) -> Evaluation:
+        estimate = in_map(self.estimate.sequence(since), "z-up", self._options.reading)
+        if self._scene is not None:
+            self._compute_truth(self._scene, int(estimate.times[-1]))
+        elif not len(self.truth):
+            raise EvaluationError("no truth has arrived")
+        truth = self.truth.sequence(since)
+        if self._scene is not None:
+            truth = replace(truth, arrivals=None)
+        return evaluate_poses(truth, estimate, names=self._options.table, gate=self._options.gate)
+
+    def _compute_truth(self, scene: SceneTruth, last: int) -> None:
+        """Compute the truth of a scene up to a stamp, as far as it is not known yet."""
+        newest = self.truth.newest
+        if newest >= last:
+            return
+        # the first computation may be for a window; other calls need the truth before it
+        begin = self.estimate.first if newest < 0 else newest + 1
+        found = scene.poses((begin, last), 0.0, self._options.keypoints)
+        for stamp, people in zip(found.times.tolist(), found.people, strict=True):
+            if stamp > newest:
+                poses = [Pose(name, found.names, joints) for name, joints in people.items()]
+                self.truth.add(PoseFrame(stamp, _WORLD, poses), "scene", stamp)

@@ -1,0 +1,177 @@
+"""People of the truth around the path of a robot, from a scene or a bag."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.data.bags.reader import BagReader
+from humansim_ros.data.evaluation.readers.estimates import deserialised_message, topic_pattern, topic_person
+from humansim_ros.data.evaluation.truth import FIRST_STAMP, bag_truth, check_motions, frames_of
+from humansim_ros.data.messages.headers import to_nanoseconds
+from humansim_ros.data.messages.humans import read_vertices
+from humansim_ros.errors import EvaluationError, located
+from humansim_ros.scene.core import HIPS, Scene, SceneStates
+from humansim_ros.scene.features import ROBOT
+from humansim_ros.types import Array
+
+#: Between two poses that are farther apart in time than this (nanoseconds), the place of a robot is unknown.
+MAX_GAP = 500_000_000
+_VERTICES = "/humans/*/vertices"
+_CLOUD = "sensor_msgs/msg/PointCloud2"
+
+
+@dataclass(frozen=True, repr=False)
+class RobotPath:
+    """Path of a robot. ``times``: (P,) int64 nanoseconds, increasing. ``places``: (P, 3) x, y and yaw in
+    ``map``. The yaw does not jump by a whole turn."""
+
+    times: NDArray[np.int64]
+    places: Array
+    source: str
+
+    @classmethod
+    def of(cls, times: NDArray[np.int64], matrices: Array, source: str) -> RobotPath:
+        """Path from poses (P, 4, 4) in ``map``. If several poses have one stamp, the last one counts."""
+        last = np.append(np.diff(times) > 0, True)
+        yaw = np.unwrap(np.arctan2(matrices[last, 1, 0], matrices[last, 0, 0]))
+        return cls(times[last], np.column_stack([matrices[last, :2, 3], yaw]), source)
+
+    def at(self, times: NDArray[np.int64]) -> Array:
+        """Places (F, 3) at some times, interpolated between poses. NaN where the poses around are too far
+        apart."""
+        after = np.clip(np.searchsorted(self.times, times), 1, max(len(self.times) - 1, 1))
+        after = np.minimum(after, len(self.times) - 1)
+        before = np.maximum(after - 1, 0)
+        span = self.times[after] - self.times[before]
+        share = (times - self.times[before]) / np.maximum(span, 1)
+        places = self.places[before] + share[:, None] * (self.places[after] - self.places[before])
+        known = (span <= MAX_GAP) & (share >= 0) & (share <= 1)
+        exact = np.isin(times, self.times)
+        places[exact] = self.places[np.searchsorted(self.times, times[exact])]
+        places[~(known | exact)] = np.nan
+        return np.asarray(places)
+
+
+@dataclass(frozen=True, repr=False)
+class PeopleNearby:
+    """People of the truth around a robot.
+
+    Attributes:
+        times: (F,) int64 stamps, nanoseconds, increasing.
+        places: Places of the robot (F, 3): x, y, yaw. NaN where unknown.
+        people: By person: middle of the hips on the floor (F, 2). NaN in frames without the person.
+        nearest: By person with a known body: distance (F,) on the floor from the middle of the robot to the
+            nearest vertex that is not above the robot. None if the bag has no bodies.
+        source: Where the people come from, for messages.
+    """
+
+    times: NDArray[np.int64]
+    places: Array
+    people: Mapping[str, Array]
+    nearest: Mapping[str, Array] | None
+    source: str
+
+
+def robot_size(scene: Scene) -> tuple[float, float] | None:
+    """Radius of the disc around ``base_link`` that contains the robot of a scene, and height of the robot,
+    metres. Returns None if the scene has no robot."""
+    if scene.robot is None:
+        return None
+    item = scene.objects[ROBOT]
+    vertices = item.mesh.vertices * item.initial_pose.size
+    return float(np.hypot(vertices[:, 0], vertices[:, 1]).max()), float(vertices[:, 2].max())
+
+
+def scene_nearby(scene: Scene, path: RobotPath) -> PeopleNearby:
+    """People of a scene in those frames in which a robot drives. Nothing is rendered.
+
+    Raises:
+        EvaluationError: The scene has no people or one that is moved live, or it has no frame in this time.
+    """
+    check_motions(scene)
+    size = robot_size(scene)
+    height = np.inf if size is None else size[1]
+    first, last = frames_of(scene, (int(path.times[0]), int(path.times[-1])), 0.0)
+    stamps = FIRST_STAMP + np.array([scene.frame_time(index) for index in range(first, last + 1)], np.int64)
+    inside = np.flatnonzero((stamps >= path.times[0]) & (stamps <= path.times[-1]))
+    if not len(inside):
+        raise EvaluationError("the frames of the truth are at other times than the robot", path=scene.path)
+    places, states = path.at(stamps[inside]), SceneStates(scene)
+    people: dict[str, list[Array]] = {name: [] for name in scene.actors}
+    nearest: dict[str, list[float]] = {name: [] for name in scene.actors}
+    for index, place in zip((first + inside).tolist(), places, strict=True):
+        for name, state in states.at(index).humans.items():
+            people[name].append(_ground(state.joint_names, state.positions))
+            nearest[name].append(_nearest_vertex(state.vertices, place, height))
+    return PeopleNearby(
+        stamps[inside],
+        places,
+        {name: np.array(rows).reshape(-1, 2) for name, rows in people.items()},
+        {name: np.array(rows) for name, rows in nearest.items()},
+        str(scene.path or "the scene"),
+    )
+
+
+def bag_nearby(bag: Path, path: RobotPath) -> PeopleNearby:
+    """People of a bag while a robot drives. Their bodies are included if the bag has their vertices.
+
+    Raises:
+        EvaluationError: The bag has no people, or a message cannot be read.
+        BagError: The bag cannot be read.
+    """
+    joints = bag_truth(bag)
+    inside = (joints.times >= path.times[0]) & (joints.times <= path.times[-1])
+    times = joints.times[inside]
+    if not len(times):
+        raise EvaluationError("the people of the truth are at other times than the robot", path=bag)
+    places = path.at(times)
+    frames = [joints.people[index] for index in np.flatnonzero(inside).tolist()]
+    names = list(dict.fromkeys(name for frame in joints.people for name in frame))
+    absent = np.full((len(joints.names), 3), np.nan)
+    people = {
+        name: np.array([_ground(joints.names, frame.get(name, absent)) for frame in frames]) for name in names
+    }
+    return PeopleNearby(times, places, people, _bag_bodies(bag, times, places, names), str(bag))
+
+
+def _bag_bodies(
+    bag: Path, times: NDArray[np.int64], places: Array, people: Sequence[str]
+) -> dict[str, Array] | None:
+    """By person with a topic of vertices: distances (F,) of the nearest vertex, inf for no message. None for
+    no topics."""
+    rows = {time: row for row, time in enumerate(times.tolist())}
+    pattern = topic_pattern(_VERTICES)
+    nearest: dict[str, Array] = defaultdict(lambda: np.full(len(times), np.inf))
+    with BagReader(bag) as reader:
+        names = [each.name for each in reader.topics if each.type == _CLOUD and pattern.fullmatch(each.name)]
+        for message in reader.messages(names) if names else ():
+            topic = reader.topics[message.topic]
+            match = pattern.fullmatch(topic.name)
+            assert match is not None
+            with located(EvaluationError, bag, key=topic.name):
+                content = deserialised_message(message.data, topic)
+                vertices, stamp = read_vertices(content), to_nanoseconds(content.header.stamp)
+            row = rows.get(stamp)
+            if row is not None:
+                nearest[topic_person(match) or ""][row] = _nearest_vertex(vertices, places[row], np.inf)
+    return {name: nearest[name] for name in people if name in nearest} if names else None
+
+
+def _ground(names: Sequence[str], positions: Array) -> Array:
+    """Middle (2,) of the hips on the floor. If there are no hips, middle of all joints."""
+    rows = [names.index(name) for name in HIPS if name in names]
+    chosen = positions[rows] if rows else positions[np.isfinite(positions).all(axis=1)]
+    return np.asarray(chosen[:, :2].mean(axis=0)) if len(chosen) else np.full(2, np.nan)
+
+
+def _nearest_vertex(vertices: NDArray[np.floating], place: Array, height: float) -> float:
+    """Distance on the floor from a place to the nearest vertex (V, 3) below a height. inf if there is
+    none."""
+    own = vertices[vertices[:, 2] <= height]
+    return float(np.hypot(*(own[:, :2] - place[:2]).T).min()) if len(own) else np.inf

@@ -1,0 +1,225 @@
+"""Ground truth of a scene (computed without rendering) or of a bag."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.data.evaluation.evaluation import CameraCountScore, Evaluation
+from humansim_ros.data.evaluation.metrics import mean_error
+from humansim_ros.data.evaluation.pose_sequence import PoseSequence
+from humansim_ros.data.evaluation.readers.estimates import is_bag, read_bag_topic
+from humansim_ros.data.evaluation.readers.pose_files import ReadOptions
+from humansim_ros.errors import EvaluationError
+from humansim_ros.people.keypoints import KeypointLocator, KeypointSet
+from humansim_ros.scene.config import LIVE, frame_at
+from humansim_ros.scene.core import Scene
+from humansim_ros.types import Array, Indices
+
+#: Stamp of frame 0 of a scene in lockstep and in ``Simulation``, nanoseconds.
+FIRST_STAMP = 1
+#: Most frames of a scene for which truth is computed: nine hours at 30 Hz.
+MAX_TRUTH_FRAMES = 1_000_000
+#: From this frame on, stamps come from a wall clock.
+WALL_CLOCK_FRAME = 100 * MAX_TRUTH_FRAMES
+#: Number of frames that are computed at once.
+_BLOCK = 1000
+
+
+class SceneTruth:
+    """Ground truth of a scene. ``period``: nanoseconds between frames. ``start``: stamp of the first
+    frame."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        self.period, self.start = scene.frame_time(1), FIRST_STAMP
+
+    def poses(self, span: tuple[int, int], around: float, keypoints: KeypointSet | None) -> PoseSequence:
+        """Joints or keypoints in a span of stamps (nanoseconds), and ``around`` seconds before and after
+        it."""
+        return scene_truth(self.scene, span, around, keypoints)
+
+
+class RecordedTruth:
+    """Ground truth of a bag. The bag is read as a whole. ``period`` and ``start``: see
+    :class:`SceneTruth`."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.joints = path, bag_truth(path)
+        self.period, self.start = self.joints.period, int(self.joints.times[0])
+
+    def poses(self, span: tuple[int, int], around: float, keypoints: KeypointSet | None) -> PoseSequence:
+        """All joints or keypoints."""
+        return self.joints if keypoints is None else bag_truth(self.path, keypoints)
+
+
+def open_truth(path: Path) -> SceneTruth | RecordedTruth:
+    """Open a scene file or a bag as truth.
+
+    Raises:
+        HumansimError: The scene or bag is wrong, or has no people.
+    """
+    if is_bag(path):
+        return RecordedTruth(path)
+    if path.is_dir():
+        raise EvaluationError("neither a scene file nor a bag", path=path, key="--truth")
+    return SceneTruth(Scene.load(path))
+
+
+def scene_truth(
+    scene: Scene, span: tuple[int, int], around: float = 0.0, keypoints: KeypointSet | None = None
+) -> PoseSequence:
+    """Joints or keypoints of all humans of a scene, with the stamps of ``Simulation`` and lockstep.
+
+    Args:
+        scene: The scene.
+        span: First and last time that are needed, nanoseconds.
+        around: Seconds before and after the span.
+        keypoints: Set of keypoints in place of the joints.
+
+    Raises:
+        EvaluationError: The scene has no people or one that is moved live, or the times are too late for a
+            scene (those of a wall clock).
+    """
+    first, last = frames_of(scene, span, around)
+    times = np.array([scene.frame_time(index) for index in range(first, last + 1)], np.int64)
+    return truth_at(scene, times, FIRST_STAMP + times, keypoints)
+
+
+def check_motions(scene: Scene) -> None:
+    """Raise EvaluationError if a scene has no people, or one that is moved live."""
+    live = [name for name, actor in scene.actors.items() if actor.motion.motion.path == LIVE]
+    if live or not scene.actors:
+        reason = f"{live[0]} is moved live" if live else "there are no people in it"
+        raise EvaluationError(f"{reason}: record a bag, and give it as truth", path=scene.path, key="--truth")
+
+
+def truth_at(
+    scene: Scene,
+    times: NDArray[np.int64],
+    stamps: NDArray[np.int64],
+    keypoints: KeypointSet | None = None,
+) -> PoseSequence:
+    """Joints or keypoints of all humans of a scene at some times.
+
+    Args:
+        scene: The scene.
+        times: (F,) times of the scene, nanoseconds.
+        stamps: (F,) stamps of these frames, nanoseconds.
+        keypoints: Set of keypoints in place of the joints.
+
+    Raises:
+        EvaluationError: The scene has no people, or one that is moved live.
+    """
+    check_motions(scene)
+    if keypoints is None:
+        paths = {name: np.concatenate(list(_paths(scene, name, times))) for name in scene.actors}
+        joints = {name: actor.human.skeleton.joint_names for name, actor in scene.actors.items()}
+    else:
+        paths = {name: _keypoint_path(scene, name, times, keypoints) for name in scene.actors}
+        joints = dict.fromkeys(scene.actors, keypoints.names)
+    names = tuple(dict.fromkeys(joint for each in joints.values() for joint in each))
+    for person, path in paths.items():
+        wide = np.full((len(times), len(names), 3), np.nan)
+        wide[:, [names.index(joint) for joint in joints[person]]] = path
+        paths[person] = wide
+    people = [{name: path[frame] for name, path in paths.items()} for frame in range(len(times))]
+    return PoseSequence(names, stamps, people, source=str(scene.path or "the scene"))
+
+
+def frames_of(scene: Scene, span: tuple[int, int], around: float) -> tuple[int, int]:
+    """First and last frame of a scene that a span of stamps needs. Both are within the scene."""
+    margin = 0.5 + around * scene.config.rate
+    first, last = ((time - FIRST_STAMP) * 1e-9 * scene.config.rate for time in span)
+    first, last = max(0, int(first - margin)), max(1, int(last + margin))
+    if last - first >= MAX_TRUTH_FRAMES or first >= WALL_CLOCK_FRAME:
+        start, end = (f"{time * 1e-9:.3f} s" for time in span)
+        raise EvaluationError(
+            f"the times of the estimate, {start} to {end}, are not times of a scene, which begins at 0 s: "
+            "were they stamped with a wall clock? Record truth and estimate together and give the bag as "
+            "--truth, or run the scene in lockstep",
+            path=scene.path,
+            key="--truth",
+        )
+    return first, last
+
+
+def _paths(scene: Scene, name: str, times: NDArray[np.int64]) -> Iterator[Array]:
+    for begin in range(0, len(times), _BLOCK):
+        yield scene.actors[name].joint_paths(np.asarray(times[begin : begin + _BLOCK] * 1e-9, float))
+
+
+def _keypoint_path(scene: Scene, name: str, times: NDArray[np.int64], keypoints: KeypointSet) -> Array:
+    """Keypoints (F, K, 3) of a human. Bodies are skinned only for points of the skin."""
+    actor = scene.actors[name]
+    locator = KeypointLocator.of(actor.human, keypoints)
+    if locator.on_surface.any():
+        states = (actor.at(time * 1e-9) for time in times.tolist())
+        return np.stack([locator.positions(state.positions, state.vertices) for state in states])
+    joints = np.concatenate(list(_paths(scene, name, times)))
+    return np.stack([locator.positions(each, np.zeros((0, 3))) for each in joints])
+
+
+def bag_truth(path: str | os.PathLike[str], keypoints: KeypointSet | None = None) -> PoseSequence:
+    """Joints or keypoints of all humans of a recording.
+
+    Raises:
+        EvaluationError: The bag has no topic ``/humans/<id>/joints`` or ``/humans/<id>/keypoints/<set>``.
+        BagError: The bag cannot be read.
+    """
+    kind = "joints" if keypoints is None else f"keypoints/{keypoints.name}"
+    try:
+        return read_bag_topic(path, f"/humans/*/{kind}", ReadOptions()).sequence().checked()
+    except EvaluationError as error:
+        if "no topic" not in error.message:
+            raise
+        raise EvaluationError(
+            f"the bag has no truth: no topic /humans/<id>/{kind}. Record it as well, or give the scene",
+            path=path,
+            key="--truth",
+        ) from None
+
+
+def with_camera_counts(evaluation: Evaluation, scene: Scene) -> Evaluation:
+    """The result, with errors by number of cameras that have a joint in their image. Nothing is rendered, so
+    that an occluded joint in the image counts, too."""
+    if not len(evaluation.matches.stamp):  # nobody is matched
+        return evaluation
+    counts = camera_counts(scene, evaluation.matches.stamp, evaluation.matches.truth)
+    known = np.isfinite(evaluation.errors)
+    scores = {
+        str(count): CameraCountScore(len(own), mean_error(own))
+        for count in np.unique(counts[known]).tolist()
+        if len(own := evaluation.errors[known & (counts == count)])
+    }
+    return replace(evaluation, by_cameras=scores)
+
+
+def camera_counts(scene: Scene, stamps: Indices, joints: Array) -> Indices:
+    """Number of cameras (M, C) that have each joint in their image. ``stamps``: (M,) nanoseconds. ``joints``:
+    (M, C, 3) in ``map``, metres. NaN is in no image."""
+    counts = np.zeros(joints.shape[:2], np.intp)
+    frames = {stamp: frame_at(stamp - FIRST_STAMP, scene.config.rate) for stamp in np.unique(stamps).tolist()}
+    for camera in scene.scene_cameras.values():
+        pictured = [stamp for stamp, frame in frames.items() if frame in camera.timing]
+        blocks = [(camera.camera, np.flatnonzero(np.isin(stamps, pictured)))]
+        if camera.moves:
+            blocks = [
+                (camera.camera_at(camera.pose((stamp - FIRST_STAMP) * 1e-9)), np.flatnonzero(stamps == stamp))
+                for stamp in pictured
+            ]
+        for placed, rows in blocks:
+            pixels = placed.project(joints[rows].reshape(-1, 3))[0]
+            counts[rows] += _inside(pixels, placed.size).reshape(len(rows), -1)
+    return counts
+
+
+def _inside(pixels: Array, size: tuple[int, int]) -> Indices:
+    """1 for pixels (..., 2) inside an image with some width and height; 0 for others and NaN."""
+    inside = ((pixels >= -0.5) & (pixels < np.array(size) - 0.5)).all(axis=-1)
+    return np.asarray(inside, np.intp)

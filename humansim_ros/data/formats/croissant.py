@@ -1,0 +1,187 @@
+"""Data card of an export: Croissant 1.0, JSON-LD (https://docs.mlcommons.org/croissant/docs/croissant-spec.html)."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from pathlib import PurePosixPath
+from typing import Any
+
+from humansim_ros import __version__
+from humansim_ros.data.formats.writer import ExportFolder, FormatWriter, Record
+from humansim_ros.files.reading import read_table
+from humansim_ros.scene.config import AboutConfig
+
+#: Name of the card, in the root of the export.
+CARD = "croissant.json"
+#: The context, as the specification prints it; media types by suffix; and kinds of splits by usual names.
+_WORDS = read_table("croissant")
+_CONTEXT, _MEDIA_TYPES, _SPLITS = (_WORDS[name] for name in ("context", "media_types", "splits"))
+
+
+class CroissantWriter(FormatWriter):
+    """A card that describes the other formats of the export."""
+
+    def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
+        """Write the card into the root of the export, since paths in a card start from its folder. It lists
+        the files of the whole export with their hashes, and the images by camera. The writers of the other
+        formats must have finished."""
+        files = [
+            {
+                "@type": "cr:FileObject",
+                "@id": name,
+                "name": name,
+                "contentUrl": name,
+                "encodingFormat": _MEDIA_TYPES.get(PurePosixPath(name).suffix, "application/octet-stream"),
+                "contentSize": f"{entry['bytes']} B",
+                "sha256": entry["sha256"],
+            }
+            for name, entry in sorted(folder.written.items())
+        ]
+        folder.root_folder().write(CARD, json.dumps(self._card(files), indent=1) + "\n")
+
+    def _card(self, files: list[dict[str, Any]]) -> dict[str, Any]:
+        settings = self.settings
+        scene = settings.scene
+        first, last = settings.frames[0], settings.frames[-1]
+        made = (
+            f"Synthetic ground truth of {len(scene.people)} people seen by {len(scene.cameras)} cameras: "
+            f"frames {first} to {last} of a scene at {settings.rate:g} Hz, made by humansim_ros "
+            f"{__version__}. index.json has the scene, seeds, versions and the hashes of all files."
+        )
+        return {
+            "@context": _CONTEXT,
+            "@type": "sc:Dataset",
+            "conformsTo": "http://mlcommons.org/croissant/1.0",
+            **card_header(scene.about, scene.title, made, settings.license_links),
+            "distribution": [*files, *self._image_sets()],
+            "recordSet": [_image_records(camera) for camera in settings.cameras],
+        }
+
+    def _image_sets(self) -> list[dict[str, Any]]:
+        """The images of each camera as a set of files."""
+        suffix = self.settings.image_suffix
+        return [
+            {
+                "@type": "cr:FileSet",
+                "@id": f"images-{camera}",
+                "name": f"images-{camera}",
+                "description": f"Colour images of {camera}; their names are the numbers of the frames.",
+                "encodingFormat": _MEDIA_TYPES[suffix],
+                "includes": f"images/{camera}/*{suffix}",
+            }
+            for camera in self.settings.cameras
+        ]
+
+
+def _image_records(camera: str) -> dict[str, Any]:
+    """Records of the images of a camera: number of the frame, and image."""
+    name, files = f"frames-{camera}", f"images-{camera}"
+    fields = [
+        _field(f"{name}/frame", "sc:Text", files, {"fileProperty": "filename"}, r"^(\d+)\."),
+        _field(f"{name}/image", "sc:ImageObject", files, {"fileProperty": "content"}),
+    ]
+    return _records(name, fields, key={"@id": f"{name}/frame"})
+
+
+def card_header(about: AboutConfig, name: str, made: str, licenses: Mapping[str, str]) -> dict[str, Any]:
+    """Properties of a data set that its card begins with.
+
+    Args:
+        about: What the author of the data set says about it.
+        name: Name of the data set.
+        made: What it contains, and how it was made: a sentence or more.
+        licenses: Licences by name, with the addresses of their texts. An empty address is unknown.
+    """
+    authors = ", ".join(about.creators) or "humansim_ros"
+    stated = {
+        "license": [address or license for license, address in licenses.items()],
+        "creator": [{"@type": "sc:Person", "name": each} for each in about.creators],
+        "datePublished": about.date,
+        "url": about.url,
+    }
+    return {
+        "name": name,
+        "description": " ".join(filter(None, (about.description, made))),
+        "citeAs": about.citation or f"{authors}: {about.title or name}, {about.version}",
+        "version": about.version,
+        **{key: value for key, value in stated.items() if value},
+    }
+
+
+def data_set_card(
+    header: Mapping[str, Any], splits: Collection[str], image_suffix: str, metadata: str
+) -> dict[str, Any]:
+    """Content of the card of many scenes.
+
+    Args:
+        header: Properties of the data set, such as ``name`` and ``license``.
+        splits: Names of the splits, with folders that have the folders of the scenes.
+        image_suffix: Suffix of the images.
+        metadata: Name of the file of a scene with a line of JSON for each image.
+    """
+    kinds = {"images": _MEDIA_TYPES[image_suffix], "metadata": "application/jsonlines"}
+    patterns = {"images": f"images/*/*{image_suffix}", "metadata": metadata}
+    sets = [
+        {
+            "@type": "cr:FileSet",
+            "@id": f"{name}-files",
+            "name": f"{name}-files",
+            "description": f"{name.capitalize()} of all scenes, in folders SPLIT/SCENE.",
+            "encodingFormat": kinds[name],
+            "includes": f"*/scene_*/{pattern}",
+        }
+        for name, pattern in patterns.items()
+    ]
+    # mlcroissant 1.1.1 applies the patterns of two fields of a property to each other, and those of a
+    # reference twice: there is one field of each property, and the first folder matches its own name
+    images = [
+        _field("images/split", "sc:Text", "images-files", {"fileProperty": "fullpath"}, r"^([^/]+)")
+        | {"references": {"field": {"@id": "splits/name"}}},
+        _field("images/path", "sc:Text", "images-files", {"fileProperty": "filepath"}),
+        _field("images/frame", "sc:Text", "images-files", {"fileProperty": "filename"}, r"^(\d+)\."),
+        _field("images/image", "sc:ImageObject", "images-files", {"fileProperty": "content"}),
+    ]
+    columns = {"scene": "sc:Text", "camera": "sc:Text", "frame": "sc:Integer", "stamp": "sc:Integer"}
+    columns |= {"file_name": "sc:Text", "width": "sc:Integer", "height": "sc:Integer"}
+    lines = [
+        _field(f"metadata/{key}", kind, "metadata-files", {"column": key}) for key, kind in columns.items()
+    ]
+    names = [
+        {"@type": "cr:Field", "@id": f"splits/{key}", "name": key, "dataType": kind}
+        for key, kind in {"name": "sc:Text", "url": "sc:URL"}.items()
+    ]
+    data = [
+        {"splits/name": name, "splits/url": _SPLITS[name]} if name in _SPLITS else {"splits/name": name}
+        for name in splits
+    ]
+    return {
+        "@context": _CONTEXT,
+        "@type": "sc:Dataset",
+        "conformsTo": "http://mlcommons.org/croissant/1.0",
+        **header,
+        "distribution": sets,
+        "recordSet": [
+            _records("splits", names, dataType="cr:Split", key={"@id": "splits/name"}, data=data),
+            _records("images", images),
+            _records("metadata", lines),
+        ],
+    }
+
+
+def _field(
+    identifier: str, kind: str, file_set: str, extract: Mapping[str, str], regex: str = ""
+) -> dict[str, Any]:
+    """A field of records. Its values come from the files of a set."""
+    source = {"fileSet": {"@id": file_set}, "extract": dict(extract)}
+    return {
+        "@type": "cr:Field",
+        "@id": identifier,
+        "name": identifier.rpartition("/")[2],
+        "dataType": kind,
+        "source": source | ({"transform": {"regex": regex}} if regex else {}),
+    }
+
+
+def _records(name: str, fields: Sequence[Mapping[str, Any]], **more: Any) -> dict[str, Any]:
+    return {"@type": "cr:RecordSet", "@id": name, "name": name, **more, "field": list(fields)}

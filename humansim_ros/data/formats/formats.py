@@ -1,0 +1,108 @@
+"""The table of all export formats, ``config/export_formats.json``.
+
+To add a format: a :class:`~humansim_ros.data.formats.writer.FormatWriter` in a module of its family, a row of
+the table, a row of docs/export.md, and a test that reads the files with the reader of its field.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Any
+
+from humansim_ros.data.formats.writer import FormatWriter
+from humansim_ros.errors import ExportError, unknown
+from humansim_ros.files.reading import read_table
+from humansim_ros.render.interface import CHANNEL_TABLE
+from humansim_ros.scene.truth import REQUIRED_CHANNELS
+
+#: The format that writes the tree of colour images. Others that name images need it.
+IMAGES = "images"
+#: What formats may need of a frame next to channels: boxes of bodies, keypoints in the images, keypoints in
+#: ``map``, bodies with vertices and bones, sweeps of laser scanners, and sweeps if the scene has scanners.
+BOXES, KEYPOINTS, POSITIONS, BODIES, SWEEPS = "boxes", "keypoints", "positions", "bodies", "sweeps"
+ANY_SWEEPS = "any sweeps"
+#: Channels that a renderer needs for each of these.
+_CHANNELS_OF = {BOXES: REQUIRED_CHANNELS["boxes"], KEYPOINTS: REQUIRED_CHANNELS["joints"]}
+
+
+@dataclass(frozen=True)
+class ExportFormat:
+    """One format.
+
+    Attributes:
+        name: Name on the command line, and of the folder of its files.
+        title: One line for people.
+        writer_name: Module and class of its writer.
+        content: What it needs of a frame: channels of all cameras, and some of :data:`BOXES`,
+            :data:`KEYPOINTS`, :data:`POSITIONS`, :data:`BODIES`, :data:`SWEEPS` and :data:`ANY_SWEEPS`.
+        keypoints: Keypoint set that the format always has. Empty if there is a choice.
+        images: Whether its files name colour images, so that the tree of images is written, too.
+        needs: Python modules that it needs beyond the dependencies of the package.
+        extra: Extra of the package that brings them.
+    """
+
+    name: str
+    title: str
+    writer_name: str
+    content: frozenset[str] = frozenset()
+    keypoints: str = ""
+    images: bool = False
+    needs: tuple[str, ...] = ()
+    extra: str = "export"
+
+    @property
+    def writer(self) -> type[FormatWriter]:
+        """Class of its writer. The module of the class is imported only now."""
+        module, _, name = self.writer_name.partition(".")
+        kind: type[FormatWriter] = getattr(import_module(f"humansim_ros.data.formats.{module}"), name)
+        return kind
+
+    @property
+    def channels(self) -> frozenset[str]:
+        """Channels that all cameras of a scene render for the format. If it has none, nothing is rendered."""
+        derived = (channel for name in self.content for channel in _CHANNELS_OF.get(name, ()))
+        return frozenset(derived) | (self.content & CHANNEL_TABLE.keys())
+
+
+def _read(name: str, row: Mapping[str, Any]) -> ExportFormat:
+    content, needs = frozenset(row.get("content", ())), tuple(row.get("needs", ()))
+    return ExportFormat(name, **{**row, "content": content, "needs": needs})
+
+
+#: All formats by name, in the order in which they are written.
+EXPORT_FORMATS: dict[str, ExportFormat] = {
+    name: _read(name, row) for name, row in read_table("export_formats").items()
+}
+
+
+def chosen_formats(names: Sequence[str]) -> list[ExportFormat]:
+    """Rows of the table for names of formats, each once, in the order of the table. Needed images are added.
+
+    Raises:
+        ExportError: A name is unknown, there is none, or a format needs a library that is not installed.
+    """
+    wanted = set(names)
+    for name in names:
+        if name not in EXPORT_FORMATS:
+            raise ExportError(unknown("export format", name, EXPORT_FORMATS), key="--format")
+    if not wanted:
+        raise ExportError("give a format, such as coco; humansim export --list shows all", key="--format")
+    if any(EXPORT_FORMATS[name].images for name in wanted):
+        wanted.add(IMAGES)
+    rows = [row for row in EXPORT_FORMATS.values() if row.name in wanted]
+    for row in rows:
+        if missing := [module for module in row.needs if find_spec(module) is None]:
+            raise ExportError(
+                f"the format {row.name} needs {', '.join(missing)}; "
+                f"install it: pip install 'humansim_ros[{row.extra}]'",
+                key="--format",
+            )
+    return rows
+
+
+def needed_channels(formats: Collection[ExportFormat]) -> list[str]:
+    """Channels that some formats need together, in a fixed order."""
+    return sorted(frozenset[str]().union(*(row.channels for row in formats)))

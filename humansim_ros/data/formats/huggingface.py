@@ -1,0 +1,57 @@
+"""Metadata of the ``imagefolder`` of Hugging Face ``datasets``: a line of JSON for each image.
+
+``load_dataset`` reads the lines next to the images, wherever these lie below the file
+(https://huggingface.co/docs/datasets/image_dataset). Boxes and keypoints are those of :mod:`coco`.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+
+from humansim_ros.data.formats.coco import calibration_entry, person_keypoints
+from humansim_ros.data.formats.webdataset import box_entry
+from humansim_ros.data.formats.writer import ExportFolder, ExportFrame, FormatWriter, Record
+
+#: Name of the file, in the root of the export.
+METADATA = "metadata.jsonl"
+
+
+class MetadataWriter(FormatWriter):
+    """Image, camera and people of each line; people without visible pixels are left out."""
+
+    def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
+        """Lines of the images of a frame."""
+        lines = []
+        for camera, truth in frame.frame.truth.items():
+            keypoints = frame.frame.keypoints[self.settings.keypoints][camera]
+            people = [name for name in self.settings.scene.people if truth.boxes[name].pixels]
+            boxes = [box_entry(truth.boxes[name]) for name in people]
+            configs = self.settings.scene.configs
+            calibration = calibration_entry(frame.frame.cameras[camera])
+            lines.append(
+                {
+                    "file_name": frame.image(camera),
+                    "scene": self.settings.scene.title,
+                    "camera": camera,
+                    "frame": frame.index,
+                    "stamp": frame.frame.stamp,
+                    **calibration,
+                    "objects": {
+                        "name": people,
+                        "body": [str(configs[name].body) if name in configs else "" for name in people],
+                        "bbox": [box["bbox"] for box in boxes],
+                        "category": [0] * len(people),
+                        "area": [box["area"] for box in boxes],
+                        "visible_fraction": [box["visible_fraction"] for box in boxes],
+                        "keypoints": [person_keypoints(keypoints[name])["keypoints"] for name in people],
+                    },
+                }
+            )
+        return lines
+
+    def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
+        """Write the lines."""
+        with folder.root_folder().path(METADATA) as path, path.open("w", encoding="utf-8") as file:
+            for _, lines in records:
+                file.writelines(json.dumps(line) + "\n" for line in lines)

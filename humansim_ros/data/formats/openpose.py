@@ -1,0 +1,177 @@
+"""2D keypoints as OpenPose writes them, one JSON file per image, in the folders of a Pose2Sim project."""
+
+from __future__ import annotations
+
+import json
+import re
+import warnings
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.cameras.formats import write_calibration
+from humansim_ros.data.formats.writer import ExportFolder, ExportFrame, ExportSettings, FormatWriter, Record
+from humansim_ros.errors import ExportError, HumansimError, HumansimWarning
+from humansim_ros.files.reading import ANY_SIZE, read_text
+from humansim_ros.people.keypoints import KeypointSet, keypoint_set
+from humansim_ros.scene.truth import OCCLUDED, VISIBLE
+from humansim_ros.types import Array
+
+
+def calibration_text(settings: ExportSettings, format: str, cameras: Sequence[str] | None = None) -> str:
+    """Text of the calibration file of the cameras of a scene.
+
+    ``format``: name of a calibration format with one file for all cameras (docs/cameras.md). ``cameras``:
+    names, in the order of the file; all by default.
+
+    Raises:
+        ExportError: A camera moves, or the format cannot store its lens.
+    """
+    known = settings.scene.cameras
+    names = list(known) if cameras is None else cameras
+    if moving := [name for name in names if known[name].moves]:
+        raise ExportError(f"the camera {moving[0]} moves: this file is for fixed cameras only", key=format)
+    with TemporaryDirectory() as folder, warnings.catch_warnings():
+        warnings.simplefilter("ignore", HumansimWarning)  # of values that the format never has
+        path = Path(folder) / "calibration"
+        try:
+            write_calibration(path, {name: known[name].camera for name in names}, format)
+        except HumansimError as error:
+            raise ExportError(error.message, key=f"{format}: {error.key}" if error.key else format) from None
+        return read_text(path, ExportError, "calibration", ANY_SIZE)
+
+
+class AniposeWriter(FormatWriter):
+    """``calibration.toml`` of Anipose and aniposelib, in metres."""
+
+    def __init__(self, settings: ExportSettings) -> None:
+        super().__init__(settings)
+        self._calibration = calibration_text(settings, "anipose")
+
+    def finish(self, records: object, folder: ExportFolder) -> None:
+        folder.write("calibration.toml", self._calibration)
+
+
+#: Confidence of a keypoint that the camera sees, and of one that is occluded, since readers take 0 for "not
+#: found".
+VISIBLE_CONFIDENCE, OCCLUDED_CONFIDENCE = 1.0, 0.5
+#: Keypoint sets that Pose2Sim knows, and its names of them.
+POSE2SIM_MODELS = {"body25": "BODY_25", "openpose137": "BODY_25", "coco17": "COCO_17", "halpe26": "HALPE_26"}
+
+
+def openpose_keypoints(pixels: Array, visible: NDArray[np.uint8]) -> Array:
+    """Rows x, y, confidence (K, 3) from pixels (K, 2) and visibility (K,). Zeros outside the image."""
+    confidence = np.where(visible == VISIBLE, VISIBLE_CONFIDENCE, 0.0)
+    confidence[visible == OCCLUDED] = OCCLUDED_CONFIDENCE
+    found = confidence > 0
+    return np.where(found[:, None], np.column_stack([np.nan_to_num(pixels), confidence]), 0.0)
+
+
+def openpose_text(people: Sequence[Array], keypoints: KeypointSet) -> str:
+    """Text of the file of one image: keypoints (K, 3) of :func:`openpose_keypoints` of each.
+
+    Points of the face and the hands of the set of OpenPose are in fields of their own.
+
+    The file lists all people in the order given, those out of sight with zeros: entry n of all files is the
+    same person. ``person_id`` counts from 1.
+    """
+    entries = [
+        {
+            "person_id": [number],
+            **{
+                f"{field}_keypoints_2d": np.round(points[list(own)], 6).ravel().tolist()
+                for field, own in keypoints.openpose_fields.items()
+            },
+            **{f"{field}_keypoints_3d": [] for field in keypoints.openpose_fields},
+        }
+        for number, points in enumerate(people, 1)
+    ]
+    return json.dumps({"version": 1.3, "people": entries})
+
+
+def openpose_file(camera: str, frame: int) -> str:
+    """Path of the file of an image in a Pose2Sim project, such as
+    ``pose/camera_1_json/camera_1_000000000012_keypoints.json``.
+    """
+    return f"pose/{camera}_json/{camera}_{frame:012d}_keypoints.json"
+
+
+def pose2sim_order(cameras: Iterable[str]) -> list[str]:
+    """Order of Pose2Sim for folders of keypoints: by the last number in the name. Names without number come
+    last.
+
+    It takes cameras from ``Calib.toml`` in the order of the file, and compares no names.
+
+    Example:
+        >>> pose2sim_order(["camera_10", "left", "camera_2"])
+        ['camera_2', 'camera_10', 'left']
+    """
+
+    def key(name: str) -> tuple[bool, int, str]:
+        numbers = re.findall(r"\d+", name)
+        return (False, int(numbers[-1]), "") if numbers else (True, 0, name)
+
+    return sorted(cameras, key=key)
+
+
+class OpenPoseWriter(FormatWriter):
+    """A project of Pose2Sim: keypoints of all cameras in OpenPose's format, ``calibration/Calib.toml``,
+    ``Config.toml``. With this configuration, ``Pose2Sim.triangulation()`` runs."""
+
+    def __init__(self, settings: ExportSettings) -> None:
+        super().__init__(settings)
+        for name in settings.cameras:
+            if len(settings.frames_of(name)) < len(settings.frames):
+                raise ExportError(
+                    f"camera {name} has images at {settings.rate_of(name):g} Hz only, and Pose2Sim needs an "
+                    "image of every camera in each frame: export the scene without rates of its cameras",
+                    key="openpose",
+                )
+        self._cameras = pose2sim_order(settings.cameras)
+        self._calibration = calibration_text(settings, "anipose", self._cameras)
+
+    def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
+        keypoints = keypoint_set(self.settings.keypoints)
+        views = frame.frame.keypoints[keypoints.name]
+        for camera, people in views.items():
+            rows = [openpose_keypoints(person.pixels, person.visible) for person in people.values()]
+            folder.write(openpose_file(camera, frame.index), openpose_text(rows, keypoints))
+
+    def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
+        """Write the calibration and the configuration."""
+        folder.write("calibration/Calib.toml", self._calibration)
+        folder.write("Config.toml", self._config())
+
+    def _config(self) -> str:
+        settings = self.settings
+        distorted = any(camera.camera.distorted for camera in settings.scene.cameras.values())
+        people = len(settings.scene.people) > 1
+        lines = [
+            "[project]",
+            f"multi_person = {str(people).lower()}",
+            f"frame_rate = {round(settings.rate)}",
+            f"frame_range = [{settings.frames.start}, {settings.frames.stop}]",
+            "",
+            "[pose]",
+            *_pose_model(settings.keypoints),
+            "",
+            "[triangulation]",
+            "reproj_error_threshold_triangulation = 15",
+            "likelihood_threshold_triangulation = 0.3",
+            "min_cameras_for_triangulation = 2",
+            f"undistort_points = {str(distorted).lower()}",
+        ]
+        return "\n".join(lines) + "\n"
+
+
+def _pose_model(keypoints: str) -> list[str]:
+    """Lines of the section ``pose``: a skeleton of Pose2Sim, or one of a root with all points below it."""
+    if keypoints in POSE2SIM_MODELS:
+        return [f'pose_model = "{POSE2SIM_MODELS[keypoints]}"']
+    lines = ['pose_model = "CUSTOM"', "[pose.CUSTOM]", 'name = "root"', 'id = "None"']
+    for number, name in enumerate(keypoint_set(keypoints).names):
+        lines += ["[[pose.CUSTOM.children]]", f'name = "{name}"', f"id = {number}"]
+    return lines

@@ -1,0 +1,182 @@
+"""Sources of exports, which provide the frames. A scene is simulated; a bag is read
+(``data/formats/bag.py``)."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Protocol
+
+import cv2
+import numpy as np
+
+from humansim_ros import __version__
+from humansim_ros.data.formats.formats import ANY_SWEEPS, SWEEPS, ExportFormat, needed_channels
+from humansim_ros.data.formats.writer import ExportScene
+from humansim_ros.errors import ExportError
+from humansim_ros.render.device import OpenGLContext
+from humansim_ros.scene.core import Frame, Scene, SceneCamera, Simulation, scene_hash
+
+
+class FrameReader(Protocol):
+    """Provides frames in any order, in one process."""
+
+    def frame(self, index: int) -> Frame:
+        """A frame with what the formats need. Raises HumansimError if it cannot be rendered or read."""
+
+    def close(self) -> None:
+        """Free what is open."""
+
+
+class ExportSource(Protocol):
+    """A scene or bag, for some formats. It can be copied to another process."""
+
+    @property
+    def formats(self) -> Sequence[ExportFormat]:
+        """Rows of the formats."""
+
+    @property
+    def keypoints(self) -> str:
+        """Name of the keypoint set."""
+
+    @property
+    def scene(self) -> ExportScene:
+        """What the writers of formats know."""
+
+    @property
+    def hash(self) -> str:
+        """Hash that is equal for sources that give the same files."""
+
+    @property
+    def step(self) -> str:
+        """Name of the step that makes frames, for the summary of costs."""
+
+    @property
+    def count(self) -> int | None:
+        """Number of frames; None if there is no end."""
+
+    def device(self) -> str:
+        """Device that renders. Empty if nothing is rendered. Raises RenderError if OpenGL is missing."""
+
+    def open(self) -> FrameReader:
+        """Start to give frames. Raises HumansimError if this machine cannot."""
+
+    def provenance(self, frames: range) -> dict[str, Any]:
+        """Where the data of some frames come from, for the index of an export."""
+
+
+@dataclass(frozen=True)
+class SimulatedSource:
+    """A scene that is simulated.
+
+    Attributes:
+        simulated: The scene.
+        formats: Rows of the formats.
+        keypoints: Name of the keypoint set.
+        title: Name in the files. If empty, the name of the scene file.
+    """
+
+    simulated: Scene
+    formats: tuple[ExportFormat, ...]
+    keypoints: str = "coco17"
+    title: str = ""
+    step = "rendering and motion"
+    count = None
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.simulated, self.formats, self.keypoints, self.title)
+
+    @cached_property
+    def scene(self) -> ExportScene:
+        """What the writers of formats know."""
+        scene = ExportScene.of(self.simulated)
+        return replace(scene, title=self.title) if self.title else scene
+
+    @cached_property
+    def hash(self) -> str:
+        """Hash of the scene and of the files that it names."""
+        return scene_hash(self.simulated)
+
+    def device(self) -> str:
+        """Device that renders. Empty if nothing is rendered. Raises RenderError if OpenGL is missing."""
+        if not needed_channels(self.formats):
+            return ""
+        context = OpenGLContext()
+        context.close()
+        return context.device
+
+    def open(self) -> FrameReader:
+        """Load the renderer. Raises ExportError if a format needs a laser scanner and the scene has none."""
+        sweeping = [row.name for row in self.formats if SWEEPS in row.content]
+        if sweeping and not self.simulated.scanners:
+            raise ExportError(f"{sweeping[0]} needs a laser scanner, and the scene has none", key="--format")
+        wanted = sweeping or any(ANY_SWEEPS in row.content for row in self.formats)
+        return _SimulatedFrames(self.simulated, needed_channels(self.formats), None if wanted else ())
+
+    def provenance(self, frames: range) -> dict[str, Any]:
+        """Scene, seeds, versions, and the faults of cameras that have any."""
+        scene, config = self.simulated, self.simulated.config
+        origin = {
+            "scene_file": scene.path.name if scene.path else None,
+            "scene": config.model_dump(mode="json", exclude_defaults=True),
+            "seeds": dict(_seeds(config.model_dump(mode="json"), "")),
+            "versions": versions(),
+        }
+        faults = {
+            name: _faults(camera, frames) for name, camera in scene.scene_cameras.items() if camera.faults
+        }
+        return {**origin, "faults": faults} if faults else origin
+
+
+def _faults(camera: SceneCamera, frames: range) -> dict[str, Any]:
+    """What is wrong with each frame of a camera, whether its image is sent, and its published calibration."""
+    assert camera.faults is not None
+    published = camera.published_at(camera.pose(0.0))
+    of_frames = {index: camera.faults.at(index) for index in camera.timing.frames(frames)}
+    return {
+        "published_calibration": {key: getattr(published, key).tolist() for key in ("K", "R", "t")},
+        "lost": [index for index, faults in of_frames.items() if not faults.sent],
+        "frames": {str(index): dict(faults.kinds) for index, faults in of_frames.items() if faults.kinds},
+    }
+
+
+class _SimulatedFrames:
+    """Frames of a scene. If there are no channels, nothing is rendered. ``scanners``: see
+    :meth:`Simulation.frame`."""
+
+    def __init__(
+        self, scene: Scene, channels: Collection[str], scanners: Collection[str] | None = ()
+    ) -> None:
+        self._scanners = scanners
+        self._cameras = None if channels else ()
+        self._simulation = Simulation(scene, channels)
+
+    def frame(self, index: int) -> Frame:
+        """A frame, rendered now."""
+        return self._simulation.frame(index, self._cameras, scanners=self._scanners)
+
+    def close(self) -> None:
+        """Free the renderer."""
+        self._simulation.close()
+
+
+def versions() -> dict[str, str]:
+    """Versions of this package and of those that change numbers."""
+    return {
+        "humansim_ros": __version__,
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "opencv": cv2.__version__,
+    }
+
+
+def _seeds(value: Any, key: str) -> Iterator[tuple[str, int]]:
+    """Seeds of a configuration by key, defaults included."""
+    if isinstance(value, dict):
+        for name, part in value.items():
+            if name == "seed":
+                yield f"{key}{name}", part
+            else:
+                yield from _seeds(part, f"{key}{name}.")

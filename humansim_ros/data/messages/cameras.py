@@ -1,0 +1,222 @@
+"""Messages of a camera's calibration and pose, and messages of moving objects."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from humansim_ros.cameras.camera import Camera, Region
+from humansim_ros.data.messages.headers import WORLD_FRAME, header
+from humansim_ros.data.messages.types import (
+    CameraInfo,
+    ColorRGBA,
+    Float64MultiArray,
+    Marker,
+    MultiArrayDimension,
+    Point,
+    Pose,
+    PoseStamped,
+    Quaternion,
+    TransformStamped,
+    TwistStamped,
+    Vector3,
+)
+from humansim_ros.errors import CameraError, RosError, within_bounds
+from humansim_ros.geometry import ObjectPose, Velocity, matrix_to_quaternion, unit_quaternions
+from humansim_ros.scene.core import FURNITURE, CameraPose, SceneObject
+from humansim_ros.types import Array
+
+_WHOLE_SENSOR = Region()
+#: Most distortion coefficients of any lens model, and most characters of its name.
+_MAX_DISTORTION, _MAX_NAME = 14, 64
+
+
+def camera_info_message(camera: Camera, stamp: int, frame: str, region: Region = _WHOLE_SENSOR) -> CameraInfo:
+    """Build ``<camera>/camera_info``.
+
+    Size, K, D, R and P belong to the whole sensor, as drivers publish them. K contains the skew, which OpenCV
+    and image_geometry ignore. P has no skew.
+
+    Args:
+        camera: Camera of the whole sensor.
+        stamp: Nanoseconds.
+        frame: Optical frame of the camera.
+        region: Binning and region of interest of the images.
+    """
+    message = CameraInfo(header=header(stamp, frame), width=camera.size[0], height=camera.size[1])
+    message.distortion_model = camera.model
+    message.d = list(camera.distortion)
+    message.k = camera.K.ravel()
+    message.r = camera.rectification_matrix.ravel()
+    message.p = camera.rectified_projection.ravel()
+    if not region.whole:
+        message.binning_x, message.binning_y = region.binning
+    if region.roi is not None:
+        message.roi.x_offset, message.roi.y_offset, message.roi.width, message.roi.height = region.roi
+    return message
+
+
+def read_camera_info(message: CameraInfo) -> Camera:
+    """Read the camera of a CameraInfo, at the origin. Raises CameraError if it is not a valid camera."""
+    if len(message.d) > _MAX_DISTORTION or len(message.distortion_model) > _MAX_NAME:
+        raise CameraError(f"a lens with more than {_MAX_DISTORTION} coefficients, or of no known model")
+    if not within_bounds([*message.k, *message.d, *message.r, *message.p]):
+        raise CameraError("a number of a calibration is not finite, or above a million")
+    k, r = np.reshape(message.k, (3, 3)), np.reshape(message.r, (3, 3))
+    return Camera(
+        (message.width, message.height),
+        k,
+        np.eye(3),
+        np.zeros(3),
+        tuple(message.d),
+        {"": None, "fisheye": "equidistant"}.get(message.distortion_model, message.distortion_model),
+        r if r.any() else None,
+        np.reshape(message.p, (3, 4)) if np.any(message.p) else None,
+    )
+
+
+def read_region(message: CameraInfo) -> Region:
+    """Read binning and region of interest of a CameraInfo."""
+    roi = message.roi
+    window = (roi.x_offset, roi.y_offset, roi.width, roi.height)
+    return Region(
+        window if roi.width and roi.height else None, (message.binning_x or 1, message.binning_y or 1)
+    )
+
+
+def pose_message(pose: CameraPose, stamp: int) -> PoseStamped:
+    """Build ``<camera>/pose``: pose of the optical frame of a moving camera in ``map``."""
+    message = PoseStamped(header=header(stamp, WORLD_FRAME))
+    x, y, z = pose.position.tolist()
+    message.pose.position = Point(x=x, y=y, z=z)
+    x, y, z, w = pose.rotation.tolist()
+    message.pose.orientation = Quaternion(x=x, y=y, z=z, w=w)
+    return message
+
+
+def read_pose(message: PoseStamped) -> CameraPose:
+    """Read a ``<camera>/pose`` message. Raises RosError if the pose is not in ``map``, not finite, or has no
+    valid rotation."""
+    if message.header.frame_id != WORLD_FRAME:
+        raise RosError(f"a camera's pose must be in {WORLD_FRAME}, this is in {message.header.frame_id!r}")
+    return CameraPose.at(*rigid_pose(message.pose, "a camera's pose"))
+
+
+def rigid_pose(pose: Pose, what: str) -> tuple[Array, Array]:
+    """Position (3,) and rotation (4,) xyzw of a message. Raises RosError with the text ``what`` for the
+    pose."""
+    p, q = pose.position, pose.orientation
+    position, rotation = np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w])
+    if not within_bounds([*position, *rotation]) or not abs(np.linalg.norm(rotation) - 1) < 1e-3:
+        raise RosError(f"{what} is not finite, is more than 1000 km away, or its quaternion has not length 1")
+    return position, unit_quaternions(rotation)
+
+
+def extrinsics_message(camera: Camera, stamp: int, frame: str, parent: str = WORLD_FRAME) -> TransformStamped:
+    """Build ``<camera>/extrinsics``: pose of the optical frame in its parent frame, as tf expects it.
+
+    Args:
+        camera: Camera. Its world is the parent frame.
+        stamp: Nanoseconds.
+        frame: Optical frame of the camera.
+        parent: The parent frame.
+    """
+    return transform_message(camera.center, matrix_to_quaternion(camera.R.T), stamp, parent, frame)
+
+
+def transform_message(
+    position: Array, rotation: Array, stamp: int, frame: str, child: str
+) -> TransformStamped:
+    """Build a transform, as tf expects it.
+
+    Args:
+        position: Position (3,) of the child frame in the frame, metres.
+        rotation: Rotation (4,) xyzw of the child frame.
+        stamp: Nanoseconds.
+        frame: The frame.
+        child: The child frame.
+    """
+    message = TransformStamped(header=header(stamp, frame), child_frame_id=child)
+    x, y, z = position.tolist()
+    message.transform.translation = Vector3(x=x, y=y, z=z)
+    x, y, z, w = rotation.tolist()
+    message.transform.rotation = Quaternion(x=x, y=y, z=z, w=w)
+    return message
+
+
+def read_extrinsics(message: TransformStamped) -> CameraPose:
+    """Read an ``<camera>/extrinsics`` message. Raises RosError in the cases of :func:`read_pose`."""
+    p, q = message.transform.translation, message.transform.rotation
+    position = Point(x=p.x, y=p.y, z=p.z)
+    return read_pose(PoseStamped(header=message.header, pose=Pose(position=position, orientation=q)))
+
+
+def projection_message(camera: Camera) -> Float64MultiArray:
+    """Build ``<camera>/projection``: the 3x4 matrix P = K [R | t] from ``map`` to pixels, row by row."""
+    message = Float64MultiArray(data=camera.P.ravel().tolist())
+    message.layout.dim = [
+        MultiArrayDimension(label="rows", size=3, stride=12),
+        MultiArrayDimension(label="columns", size=4, stride=4),
+    ]
+    return message
+
+
+_MARKER_TYPES = {"box": Marker.CUBE, "sphere": Marker.SPHERE, "cylinder": Marker.CYLINDER}
+
+
+def object_message(scene_object: SceneObject, pose: ObjectPose, stamp: int) -> Marker:
+    """Build ``objects/<name>/marker``: a moving object with its pose and size, as RViz shows it."""
+    furniture = scene_object.shape in FURNITURE
+    other = Marker.TRIANGLE_LIST if furniture else Marker.MESH_RESOURCE
+    shape = _MARKER_TYPES.get(scene_object.shape, other)
+    marker = Marker(header=header(stamp, WORLD_FRAME), ns=f"objects/{scene_object.name}", type=shape)
+    marker.action = Marker.ADD
+    x, y, z = pose.position.tolist()
+    qx, qy, qz, qw = pose.rotation.tolist()
+    marker.pose = Pose(position=Point(x=x, y=y, z=z), orientation=Quaternion(x=qx, y=qy, z=qz, w=qw))
+    marker.scale = Vector3(**dict(zip("xyz", pose.size.tolist(), strict=True)))
+    red, green, blue = (c / 255 for c in scene_object.color)
+    marker.color = ColorRGBA(r=red, g=green, b=blue, a=1.0)
+    if shape == Marker.MESH_RESOURCE:
+        marker.mesh_resource = Path(scene_object.shape).as_uri()
+    elif furniture:
+        marker.points = _triangle_points(scene_object.shape)
+    return marker
+
+
+@lru_cache
+def _triangle_points(name: str) -> list[Point]:
+    """Corners of the triangles of a built-in piece of furniture, three for each."""
+    mesh = FURNITURE[name].mesh()
+    return [Point(x=x, y=y, z=z) for x, y, z in mesh.vertices[mesh.triangles].reshape(-1, 3).tolist()]
+
+
+def read_object(message: Marker) -> ObjectPose:
+    """Read the object pose of a ``marker`` message. Raises RosError if it is not finite or has no size."""
+    p, q, s = message.pose.position, message.pose.orientation, message.scale
+    pose = ObjectPose(np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w]), np.array([s.x, s.y, s.z]))
+    if not within_bounds([*pose.position, *pose.rotation, *pose.size]):
+        raise RosError("an object's pose or size is not finite, or above 1000 km")
+    if not abs(np.linalg.norm(pose.rotation) - 1) < 1e-3 or not (pose.size > 0).all():
+        raise RosError("an object's quaternion has not length 1, or its size is 0")
+    return pose
+
+
+def twist_message(velocity: Velocity | None, stamp: int) -> TwistStamped:
+    """Build ``objects/<name>/twist`` or ``<camera>/twist``: velocity in the axes of ``map``. An unknown
+    velocity is NaN."""
+    linear, angular = (np.full(3, np.nan),) * 2 if velocity is None else (velocity.linear, velocity.angular)
+    message = TwistStamped(header=header(stamp, WORLD_FRAME))
+    for part, value in ((message.twist.linear, linear), (message.twist.angular, angular)):
+        part.x, part.y, part.z = value.tolist()
+    return message
+
+
+def read_twist(message: TwistStamped) -> Velocity | None:
+    """Read the velocity of a ``twist`` message. None if the velocity is not finite, or beyond the bounds of
+    :mod:`humansim_ros.errors`."""
+    parts = message.twist.linear, message.twist.angular
+    linear, angular = (np.array([part.x, part.y, part.z]) for part in parts)
+    return Velocity(linear, angular) if within_bounds([*linear, *angular]) else None

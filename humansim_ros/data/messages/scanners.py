@@ -1,0 +1,181 @@
+"""Messages of laser scanners: points in the layouts of drivers, LaserScan, and ground truth."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.cameras.scanner import Layout, Rays
+from humansim_ros.data.messages.headers import header
+from humansim_ros.data.messages.points import point_cloud, read_points
+from humansim_ros.data.messages.types import LaserScan, PointCloud2
+from humansim_ros.scene.features import SceneScanner, Sweep
+
+#: Intensity of a white surface at a right angle, in the layouts of drivers.
+WHITE = 255.0
+
+
+def _packed(*fields: tuple[str, str]) -> np.dtype[Any]:
+    return np.dtype([(name, f"<{kind}") for name, kind in fields])
+
+
+_XYZ = (("x", "f4"), ("y", "f4"), ("z", "f4"))
+#: One point of ``<scanner>/points`` by layout, as the ROS 2 driver of the maker defines it:
+#: velodyne_pointcloud (PointXYZIRT), ouster_ros (Point), livox_ros_driver2 (PointXYZRTLT), nebula and
+#: Autoware (PointXYZIRCAEDT).
+SCANNER_POINTS: dict[Layout, np.dtype[Any]] = {
+    "velodyne": _packed(*_XYZ, ("intensity", "f4"), ("ring", "u2"), ("time", "f4")),
+    "ouster": np.dtype(
+        {
+            "names": ["x", "y", "z", "intensity", "t", "reflectivity", "ring", "ambient", "range"],
+            "formats": ["<f4", "<f4", "<f4", "<f4", "<u4", "<u2", "<u2", "<u2", "<u4"],
+            "offsets": [0, 4, 8, 16, 20, 24, 26, 28, 32],
+            "itemsize": 48,
+        }
+    ),
+    "livox": _packed(*_XYZ, ("intensity", "f4"), ("tag", "u1"), ("line", "u1"), ("timestamp", "f8")),
+    "autoware": _packed(
+        *_XYZ,
+        ("intensity", "u1"),
+        ("return_type", "u1"),
+        ("channel", "u2"),
+        ("azimuth", "f4"),
+        ("elevation", "f4"),
+        ("distance", "f4"),
+        ("time_stamp", "u4"),
+    ),
+    "xyzi": _packed(*_XYZ, ("intensity", "f4")),
+}
+#: One point of ``<scanner>/truth/points``: the true point and distance, and the labels of the surface.
+SCANNER_TRUTH = _packed(
+    *_XYZ, ("range", "f4"), ("time", "f4"), ("instance", "u2"), ("part", "u1"), ("ring", "u1")
+)
+
+
+def scanner_frame(scanner: str) -> str:
+    """Frame of a scanner: x forward, y left, z up (REP-103)."""
+    return f"{scanner}_frame"
+
+
+def points_message(sweep: Sweep, layout: Layout, frame: str) -> PointCloud2:
+    """Build ``<scanner>/points``. In layout ``ouster``, it is a table of rings and columns, with NaN where
+    nothing is measured.
+
+    Args:
+        sweep: The sweep.
+        layout: Name of the layout.
+        frame: Frame of the scanner.
+    """
+    returns, rays = sweep.returns, _numbered(sweep, layout)
+    points = np.zeros(len(returns.rays), SCANNER_POINTS[layout])
+    _put(points, "xyz", sweep.points)
+    names, time = points.dtype.names or (), sweep.times + (sweep.start - sweep.stamp)
+    rings, white = rays.rings[returns.rays], WHITE * returns.intensities
+    values: dict[str, Any] = {
+        "ring": lambda: rings,
+        "channel": lambda: rings,
+        "line": lambda: rings,
+        "time": lambda: time * 1e-9,
+        "t": lambda: np.maximum(time, 0),
+        "time_stamp": lambda: np.maximum(time, 0),
+        "timestamp": lambda: (sweep.start + sweep.times).astype(float),
+        "range": lambda: np.rint(returns.measured * 1e3),
+        "reflectivity": lambda: np.minimum(white, 65535),
+        "return_type": lambda: returns.kinds,
+        "distance": lambda: returns.measured,
+        "azimuth": lambda: np.arctan2(points["y"], points["x"]),
+        "elevation": lambda: np.arctan2(points["z"], np.hypot(points["x"], points["y"])),
+    }
+    for name in names:
+        if name in values:
+            points[name] = values[name]()
+    points["intensity"] = white if points["intensity"].dtype.kind == "f" else np.minimum(np.rint(white), 255)
+    head = header(sweep.stamp, frame)
+    if layout != "ouster" or rays.grid is None or not _one_each(returns.rays):
+        return point_cloud(points, head)
+    return _table(sweep, rays, points, head)
+
+
+def _numbered(sweep: Sweep, layout: Layout) -> Rays:
+    """Rays of a sweep. In layout ``ouster``, rings are the rows of the table, and the highest is row 0."""
+    return sweep.rays.from_top() if layout == "ouster" else sweep.rays
+
+
+def _one_each(rays: NDArray[np.intp]) -> bool:
+    return bool((np.diff(rays) > 0).all())
+
+
+def _table(sweep: Sweep, rays: Rays, points: NDArray[Any], head: Any) -> PointCloud2:
+    """Cloud of rings and columns. Each ray has a point."""
+    assert rays.grid is not None
+    rings, columns = rays.grid
+    table = np.zeros((rings, columns), points.dtype)
+    for axis in "xyz":
+        table[axis] = np.nan
+    place = rays.rings, np.arange(len(rays)) // rings
+    table["ring"][place] = place[0]
+    table["t"][place] = np.maximum(rays.times + (sweep.start - sweep.stamp), 0)
+    chosen = sweep.returns.rays
+    table[place[0][chosen], place[1][chosen]] = points
+    return point_cloud(table, head)
+
+
+def _put(points: NDArray[Any], names: str, values: NDArray[Any]) -> None:
+    for number, name in enumerate(names):
+        points[name] = values[:, number]
+
+
+def scan_message(sweep: Sweep, scanner: SceneScanner, frame: str) -> LaserScan:
+    """Build ``<scanner>/scan``. The range is infinite where nothing is within range (REP-117)."""
+    rays, returns = sweep.rays, sweep.returns
+    assert rays.azimuths is not None
+    first, step = rays.azimuths
+    low, high = scanner.measuring.range
+    ranges, intensities = np.full(len(rays), np.inf, np.float32), np.zeros(len(rays), np.float32)
+    ranges[returns.rays], intensities[returns.rays] = returns.measured, WHITE * returns.intensities
+    message = LaserScan(header=header(sweep.stamp, frame))
+    message.angle_min, message.angle_increment = first, step
+    message.angle_max = first + step * (len(rays) - 1)
+    message.time_increment = float(rays.times[1] * 1e-9) if len(rays) > 1 else 0.0
+    message.scan_time = (sweep.end - sweep.start) * 1e-9
+    message.range_min, message.range_max = float(low), float(high)
+    message.ranges, message.intensities = ranges.tolist(), intensities.tolist()
+    return message
+
+
+def scanner_truth_message(sweep: Sweep, layout: Layout, frame: str) -> PointCloud2:
+    """Build ``<scanner>/truth/points``: as many points as the message of the layout, in the same order. In a
+    LaserScan and in layout ``ouster``, a ray without a return has a point of NaN."""
+    returns, rays = sweep.returns, _numbered(sweep, layout)
+    points = np.zeros(len(returns.rays), SCANNER_TRUTH)
+    _put(points, "xyz", sweep.true_points)
+    points["range"], points["time"] = returns.ranges, (sweep.times + (sweep.start - sweep.stamp)) * 1e-9
+    points["instance"], points["part"] = sweep.instances, sweep.parts
+    points["ring"] = np.minimum(rays.rings[returns.rays], 255)
+    head = header(sweep.stamp, frame)
+    table = layout == "ouster" and rays.grid is not None and _one_each(returns.rays)
+    if layout != "scan" and not table:
+        return point_cloud(points, head)
+    every = np.zeros(len(rays), SCANNER_TRUTH)
+    for name in ("x", "y", "z", "range"):
+        every[name] = np.nan
+    every["time"] = (rays.times + (sweep.start - sweep.stamp)) * 1e-9
+    every["ring"] = np.minimum(rays.rings, 255)
+    every[returns.rays] = points
+    if table:
+        assert rays.grid is not None
+        rings, columns = rays.grid
+        ordered = np.zeros((rings, columns), SCANNER_TRUTH)
+        ordered[rays.rings, np.arange(len(rays)) // rings] = every
+        return point_cloud(ordered, head)
+    message = point_cloud(every, head)
+    message.is_dense = False
+    return message
+
+
+def read_scanner_truth(message: PointCloud2) -> NDArray[Any]:
+    """Read ``<scanner>/truth/points`` as a structured array (P,) of :data:`SCANNER_TRUTH`. Raises RosError
+    for another layout."""
+    return read_points(message, SCANNER_TRUTH.names or ())

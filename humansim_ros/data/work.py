@@ -1,0 +1,327 @@
+"""Implementation of the functions of ``humansim_ros.data.api``."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from humansim_ros.data.api import Comparison
+from humansim_ros.errors import BagError, EvaluationError, ExportError, RenderError, warn_about
+
+if TYPE_CHECKING:
+    from humansim_ros.data.datasets.data_set import DataSet
+    from humansim_ros.data.engine.frame_job import FrameProgress
+    from humansim_ros.data.evaluation.export_truth import ExportTruth
+    from humansim_ros.data.evaluation.truth import RecordedTruth, SceneTruth
+    from humansim_ros.data.formats.formats import ExportFormat
+    from humansim_ros.data.formats.source import ExportSource
+    from humansim_ros.scene.core import Scene
+
+
+#: Default values of the options for 3D poses. Any other value counts as given.
+_DEFAULTS = {"scale": 1, "offset": 0}
+
+
+def compare(truth: Path, estimate: Sequence[str], min_score: float | None, **options: Any) -> Comparison:
+    """Compare an estimate with the truth. All parameters are those of
+    :func:`humansim_ros.data.api.evaluate`."""
+    from humansim_ros.data.evaluation.readers.box_files import is_box_file
+    from humansim_ros.data.evaluation.readers.detections import is_of_images
+    from humansim_ros.data.evaluation.readers.robot_paths import is_robot_path
+
+    radius = options.pop("radius")
+    if any(map(is_robot_path, estimate)):
+        _refuse({**options, "min-score": min_score}, "the path of a robot")
+        return _navigation(truth, estimate, radius)
+    if radius is not None:
+        text = f"needs the path of a robot; {', '.join(estimate)} does not exist or is not one"
+        raise EvaluationError(text, key="--radius")
+    in_images = any(map(is_of_images, estimate))
+    if any(map(is_box_file, estimate)) and not in_images:
+        gate = options.pop("gate")
+        _refuse({**options, "min-score": min_score}, "upright boxes")
+        return _boxes(truth, estimate, gate)
+    if in_images:
+        keypoints = options.pop("keypoints")
+        _refuse(options, "detections in images")
+        return _images(truth, estimate, keypoints, min_score)
+    if min_score is not None:
+        raise EvaluationError("is for detections in images; the estimate is 3D poses", key="--min-score")
+    return _poses(truth, estimate, **options)
+
+
+def _refuse(options: Mapping[str, Any], content: str) -> None:
+    """Raise EvaluationError if options for 3D poses are given with another kind of estimate."""
+    for name, value in options.items():
+        if value != _DEFAULTS.get(name):
+            raise EvaluationError(f"is for 3D poses; the estimate is {content}", key=f"--{name}")
+
+
+def _open_truth(path: Path) -> SceneTruth | RecordedTruth | ExportTruth:
+    from humansim_ros.data.evaluation.export_truth import ExportTruth, is_export
+    from humansim_ros.data.evaluation.truth import open_truth
+
+    return ExportTruth(path) if is_export(path) else open_truth(path)
+
+
+def _poses(
+    truth: Path,
+    estimate: Sequence[str],
+    keypoints: str | None,
+    names: str | os.PathLike[str] | None,
+    scale: float,
+    axes: str | None,
+    offset: float | Literal["auto"],
+    gate: float | None,
+) -> Comparison:
+    """Compare 3D poses."""
+    from humansim_ros.data.evaluation.alignment import MAX_OFFSET
+    from humansim_ros.data.evaluation.evaluation import DEFAULT_GATE, evaluate_poses
+    from humansim_ros.data.evaluation.html import html_report
+    from humansim_ros.data.evaluation.joint_names import read_names, set_of_names
+    from humansim_ros.data.evaluation.pictures import ScenePictures
+    from humansim_ros.data.evaluation.readers.estimates import read_estimates
+    from humansim_ros.data.evaluation.readers.pose_files import ReadOptions
+    from humansim_ros.data.evaluation.report import show, to_data
+    from humansim_ros.data.evaluation.truth import RecordedTruth, SceneTruth, with_camera_counts
+    from humansim_ros.people.keypoints import keypoint_set
+
+    late = None if offset == "auto" else offset
+    given = read_names(Path(names)) if names is not None else None
+    source = _open_truth(truth)
+    points = keypoint_set(keypoints) if keypoints is not None else None
+    listed = tuple(given) if isinstance(given, list) else points.names if points is not None else None
+    estimated = read_estimates(estimate, ReadOptions(listed, source.period, source.start, axes, scale))
+    shift = round((late or 0.0) * 1e9)
+    if points is None and isinstance(source, SceneTruth):
+        points = set_of_names(estimated.names)
+    times = estimated.times.tolist() or [source.start + shift]  # for a scene, the first frames
+    span = times[0] - shift, times[-1] - shift
+    result = evaluate_poses(
+        source.poses(span, MAX_OFFSET if estimated.count else 0.0, points),
+        estimated,
+        names=given if isinstance(given, dict) else None,
+        gate=DEFAULT_GATE if gate is None else gate,
+        offset=late,
+    )
+    if isinstance(source, SceneTruth):
+        result = with_camera_counts(result, source.scene)
+
+    def page() -> str:
+        if isinstance(source, RecordedTruth):
+            return html_report(result)
+        opened = ScenePictures(source.scene) if isinstance(source, SceneTruth) else source.pictures()
+        try:
+            with closing(opened) as pictures:
+                return html_report(result, pictures)
+        except RenderError as error:
+            warn_about(truth, f"the report has no images: {error}")
+            return html_report(result)
+
+    return Comparison(to_data(result), show(result), page)
+
+
+def _boxes(truth: Path, estimate: Sequence[str], gate: float | None) -> Comparison:
+    """Compare upright boxes."""
+    from humansim_ros.data.evaluation.boxes import DEFAULT_GATE, evaluate_boxes
+    from humansim_ros.data.evaluation.export_truth import ExportTruth, is_export, open_box_truth
+    from humansim_ros.data.evaluation.html import table_html_report
+    from humansim_ros.data.evaluation.readers.box_files import read_box_file
+    from humansim_ros.data.evaluation.report import BOX_HEADER, box_rows, box_summary, show_boxes, to_data
+
+    if len(estimate) > 1:
+        raise EvaluationError("give one file of boxes", key="--estimate")
+    found = read_box_file(Path(estimate[0]))
+    if not found.frames and is_export(truth) and "aicity" not in ExportTruth(truth).formats:
+        return _images(truth, estimate, None, None)  # the file is one of MOTChallenge
+    result = evaluate_boxes(open_box_truth(truth, found), found, DEFAULT_GATE if gate is None else gate)
+
+    def page() -> str:
+        return table_html_report(result, box_summary(result), BOX_HEADER, box_rows(result))
+
+    return Comparison(to_data(result), show_boxes(result), page)
+
+
+def _navigation(truth: Path, estimate: Sequence[str], radius: float | None) -> Comparison:
+    """Compare the path of a robot with the people of the truth."""
+    from humansim_ros.data.evaluation.export_truth import is_export
+    from humansim_ros.data.evaluation.html import table_html_report
+    from humansim_ros.data.evaluation.navigation import DEFAULT_RADIUS, evaluate_navigation
+    from humansim_ros.data.evaluation.nearby import bag_nearby, robot_size, scene_nearby
+    from humansim_ros.data.evaluation.readers.estimates import is_bag
+    from humansim_ros.data.evaluation.readers.robot_paths import read_robot_path
+    from humansim_ros.data.evaluation.report import (
+        CLOSENESS_HEADER,
+        closeness_rows,
+        navigation_summary,
+        show_navigation,
+        to_data,
+    )
+    from humansim_ros.scene.core import Scene
+
+    if len(estimate) > 1:
+        raise EvaluationError("give the path of one robot", key="--estimate")
+    if is_export(truth):
+        raise EvaluationError("the truth around a robot is a scene or a bag", path=truth, key="--truth")
+    scene = None if is_bag(truth) else Scene.load(truth)
+    path = read_robot_path(estimate[0], scene)
+    nearby = bag_nearby(truth, path) if scene is None else scene_nearby(scene, path)
+    size = None if scene is None else robot_size(scene)
+    if radius is None:
+        radius = DEFAULT_RADIUS if size is None else size[0]
+    result = evaluate_navigation(nearby, path.source, radius)
+
+    def page() -> str:
+        return table_html_report(result, navigation_summary(result), CLOSENESS_HEADER, closeness_rows(result))
+
+    return Comparison(to_data(result), show_navigation(result), page)
+
+
+def _images(
+    truth: Path, estimate: Sequence[str], keypoints: str | None, min_score: float | None
+) -> Comparison:
+    """Compare detections in images."""
+    from humansim_ros.data.evaluation.export_truth import open_image_truth
+    from humansim_ros.data.evaluation.html import image_html_report
+    from humansim_ros.data.evaluation.images import evaluate_images
+    from humansim_ros.data.evaluation.readers.detections import read_image_estimates
+    from humansim_ros.data.evaluation.report import show_images, to_data
+    from humansim_ros.people.keypoints import keypoint_set
+
+    source = open_image_truth(truth, keypoints)
+    found = read_image_estimates(estimate, source, keypoint_set(keypoints) if keypoints else None)
+    numbers = found.images if found.images is not None else {row["image_id"] for row in found.results}
+    result = evaluate_images(source.images(numbers, found.keypoints), found, min_score or 0.0)
+
+    def page() -> str:
+        with closing(source.pictures()) as pictures:
+            return image_html_report(result, pictures)
+
+    return Comparison(to_data(result), show_images(result), page)
+
+
+def write_bag(
+    scene: Scene | str | os.PathLike[str] | None,
+    output: Path,
+    frames: int | None,
+    seconds: float | None,
+    topics: Sequence[str],
+    jobs: int | None,
+    resume: bool,
+    on_progress: Callable[[int, int], None],
+    **options: Any,
+) -> None:
+    """Record a scene. See :func:`humansim_ros.data.api.record`.
+
+    Args:
+        scene, output, frames, seconds, topics, jobs, resume, on_progress: The same as there.
+        options: Options of :class:`RecordingPlan`.
+    """
+    from humansim_ros.data.recording import SceneRecording, record
+    from humansim_ros.files.reading import cores
+
+    if (frames is None) == (seconds is None):
+        raise BagError("give either frames or seconds", key="record")
+    loaded, processes = _loaded(scene), jobs or cores()
+    count = frames if frames is not None else max(1, round((seconds or 0.0) * loaded.config.rate))
+    recording = SceneRecording.of(loaded, count, topics, jobs=processes, **options)
+    record(recording, output, processes, resume, lambda state: on_progress(state.done, state.frames))
+
+
+def write_data_set(
+    source: Scene | str | os.PathLike[str] | None,
+    output: Path,
+    formats: Sequence[str],
+    scenes: int | None,
+    frames: int | range | None,
+    keypoints: str,
+    images: str,
+    shard_size: int,
+    jobs: int | None,
+    resume: bool,
+    on_progress: Callable[[int, int], None],
+) -> None:
+    """Export a scene, bag or recipe. See :func:`humansim_ros.data.api.export`.
+
+    Args:
+        source, output, formats, scenes, frames, keypoints, images, shard_size, jobs, resume: The same as
+            there.
+        on_progress: The same as there.
+    """
+    from humansim_ros.data.formats.exporting import Export, export
+    from humansim_ros.data.formats.formats import chosen_formats
+    from humansim_ros.data.formats.plan import ExportPlan
+    from humansim_ros.files.reading import cores
+
+    def show(state: FrameProgress) -> None:
+        on_progress(state.done, state.frames)
+
+    options = {"--format": formats, "--frames": frames, "--keypoints": keypoints, "--images": images}
+    drawn = recipe_data_set(source, output, scenes, options | {"--shard-size": shard_size})
+    if drawn is not None:
+        from humansim_ros.data.datasets import data_set
+
+        data_set.write_data_set(drawn, jobs or cores(), resume, show)
+        return
+    chosen = range(frames) if isinstance(frames, int) else frames
+    opened = export_source(source, tuple(chosen_formats(formats)), keypoints)
+    job = Export(opened, ExportPlan.of(opened, chosen, f".{images}", shard_size), output)
+    export(job, jobs or cores(), resume, show)
+
+
+def recipe_data_set(
+    source: Scene | str | os.PathLike[str] | None,
+    output: Path,
+    scenes: int | None,
+    options: Mapping[str, Any],
+) -> DataSet | None:
+    """Create the data set of many scenes if the source is a recipe; else None.
+
+    Args:
+        source: Scene, bag or recipe.
+        output: Folder of the data set.
+        scenes: Number of scenes, in place of that in the recipe.
+        options: Options of an export of one scene, by name, such as ``--format``.
+
+    Raises:
+        ExportError: The recipe is wrong, an option does not fit a recipe, or ``scenes`` is given without a
+            recipe.
+        RenderError: OpenGL is missing.
+    """
+    from humansim_ros.files.yaml import has_key
+    from humansim_ros.scene.config import RECIPE
+
+    if not isinstance(source, (str, os.PathLike)) or not has_key(Path(source), RECIPE):
+        if scenes is not None:
+            raise ExportError("is for recipes; a scene file is one scene", key="--scenes")
+        return None
+    from humansim_ros.data.datasets.data_set import DataSet, check_options
+    from humansim_ros.data.datasets.recipe import Recipe
+
+    check_options(options)
+    return DataSet.of(Recipe.load(source, scenes), output)
+
+
+def export_source(
+    source: Scene | str | os.PathLike[str] | None, formats: tuple[ExportFormat, ...], keypoints: str
+) -> ExportSource:
+    """The scene or bag to export."""
+    from humansim_ros.data.evaluation.readers.estimates import is_bag
+    from humansim_ros.data.formats.source import SimulatedSource
+    from humansim_ros.people.keypoints import keypoint_set
+
+    points = keypoint_set(keypoints).name
+    if isinstance(source, (str, os.PathLike)) and is_bag(Path(source)):
+        from humansim_ros.data.formats.bag import BagSource
+
+        return BagSource.read(Path(source), formats, points)
+    return SimulatedSource(_loaded(source), formats, points)
+
+
+def _loaded(scene: Scene | str | os.PathLike[str] | None) -> Scene:
+    from humansim_ros.scene.core import Scene
+
+    return scene if isinstance(scene, Scene) else Scene.load(scene)

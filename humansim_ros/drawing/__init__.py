@@ -1,1 +1,0 @@
-"""Images and videos for people: views, rigs, humans, motions."""

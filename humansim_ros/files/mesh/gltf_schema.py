@@ -1,0 +1,232 @@
+"""Schema of glTF 2.0 files: the sections of the JSON document that are read [glTF 2.0]."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import ConfigDict, Field
+
+from humansim_ros.files.yaml.schema import Checked
+
+Index = Annotated[int, Field(ge=0)]
+Number = Annotated[float, Field(ge=-1e6, le=1e6)]
+Pair = tuple[Number, Number]
+Vector = tuple[float, float, float]
+
+
+class Part(Checked):
+    """Section of the document. It is no Section of io.schema, since files may have further keys."""
+
+    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
+
+
+class Buffer(Part):
+    """Binary data, in a file or in the document."""
+
+    byteLength: Annotated[int, Field(ge=1)]
+    uri: str | None = None
+
+
+class BufferView(Part):
+    """Range of bytes in a buffer."""
+
+    buffer: Index
+    byteOffset: Index = 0
+    byteLength: Annotated[int, Field(ge=1)]
+    byteStride: Annotated[int, Field(ge=4, le=252)] | None = None
+    extensions: dict[str, Any] = Field(default_factory=dict)
+
+
+class SparseIndices(Part):
+    """Numbers of the rows that sparse values replace."""
+
+    bufferView: Index
+    byteOffset: Index = 0
+    componentType: Literal[5121, 5123, 5125]
+
+
+class SparseValues(Part):
+    """Values of a sparse accessor."""
+
+    bufferView: Index
+    byteOffset: Index = 0
+
+
+class Sparse(Part):
+    """Values that replace some rows of an accessor."""
+
+    count: Annotated[int, Field(ge=1)]
+    indices: SparseIndices
+    values: SparseValues
+
+
+class Accessor(Part):
+    """Type and place of an array."""
+
+    bufferView: Index | None = None
+    byteOffset: Index = 0
+    componentType: Literal[5120, 5121, 5122, 5123, 5125, 5126]
+    normalized: bool = False
+    count: Annotated[int, Field(ge=1)]
+    type: Literal["SCALAR", "VEC2", "VEC3", "VEC4", "MAT2", "MAT3", "MAT4"]
+    sparse: Sparse | None = None
+
+
+class Primitive(Part):
+    """Part of a mesh with one material. ``mode`` 4, 5 and 6 are triangles, strip and fan."""
+
+    attributes: dict[str, Index]
+    indices: Index | None = None
+    material: Index | None = None
+    mode: Annotated[int, Field(ge=0, le=6)] = 4
+    targets: tuple[dict[str, Any], ...] = ()
+    extensions: dict[str, Any] = Field(default_factory=dict)
+    extras: Any = None
+
+
+class GltfMesh(Part):
+    """Primitives of a mesh. ``extras`` may have the names of its morph targets."""
+
+    name: str = ""
+    primitives: tuple[Primitive, ...]
+    extras: Any = None
+
+
+class Skin(Part):
+    """Joints (node indices) and the accessor of their inverse bind matrices."""
+
+    name: str = ""
+    joints: Annotated[tuple[Index, ...], Field(min_length=1)]
+    inverseBindMatrices: Index | None = None
+
+
+class Node(Part):
+    """Node of the tree, with its transform relative to its parent."""
+
+    name: str = ""
+    children: tuple[Index, ...] = ()
+    mesh: Index | None = None
+    skin: Index | None = None
+    matrix: Annotated[tuple[float, ...], Field(min_length=16, max_length=16)] | None = None
+    translation: Vector = (0.0, 0.0, 0.0)
+    rotation: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+    scale: Vector = (1.0, 1.0, 1.0)
+
+
+class TextureTransform(Part):
+    """Extension KHR_texture_transform: uv' = offset + rotation * scale * uv, with v down."""
+
+    offset: Pair = (0.0, 0.0)
+    rotation: Number = 0.0
+    scale: Pair = (1.0, 1.0)
+    texCoord: Index | None = None
+
+
+class TextureInfo(Part):
+    """Reference to a texture, its set of texture coordinates, and ``scale`` of normal maps."""
+
+    index: Index
+    texCoord: Index = 0
+    scale: float = 1.0
+    extensions: dict[str, Any] = Field(default_factory=dict)
+
+
+class Pbr(Part):
+    """Metallic-roughness model of a material."""
+
+    baseColorFactor: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
+    baseColorTexture: TextureInfo | None = None
+    metallicFactor: float = 1.0
+    roughnessFactor: float = 1.0
+    metallicRoughnessTexture: TextureInfo | None = None
+
+
+class GltfMaterial(Part):
+    """Material. Colours are linear factors."""
+
+    name: str = ""
+    pbrMetallicRoughness: Pbr = Pbr()
+    normalTexture: TextureInfo | None = None
+    occlusionTexture: TextureInfo | None = None
+    emissiveTexture: TextureInfo | None = None
+    emissiveFactor: Vector = (0.0, 0.0, 0.0)
+    alphaMode: Literal["OPAQUE", "MASK", "BLEND"] = "OPAQUE"
+    alphaCutoff: float = 0.5
+    doubleSided: bool = False
+    extensions: dict[str, Any] = Field(default_factory=dict)
+
+
+class Wrap(Part):
+    """Wrap modes of a texture."""
+
+    wrapS: Literal[33071, 33648, 10497] = 10497
+    wrapT: Literal[33071, 33648, 10497] = 10497
+
+
+class Texture(Part):
+    """Image and sampler."""
+
+    source: Index | None = None
+    sampler: Index | None = None
+
+
+class ImageSource(Part):
+    """Encoded image, in a file or a buffer view."""
+
+    uri: str | None = None
+    bufferView: Index | None = None
+
+
+class Target(Part):
+    """Animated property of a node."""
+
+    node: Index | None = None
+    path: str
+
+
+class AnimationChannel(Part):
+    """Sampler and target."""
+
+    sampler: Index
+    target: Target
+
+
+class Sampler(Part):
+    """Accessors of key times and values."""
+
+    input: Index
+    output: Index
+    interpolation: Literal["LINEAR", "STEP", "CUBICSPLINE"] = "LINEAR"
+
+
+class Animation(Part):
+    """Animation. Each channel animates one property of one node with the values of a sampler."""
+
+    name: str = ""
+    channels: tuple[AnimationChannel, ...]
+    samplers: tuple[Sampler, ...]
+
+
+class Asset(Part):
+    """Version of the format."""
+
+    version: str
+
+
+class Document(Part):
+    """Content of a file."""
+
+    asset: Asset
+    extensionsRequired: tuple[str, ...] = ()
+    buffers: tuple[Buffer, ...] = ()
+    bufferViews: tuple[BufferView, ...] = ()
+    accessors: tuple[Accessor, ...] = ()
+    meshes: tuple[GltfMesh, ...] = ()
+    skins: tuple[Skin, ...] = ()
+    nodes: tuple[Node, ...] = ()
+    materials: tuple[GltfMaterial, ...] = ()
+    textures: tuple[Texture, ...] = ()
+    samplers: tuple[Wrap, ...] = ()
+    images: tuple[ImageSource, ...] = ()
+    animations: tuple[Animation, ...] = ()
+    extensions: dict[str, Any] = Field(default_factory=dict)

@@ -1,0 +1,5 @@
+"""Files of the package and of users, read with limits."""
+
+from humansim_ros.lazy import lazy_exports
+
+__getattr__, __dir__, __all__ = lazy_exports(__name__, __file__)

@@ -1,1 +1,0 @@
-"""Read untrusted files, and write files atomically: text, YAML, NumPy archives, images."""

@@ -1,0 +1,5 @@
+"""Skeletons, forward kinematics, skinning, eyes, jaw, hands, loose cloth, actions of the face."""
+
+from humansim_ros.lazy import lazy_exports
+
+__getattr__, __dir__, __all__ = lazy_exports(__name__, __file__)

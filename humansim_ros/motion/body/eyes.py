@@ -1,0 +1,189 @@
+"""Eyeballs of a skeleton: directions of gaze, and the actions of the lids that go with them.
+
+Angles are yaw to the person's left and pitch upwards, from the direction at rest, in the axes of the head. An
+action such as ``eyeLookUpLeft`` has the weight 1 where the eye is at its limit. These actions state where the
+eyes look, and move the skin around the eyes, since lids follow the eyes up and down [Leigh 2015].
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from humansim_ros.geometry import rotate, smooth_step, unit_vectors
+from humansim_ros.motion.body.face_actions import ACTIONS
+from humansim_ros.motion.body.skeleton import Skeleton
+from humansim_ros.types import Array, Indices
+
+#: The eyes, left first.
+EYE_BONES = ("l_eyeball_joint", "r_eyeball_joint")
+_HEAD, _TRUNK = "vt3", "vl5"
+#: Below this angle the eyes turn without the head, degrees. Beyond it, the head turns by this share of the
+#: rest [Stahl 1999]. Half of the width of the smooth bend between both.
+_EYES_ALONE, _HEAD_SHARE, _BEND = 18.0, 0.77, 10.0
+#: Yaw at which the head begins to turn back, since nobody looks behind, and yaw at which it is straight
+#: again. Pitch at which the head begins to turn less to the side, and pitch at which it no longer does.
+#: Degrees.
+_TURNS_BACK, _STEEP = (150.0, 180.0), (45.0, 75.0)
+#: Limits of the neck to the sides, downwards and upwards, radians: ``vt3`` of joint_limits/normal.yaml.
+NECK_LIMITS: Array = np.radians([[-80.0, -50.0], [80.0, 60.0]])
+#: (2, 2, 2) numbers of the actions of the left and right eye: yaw to the left and right, pitch up and down.
+LOOKS: Indices = np.array(
+    [
+        [[ACTIONS.index(f"eyeLook{way}{side}") for way in ways] for ways in (yaw, ("Up", "Down"))]
+        for side, yaw in (("Left", ("Out", "In")), ("Right", ("In", "Out")))
+    ]
+)
+#: Limits of the eyes [Shechtman 2005]: ``eyeball_joint`` of config/joint_limits/normal.yaml.
+_LIMITS = {"Up": 28.0, "Down": 47.0, "In": 45.0, "Out": 44.0}
+#: (2, 2, 2) limits of the actions of :data:`LOOKS`, radians.
+LIMITS: Array = np.radians(
+    [
+        [[_LIMITS[way] for way in ways] for ways in (yaw, ("Up", "Down"))]
+        for yaw in (("Out", "In"), ("In", "Out"))
+    ]
+)
+
+
+def looked_angles(weights: Array) -> Array:
+    """Angles (N, 2, 2) that weights (N, 52) stand for: yaw and pitch of both eyes, radians."""
+    towards, away = np.moveaxis(weights[:, LOOKS] * LIMITS, -1, 0)
+    return np.asarray(towards - away)
+
+
+def with_looks(weights: Array, angles: Array) -> Array:
+    """Weights (N, 52) with the actions of the eyes set for angles (N, 2, 2). They are at most 1."""
+    out = np.array(weights)
+    out[:, LOOKS] = np.clip(np.stack([angles, -angles], axis=-1) / LIMITS, 0.0, 1.0)
+    return out
+
+
+def within_limits(angles: Array) -> Array:
+    """Limit angles (N, 2, 2), radians, to those that eyes reach."""
+    return np.clip(angles, -LIMITS[..., 1], LIMITS[..., 0])
+
+
+def head_turn(angles: Array) -> Array:
+    """Yaw and pitch (N, 2) by which the head turns when the eyes look to angles (N, 2), all radians. For
+    small angles, only the eyes turn. Beyond, people turn the head by a share of the rest [Stahl 1999], as
+    monkeys do [Freedman 1997]. The transition is smooth."""
+    away = np.degrees(np.linalg.norm(angles, axis=-1))
+    beyond = away - _EYES_ALONE
+    bent = np.where(beyond > _BEND, beyond, np.clip(beyond + _BEND, 0.0, None) ** 2 / (4 * _BEND))
+    yaw, pitch = np.moveaxis(np.degrees(np.abs(angles)), -1, 0)
+    back, steep = (
+        smooth_step((angle - start) / (end - start))
+        for angle, (start, end) in ((yaw, _TURNS_BACK), (pitch, _STEEP))
+    )
+    kept = np.stack([(1 - back) * (1 - steep), 1 - back * (1 - steep)], axis=-1)
+    return np.asarray(kept * angles * (_HEAD_SHARE * bent / np.maximum(away, 1e-9))[..., None])
+
+
+@dataclass(frozen=True)
+class Eyes:
+    """The eyeballs of a skeleton, and the head that turns with them.
+
+    Attributes:
+        skeleton: The skeleton.
+        head: Number of the bone of head and neck.
+        bones: (2,) numbers of the bones, left first.
+        ends: (2,) numbers of the joints at the pupils.
+        head_rest: Rotation (3, 3) of the head at rest.
+        rest: Rotations (2, 3, 3) of the eyes at rest.
+    """
+
+    skeleton: Skeleton
+    head: int
+    bones: Indices
+    ends: Indices
+    head_rest: Array
+    rest: Array
+
+    @classmethod
+    def of(cls, skeleton: Skeleton) -> Eyes | None:
+        """Eyes of a skeleton; None if the skeleton has no bones of eyes."""
+        if not {_HEAD, _TRUNK, *EYE_BONES} <= set(skeleton.names):
+            return None
+        head, bones = skeleton.bone(_HEAD), np.array([skeleton.bone(name) for name in EYE_BONES])
+        names = skeleton.joint_names
+        ends = np.array([names.index(f"{name}_end") for name in EYE_BONES])
+        rest = skeleton.rest[:, :3, :3]
+        return cls(skeleton, head, bones, ends, rest[head], rest[bones])
+
+    def rays(self, joints: Array) -> tuple[Array, Array]:
+        """Middle of the eyes (N, 3), and the direction (N, 3) of eyes at rest. ``joints``: (N, J, 4, 4)."""
+        ahead = self.rest[:, :, 1].mean(0)
+        head = joints[:, self.head, :3, :3] @ self.head_rest.T
+        return _positions(joints)[:, self.bones].mean(1), unit_vectors(head @ ahead)
+
+    def angles_to(self, joints: Array, points: Array) -> Array:
+        """Angles (N, 2, 2) of eyes that look at points (N, 3). ``joints``: (N, J, 4, 4)."""
+        head = joints[:, self.head, :3, :3] @ self.head_rest.T
+        lines = points[:, None] - _positions(joints)[:, self.bones]
+        return gaze_angles((head.swapaxes(-1, -2)[:, None] @ lines[..., None])[..., 0]) - self._rest_angles
+
+    def turn_head(self, joints: Array, points: Array, shares: Array) -> None:
+        """Turn the head of joints (N, J, 4, 4) towards points (N, 3), by shares (N,) of the angle. All that
+        it carries turns too. The head turns to the side first, then up or down, within the limits of the
+        neck. If a motion exceeds them already, its angle is kept."""
+        head = joints[:, self.head, :3, :3] @ self.head_rest.T
+        line = points - _positions(joints)[:, self.bones].mean(axis=1)
+        angles = gaze_angles(rotate(head.swapaxes(-1, -2), line)) - self._rest_angles.mean(axis=0)
+        turn = shares[:, None] * head_turn(angles)
+        trunk = self.skeleton.bone(_TRUNK)
+        trunk_turn = joints[:, trunk, :3, :3] @ self.skeleton.rest[trunk, :3, :3].T
+        neck = gaze_angles((trunk_turn.swapaxes(-1, -2) @ head)[..., 2])
+        lowest, highest = np.minimum(NECK_LIMITS[0], neck), np.maximum(NECK_LIMITS[1], neck)
+        turn = np.clip(neck + turn, lowest, highest) - neck
+        about = head @ _turns(turn) @ head.swapaxes(-1, -2)
+        places, carried = _positions(joints), self._carried
+        pivot = places[:, [self.head]]
+        places[:, carried] = pivot + rotate(about[:, None], places[:, carried] - pivot)
+        joints[:, carried, :3, :3] = about[:, None] @ joints[:, carried, :3, :3]
+
+    @cached_property
+    def _carried(self) -> Indices:
+        """Numbers of the joints that the head carries, including its own joint."""
+        bones = {self.head}
+        for bone, parent in enumerate(self.skeleton.parents.tolist()):
+            if parent in bones:
+                bones.add(bone)
+        return np.flatnonzero(np.isin(self.skeleton.joint_bones, list(bones)))
+
+    def turn(self, joints: Array, angles: Array) -> None:
+        """Set the eyes and pupils of joints (N, J, 4, 4) to angles (N, 2, 2) from rest."""
+        head = joints[:, self.head, :3, :3] @ self.head_rest.T
+        rest = self._rest_angles
+        turned = head[:, None] @ _turns(rest + angles) @ _turns(rest).swapaxes(-1, -2) @ self.rest
+        places = _positions(joints)
+        centers = places[:, self.bones]
+        reach = np.linalg.norm(places[:, self.ends] - centers, axis=-1, keepdims=True)
+        joints[:, self.bones, :3, :3] = joints[:, self.ends, :3, :3] = turned
+        places[:, self.ends] = centers + reach * turned[..., 1]
+
+    @property
+    def _rest_angles(self) -> Array:
+        return gaze_angles(self.rest[:, :, 1])
+
+
+def _positions(joints: Array) -> Array:
+    """View (N, J, 3) of the positions of joints (N, J, 4, 4)."""
+    return joints[..., :3, 3]
+
+
+def gaze_angles(lines: Array) -> Array:
+    """Yaw and pitch (..., 2) of lines (..., 3) in body space."""
+    x, y, z = np.moveaxis(lines, -1, 0)
+    return np.stack([np.arctan2(x, z), np.arctan2(y, np.hypot(x, z))], axis=-1)
+
+
+def _turns(angles: Array) -> Array:
+    """Rotations (..., 3, 3) that turn the z axis of body space to yaw and pitch (..., 2)."""
+    (a, b), (c, d) = np.moveaxis(np.sin(angles), -1, 0), np.moveaxis(np.cos(angles), -1, 0)
+    out = np.zeros((*angles.shape[:-1], 3, 3))
+    out[..., 0, 0], out[..., 0, 1], out[..., 0, 2] = c, -a * b, a * d
+    out[..., 1, 1], out[..., 1, 2] = d, b
+    out[..., 2, 0], out[..., 2, 1], out[..., 2, 2] = -a, -c * b, c * d
+    return out

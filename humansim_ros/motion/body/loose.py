@@ -1,0 +1,181 @@
+"""Loose parts of a human: skirts, hems of coats and hanging hair. Their lower ends swing.
+
+Like all skin, they follow the bones. A swing is added to the vertices in ``map``. Cloth around the thighs is
+gathered when its wearer sits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.errors import MeshError
+from humansim_ros.geometry import smooth_step
+from humansim_ros.motion.body.rated import Rated
+from humansim_ros.motion.body.skeleton import Skeleton
+from humansim_ros.types import Array
+
+#: Kinds of loose parts. The numbers are used in files.
+CLOTH, HAIR = range(2)
+#: Most ends of a human, since each is a joint of its motion.
+MAX_ENDS = 64
+#: Angle of a thigh at which cloth begins to gather, and at which it is gathered, radians.
+_GATHERED = (np.radians(50.0), np.radians(85.0))
+_LEGS = ("l_hip", "r_hip")
+_SHINS = ("l_knee", "r_knee")
+#: Cloth farther from the bone of a leg than this is free, as a share of the length of the thigh.
+_FREE = 0.3
+#: Cloth that is held off one bone may come nearer to another bone of a leg by at most this, metres.
+_NEARER = 0.01
+_ARRAYS = ("kinds", "ends", "outwards", "rows", "nodes", "shares", "gather", "left")
+
+
+@dataclass(frozen=True, eq=False)
+class LooseParts:
+    """K ends that swing, and M vertices that follow them.
+
+    Attributes:
+        kinds: (K,) :data:`CLOTH` or :data:`HAIR`.
+        ends: (K, 2) vertices: where a part hangs from, and its lower end.
+        outwards: (K, 3) unit direction away from the body at each end, at rest.
+        rows: (M,) vertices that follow, each once.
+        nodes: (M, 2) the two ends that each vertex follows.
+        shares: (M, 2) shares of the swing of these two ends.
+        gather: (M, 3) metres by which cloth moves when its wearer sits, in the rest pose.
+        left: (M,) share of ``gather`` that follows the left leg. The rest follows the right leg.
+    """
+
+    kinds: NDArray[np.uint8]
+    ends: NDArray[np.int32]
+    outwards: NDArray[np.float32]
+    rows: NDArray[np.int32]
+    nodes: NDArray[np.int32]
+    shares: NDArray[np.float32]
+    gather: NDArray[np.float32]
+    left: NDArray[np.float32]
+
+    @cached_property
+    def _cloth(self) -> NDArray[np.intp]:
+        """Indices, among the M vertices, of cloth that swings."""
+        return np.flatnonzero((self.kinds[self.nodes[:, 0]] == CLOTH) & (self.shares > 0).any(axis=1))
+
+    def swung(
+        self, points: NDArray[np.float32], swing: Array, skeleton: Skeleton, transforms: Array
+    ) -> NDArray[np.float32]:
+        """Vertices (M, 3) moved by a swing. Cloth comes no nearer to the bones of the legs.
+
+        Args:
+            points: Vertices (M, 3) without swing.
+            swing: Offsets (K, 3) of the ends.
+            skeleton: Skeleton of the human.
+            transforms: Rest-to-posed transforms (B, 4, 4) of its bones.
+        """
+        ends = swing.astype(np.float32)
+        first, second = self.shares.T[..., None]
+        moved = points + (first * ends[self.nodes[:, 0]] + second * ends[self.nodes[:, 1]])
+        if not len(self._cloth) or not set(_LEGS) <= set(skeleton.names):
+            return np.asarray(moved)
+        legs, cloth = tuple(_legs(skeleton, transforms)), moved[self._cloth]
+        near = [_to_segment(cloth, start, end)[0] < room for start, end, room in legs]
+        rows = self._cloth[np.logical_or.reduce(near)]
+        still, cloth = points[rows], moved[rows]
+        least = [np.minimum(_to_segment(still, start, end)[0], room) for start, end, room in legs]
+        for (start, end, _), before in zip(legs, least, strict=True):
+            distance, nearest = _to_segment(cloth, start, end)
+            factor = before / np.maximum(distance, 1e-6)
+            held = np.flatnonzero(factor > 1)
+            cloth[held] = nearest[held] + factor[held, None] * (cloth[held] - nearest[held])
+        # where cloth pushed off one bone nears another, cancel the swing
+        nearer = [
+            before - _to_segment(cloth, start, end)[0]
+            for (start, end, _), before in zip(legs, least, strict=True)
+        ]
+        back = np.clip(np.maximum.reduce(nearer) / _NEARER, 0.0, 1.0)[:, None]
+        moved[rows] = cloth + back * (still - cloth)
+        return np.asarray(moved)
+
+    def gathered(self, skeleton: Skeleton, transforms: Array) -> NDArray[np.float32] | None:
+        """Offsets (M, 3) in the rest pose that lay cloth on the thighs; None if no thigh is raised.
+        ``transforms``: rest-to-posed transforms (B, 4, 4) of the bones."""
+        if not set(_LEGS) <= set(skeleton.names):
+            return None
+        low, high = _GATHERED
+        pelvis = transforms[0, :3, :3]
+        shares = []
+        for name in _LEGS:
+            _, up, ahead = pelvis.T @ transforms[skeleton.bone(name), :3, :3] @ (0.0, -1.0, 0.0)
+            shares.append(np.float32(smooth_step((np.arctan2(ahead, -up) - low) / (high - low))))
+        if not any(shares):
+            return None
+        left, right = shares
+        return np.asarray((self.left * left + (1 - self.left) * right)[:, None] * self.gather)
+
+
+def _legs(skeleton: Skeleton, transforms: Array) -> Iterator[tuple[Array, Array, float]]:
+    """Ends (3,) of the bones of both legs, and the distance that cloth keeps from each."""
+    for name in (*_LEGS, *_SHINS):
+        bone = skeleton.bone(name)
+        turn, shift = transforms[bone, :3, :3], transforms[bone, :3, 3]
+        start, end = (turn @ point + shift for point in (skeleton.heads[bone], skeleton.tails[bone]))
+        yield start.astype(np.float32), end.astype(np.float32), _FREE * float(np.linalg.norm(end - start))
+
+
+def _to_segment(
+    points: NDArray[np.float32], start: Array, end: Array
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Distances (N,) of points (N, 3) from a segment, and its nearest points (N, 3)."""
+    along = end - start
+    share = np.clip((points - start) @ along / max(float(along @ along), 1e-12), 0.0, 1.0)
+    nearest = start + share[:, None] * along
+    off = points - nearest
+    return np.asarray(np.sqrt(np.einsum("ij,ij->i", off, off))), np.asarray(nearest)
+
+
+def swing_at_rest(count: int) -> Rated:
+    """Offsets (K, 3) of loose ends that hang still, metres in ``map``. All are zero."""
+    return Rated.at_rest(tuple(f"{number}/{axis}" for number in range(count) for axis in "xyz"), (count, 3))
+
+
+def loose_arrays(parts: LooseParts) -> dict[str, NDArray[Any]]:
+    """Arrays of a human file with loose parts."""
+    return {f"loose_{name}": getattr(parts, name) for name in _ARRAYS}
+
+
+def read_loose(arrays: Mapping[str, NDArray[Any]], vertices: int) -> LooseParts | None:
+    """Loose parts from the arrays of a human file; None if the file has none. ``vertices``: number of
+    vertices of the mesh. Raises MeshError, or KeyError for a missing array."""
+    if "loose_kinds" not in arrays:
+        return None
+    count, rows = len(arrays["loose_kinds"].ravel()), len(arrays["loose_rows"].ravel())
+    if not 1 <= count <= MAX_ENDS:
+        raise MeshError(f"needs 1 to {MAX_ENDS} ends, not {count}", key="loose_kinds")
+    # dtype, shape, and the number that whole numbers must be below
+    layout: dict[str, tuple[type[np.generic], tuple[int, ...], int]] = {
+        "kinds": (np.uint8, (count,), HAIR + 1),
+        "ends": (np.int32, (count, 2), vertices),
+        "outwards": (np.float32, (count, 3), 0),
+        "rows": (np.int32, (rows,), vertices),
+        "nodes": (np.int32, (rows, 2), count),
+        "shares": (np.float32, (rows, 2), 0),
+        "gather": (np.float32, (rows, 3), 0),
+        "left": (np.float32, (rows,), 0),
+    }
+    found = {}
+    for name, (kind, shape, limit) in layout.items():
+        array, key = arrays[f"loose_{name}"], f"loose_{name}"
+        if array.dtype != kind or array.shape != shape:
+            what = f"{shape} {np.dtype(kind)}"
+            raise MeshError(f"must be {what}, not {array.shape} {array.dtype}", key=key)
+        if limit and array.size and not 0 <= array.min() <= array.max() < limit:
+            raise MeshError(f"must be from 0 to {limit - 1}", key=key)
+        if not limit and not (np.abs(array) <= 1.0).all():
+            raise MeshError("must be finite and at most 1", key=key)
+        found[name] = array
+    if len(np.unique(found["rows"])) < rows:
+        raise MeshError("a vertex is there twice", key="loose_rows")
+    return LooseParts(**found)

@@ -1,0 +1,224 @@
+"""Skeletons: rest pose, forward kinematics, and the general H-Anim skeleton [thesis table 4.1]."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.errors import MeshError, unknown
+from humansim_ros.files.mesh import LARGEST
+from humansim_ros.files.reading import read_table
+from humansim_ros.geometry import from_y_axis, invert_rigid, levels, quaternion_to_matrix, transform
+from humansim_ros.motion.body.joint_names import DETAIL_BONES
+from humansim_ros.types import Array
+
+
+@dataclass(frozen=True, repr=False)
+class Skeleton:
+    """Bones in body space (metres, y up, faces +z, +x is the person's left), parents before children.
+
+    ``names``: B names. ``parents``: (B,) parent index or -1. ``heads``, ``tails``: (B, 3). ``rolls``: (B,)
+    radians, rotation of the bone frame about its y axis, as in Blender. Raises MeshError if the bones are no
+    tree.
+    """
+
+    names: tuple[str, ...]
+    parents: NDArray[np.intp]
+    heads: Array
+    tails: Array
+    rolls: Array
+
+    def __post_init__(self) -> None:
+        n = len(self.names)
+        shapes = (self.parents.shape, self.heads.shape, self.tails.shape, self.rolls.shape)
+        if n == 0 or shapes != ((n,), (n, 3), (n, 3), (n,)):
+            raise MeshError(f"a skeleton of {n} bones cannot have arrays of shapes {shapes}")
+        if not all(-1 <= parent < bone for bone, parent in enumerate(self.parents)):
+            raise MeshError(
+                "every bone's parent must come before it; the hierarchy has a cycle or is out of order"
+            )
+        if not all((np.abs(part) <= LARGEST).all() for part in (self.heads, self.tails, self.rolls)):
+            raise MeshError(f"a bone's head, tail or roll is not a finite number, or beyond {LARGEST:g}")
+        if (np.linalg.norm(self.tails - self.heads, axis=1) < 1e-9).any():
+            raise MeshError("a bone has no length: its head and tail are the same point")
+
+    def __repr__(self) -> str:
+        return f"Skeleton({len(self.names)} bones)"
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def bone(self, name: str) -> int:
+        """Index of a bone. Raises MeshError for an unknown name."""
+        try:
+            return self.names.index(name)
+        except ValueError:
+            raise MeshError(unknown("bone", name, self.names, most=80)) from None
+
+    @cached_property
+    def lengths(self) -> Array:
+        """(B,) metres from head to tail."""
+        return np.asarray(np.linalg.norm(self.tails - self.heads, axis=1))
+
+    @cached_property
+    def rest(self) -> Array:
+        """Bone frames at rest (B, 4, 4) in body space: origin at the head, y along the bone [thesis §9.5].
+
+        With roll 0 the frame is the shortest rotation from +y to the bone, as Blender's
+        ``bone.matrix_local``.
+        """
+        swing = quaternion_to_matrix(from_y_axis((self.tails - self.heads) / self.lengths[:, None]))
+        half = self.rolls / 2
+        zero = np.zeros_like(half)
+        roll = quaternion_to_matrix(np.stack([zero, np.sin(half), zero, np.cos(half)], axis=-1))
+        return transform(swing @ roll, self.heads)
+
+    @cached_property
+    def rest_inverse(self) -> Array:
+        """Inverses of :attr:`rest` (B, 4, 4)."""
+        return invert_rigid(self.rest)
+
+    @cached_property
+    def rest_in_parent(self) -> Array:
+        """Rest frame of each bone in the rest frame of its parent (B, 4, 4). That of a root is in body
+        space."""
+        parent = np.where((self.parents < 0)[:, None, None], np.eye(4), self.rest_inverse[self.parents])
+        return parent @ self.rest
+
+    def pose(self, rotations: NDArray[np.float64], root: NDArray[np.float64] | None = None) -> Array:
+        """Posed bone frames (..., B, 4, 4). ``rotations``: (..., B, 4) quaternions xyzw in bone space.
+        ``root``: (..., 4, 4) transform of body space, such as world-from-body. If None, the identity.
+        ``pose[b] = pose[parent] rest[parent]^-1 rest[b] R(q_b)`` [thesis §9.5], as Blender's armatures."""
+        local = self.rest_in_parent @ transform(quaternion_to_matrix(rotations), np.zeros(3))
+        first, *rest = self.levels
+        if root is None:
+            out = np.array(local)
+        else:
+            out = np.array(
+                np.broadcast_to(
+                    local, (*np.broadcast_shapes(local.shape[:-3], root.shape[:-2]), *local.shape[-3:])
+                )
+            )
+            out[..., first, :, :] = root[..., None, :, :] @ local[..., first, :, :]
+        for bones in rest:
+            out[..., bones, :, :] = out[..., self.parents[bones], :, :] @ local[..., bones, :, :]
+        return out
+
+    def size_of(self, heads: Array, but: int = -1) -> float:
+        """Scale of a body in any pose, relative to the rest pose. ``heads``: (B, 3) heads of the posed bones.
+        ``but``: number of a bone that is left out."""
+        child = np.flatnonzero(self.parents >= 0)
+        child = child[child != but]
+        above = self.parents[child]
+        now, rest = (np.linalg.norm(p[child] - p[above], axis=1).sum() for p in (heads, self.heads))
+        size = float(now / rest) if rest > 0 else 1.0
+        return 1.0 if abs(size - 1) < 1e-6 else size
+
+    @cached_property
+    def levels(self) -> tuple[NDArray[np.intp], ...]:
+        """Bones by depth in the tree, roots first."""
+        return levels(self.parents)
+
+    @cached_property
+    def leaves(self) -> tuple[int, ...]:
+        """Bones without children."""
+        return tuple(sorted(set(range(len(self))) - {int(p) for p in self.parents}))
+
+    @cached_property
+    def ends(self) -> tuple[int, ...]:
+        """Bones with tails that are joints, too. They are bones without children, and head, hands and feet
+        even if these have bones of fingers, toes, jaw and eyes (top of the head, tips of the straight hand
+        and foot)."""
+        return tuple(
+            sorted({*self.leaves, *(n for n, name in enumerate(self.names) if name in _EXTREMITIES)})
+        )
+
+    @cached_property
+    def wholes(self) -> NDArray[np.intp]:
+        """(B,) bone that each bone is a detail of. A bone that is no detail has its own number. Fingers,
+        toes, jaw and eyes (by name), and bones that these carry, are details of hand, foot or head."""
+        wholes = np.arange(len(self))
+        for bone, parent in enumerate(self.parents.tolist()):
+            if parent < 0:
+                continue
+            above = DETAIL_BONES.get(self.names[bone])
+            if above in self.names[:bone]:  # past other bones of the palm
+                wholes[bone] = wholes[self.names.index(above)]
+            elif above is not None or wholes[parent] != parent:
+                wholes[bone] = wholes[parent]
+        return wholes
+
+    @cached_property
+    def detail_levels(self) -> tuple[NDArray[np.intp], ...]:
+        """Fingers, toes, jaw and eyes by depth in the tree. Those directly at hand, foot and head come
+        first."""
+        details = (level[self.wholes[level] != level] for level in self.levels)
+        return tuple(level for level in details if len(level))
+
+    def part(self, bones: NDArray[np.intp]) -> Skeleton:
+        """Skeleton of some bones (b,), in order. The parent of each of these bones must be among them."""
+        place = np.full(len(self) + 1, -1)
+        place[bones] = np.arange(len(bones))
+        rows = (self.heads[bones], self.tails[bones], self.rolls[bones])
+        return Skeleton(tuple(self.names[bone] for bone in bones), place[self.parents[bones]], *rows)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the J ground-truth joints: heads of all bones, then ``<bone>_end`` of :attr:`ends`."""
+        return (*self.names, *(f"{self.names[bone]}_end" for bone in self.ends))
+
+    @property
+    def joint_parents(self) -> tuple[str | None, ...]:
+        """Name of the parent of each of :attr:`joint_names`; None for roots."""
+        of_bones = [self.names[parent] if parent >= 0 else None for parent in self.parents]
+        return (*of_bones, *(self.names[bone] for bone in self.ends))
+
+    @property
+    def joint_bones(self) -> tuple[int, ...]:
+        """Bone of each of :attr:`joint_names`."""
+        return (*range(len(self)), *self.ends)
+
+    def joint_transforms(self, posed: Array) -> Array:
+        """Frames of the ground-truth joints (..., J, 4, 4) from posed bone frames (..., B, 4, 4)."""
+        bones = list(self.ends)
+        ends = np.array(posed[..., bones, :, :])
+        ends[..., :3, 3] += ends[..., :3, 1] * self.lengths[bones][:, None]
+        return np.concatenate([posed, ends], axis=-3)
+
+
+#: Bones with a tail that is a joint although they may have children.
+_EXTREMITIES = (
+    DETAIL_BONES.keys() - set(DETAIL_BONES.values()) | set(DETAIL_BONES.values()) - DETAIL_BONES.keys()
+)
+
+
+def side_of(name: str) -> int:
+    """Side of the body of a bone or joint, from its H-Anim name: 1 left, -1 right, 0 neither."""
+    if name.startswith("l_") or "_l_" in name:
+        return 1
+    return -1 if name.startswith("r_") or "_r_" in name else 0
+
+
+def hanim_skeleton() -> Skeleton:
+    """Create the general skeleton of 22 bones in T pose [thesis table 4.1].
+
+    The shoulders' parents are corrected (config/skeleton.json). The right collar joint is not the mirror
+    image of the left one.
+
+    Example:
+        >>> skeleton = hanim_skeleton()
+        >>> len(skeleton), skeleton.names[0]
+        (22, 'HumanoidRoot')
+    """
+    table = read_table("skeleton")
+    names = tuple(row["name"] for row in table)
+    return Skeleton(
+        names=names,
+        parents=np.array([-1 if row["parent"] is None else names.index(row["parent"]) for row in table]),
+        heads=np.array([row["head"] for row in table], dtype=float),
+        tails=np.array([row["tail"] for row in table], dtype=float),
+        rolls=np.zeros(len(names)),
+    )

@@ -1,0 +1,5 @@
+"""Motion files: BVH, ASF/AMC, glTF, SMPL, C3D, TRC, keyframes."""
+
+from humansim_ros.lazy import lazy_exports
+
+__getattr__, __dir__, __all__ = lazy_exports(__name__, __file__)

@@ -1,0 +1,543 @@
+"""Text of BVH files: lines and blocks with line numbers, errors and warnings, and the rows of numbers."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import TextIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.errors import MotionError, some_of, warn_about
+from humansim_ros.files.reading import ENCODINGS
+from humansim_ros.types import Array
+
+#: Smallest and largest number of characters of a block of rows. Larger blocks are faster and need more
+#: memory.
+_BLOCK_SIZES = 1 << 12, 1 << 16
+#: Most characters of a line of the hierarchy, or of a number.
+_MAX_CHARACTERS = 1 << 20
+#: Larger numbers cannot be measurements, and their squares may be infinite.
+LARGEST = 1e15
+BRACE = re.compile(r"([{}])")
+#: A minus sign that starts a new number without a space before it ("1.5-2.5"); not the sign in "1e-5".
+_GLUED_MINUS = re.compile(r"(?<=[0-9.])-")
+#: A comma that certainly separates numbers: it is next to white space, or it is the second comma of a word.
+_SEPARATOR = re.compile(r",(?:\s|$)|,[^\s,]+,")
+_DECIMAL = re.compile(r"(?<=\d),(?=\d)")
+#: A comment: a line that starts with one of these marks, or the end of a line from a mark between white
+#: space.
+_COMMENT = re.compile(r"^[ \t]*(?://|/?\*|[#;%]).*|(?<=[ \t])(?://|[#;][ \t]).*", re.MULTILINE)
+
+
+class BvhText:
+    """Text of one file, read from its start to its end.
+
+    Attributes:
+        path: Path of the file, for messages.
+        line: Number of the last line that was read.
+        indent: Width of the white space before the last line of the hierarchy.
+
+    ``encoding``: the same as in ``text_encoding``. ``file`` decodes UTF-16 itself. It decodes every other
+    text as Latin-1.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], file: TextIO, encoding: str) -> None:
+        self.path = os.fspath(path)
+        self.line = 0
+        self.indent = 0
+        self._file = file
+        self._unread = ""
+        self._encoding = encoding
+        self._is_foreign = False
+        self._odd: dict[str, tuple[int, str, int]] = {}
+
+    def error(self, message: str, line: int | None = None) -> MotionError:
+        """Make an error for a line. If ``line`` is not given, for the last line that was read."""
+        return MotionError(message, path=self.path, line=self.line if line is None else line)
+
+    def warn(self, message: str, line: int | None = None) -> None:
+        """Warn about a line. If ``line`` is not given, about the last line that was read."""
+        warn_about(f"{self.path}:{self.line if line is None else line}", message)
+
+    def warn_file(self, message: str) -> None:
+        """Warn about the whole file."""
+        warn_about(self.path, message)
+
+    def note(self, kind: str, message: str) -> None:
+        """Remember something odd in the last line. :meth:`warn_of_notes` later warns about the first case of
+        each kind."""
+        line, first, count = self._odd.get(kind, (self.line, message, 0))
+        self._odd[kind] = line, first, count + 1
+
+    def warn_of_notes(self) -> None:
+        """Warn of everything odd that was noted, once for each kind."""
+        for line, message, count in self._odd.values():
+            self.warn(message + (f"; so are {count - 1} more" if count > 1 else ""), line)
+        self._odd = {}
+
+    def next_line(self) -> str:
+        """Return the next line with its line end, without comments. After the last line, return ""."""
+        if self._unread:
+            text, self._unread = self._unread, ""
+            self.line += 1
+            return text
+        text = self._file.readline(_MAX_CHARACTERS)
+        if not text:
+            return text
+        self.line += 1
+        if "\0" in text:
+            raise MotionError("this is a binary file, not a BVH motion text file", path=self.path)
+        if len(text) == _MAX_CHARACTERS:
+            raise self.error(f"not a BVH file: a line of more than {_MAX_CHARACTERS} characters")
+        if not text.isascii() and not self._encoding.startswith("utf-16"):
+            text = self._decoded(text.encode("latin-1"))
+        self.indent = len(text[: len(text) - len(text.lstrip())].expandtabs(8))
+        return _COMMENT.sub("", text)
+
+    def _decoded(self, line: bytes) -> str:
+        if self._encoding == "latin-1":
+            with suppress(UnicodeDecodeError):
+                return line.decode("utf-8-sig" if self.line == 1 else "utf-8")
+        if not self._is_foreign:
+            name = ENCODINGS.get(self._encoding, "Latin-1; names may look odd")
+            self.warn(f"not UTF-8: read as {name}")
+        self._is_foreign = True
+        return line.decode(self._encoding, "replace")
+
+    def unread(self, text: str) -> None:
+        """Give back the last line, so that the next line or block starts with ``text``."""
+        if not text.isascii():
+            raise self.error(f"cannot understand {text.strip()[:40]!r}")
+        self._unread = text if text.endswith("\n") else f"{text}\n"
+        self.line -= 1
+
+    def blocks(self) -> Iterator[str]:
+        """Return the rest of the file in blocks of whole lines. A line that is too long is split between
+        words. Blocks do not change ``line``."""
+        rest, self._unread, n_read = self._unread, "", 0
+        while text := self._file.read(min(max(_BLOCK_SIZES[0], n_read // 16), _BLOCK_SIZES[1])):
+            n_read += len(text)
+            text = rest + text
+            cut = text.rfind("\n") + 1 or max(text.rfind(" "), text.rfind("\t")) + 1
+            if len(text) - cut > _MAX_CHARACTERS:
+                raise self.error(f"a word of more than {_MAX_CHARACTERS} characters", self.line + 1)
+            rest = text[cut:]
+            if cut:
+                yield _without_comments(text[:cut])
+        if rest:
+            yield _without_comments(rest)
+
+    def numbers(self, text: str) -> list[float]:
+        """Numbers of a text in the last line. Raises ValueError for other words."""
+        if "," in text and (mark := comma_meaning(text)) is not None:
+            self.note("comma", f"commas {_COMMAS[mark]}")
+            text = text.replace(",", mark)
+        return [to_float(word) for word in split_glued(text).split()]
+
+
+def _without_comments(rows: str) -> str:
+    return _COMMENT.sub("", rows) if any(mark in rows for mark in "#;%/*") else rows
+
+
+def to_float(word: str) -> float:
+    """Read a number of a file. Raises ValueError for numbers that only Python accepts ("1_000")."""
+    if "_" in word or not word.isascii():
+        raise ValueError
+    return float(word)
+
+
+def split_glued(text: str) -> str:
+    """Text with a space before each minus sign that starts a number."""
+    return _GLUED_MINUS.sub(" -", text)
+
+
+def comma_meaning(text: str) -> str | None:
+    """Return the character that replaces the commas in a text of numbers: " " or ".". None if their meaning
+    is not clear.
+
+    If the text also has points, the commas separate numbers. Otherwise they are decimal if each comma is
+    between two digits and no number has two commas. The number of values that a line needs shows whether this
+    is right.
+    """
+    if "." in text or _SEPARATOR.search(text):
+        return " "
+    return "." if len(_DECIMAL.findall(text)) == text.count(",") else None
+
+
+#: Words for messages that say how commas are read, by the character that replaces them.
+_COMMAS = {".": "are read as decimal points", " ": "are read as white space between numbers"}
+
+
+def comma_hint(text: str) -> str:
+    """Make the end of a message about a text that is not a number."""
+    return "; decimals need a point, not a comma" if "," in text else ""
+
+
+#: Shortest and longest frame time, seconds.
+FRAME_TIMES = 1e-9, 1e6
+#: Frame time of files that do not state it, seconds.
+_USUAL_FRAME_TIME = 1 / 30
+#: A line of the header: its key, the colon and its value.
+_HEADER = re.compile(r"(frames|frame[\s_]*time)\s*(?P<colon>[:=]?)\s*(?P<value>.*)", re.IGNORECASE)
+#: White space between two lines of the header that are on one line.
+_NEXT_KEY = re.compile(r"(?<=\S)\s+(?=frames\b|frame[\s_]*time\b)", re.IGNORECASE)
+_NUMBER_START = re.compile(r"[+-]?[.,]?\d")
+#: Whether a character, by its code, is part of plain numbers and white space.
+_PLAIN = np.isin(np.arange(256), list(b"0123456789+-.eE \t\n\v\f"))
+
+
+def starts_motion(statement: str) -> bool:
+    """Whether a statement is a line of the header, or a row."""
+    return bool(_HEADER.fullmatch(statement) or _NUMBER_START.match(statement))
+
+
+def read_motion_section(text: BvhText, angles: NDArray[np.bool_]) -> tuple[Array, float]:
+    """Read channel values (F, C) and frame time after the word MOTION. F is 0 if ``Frames:`` says so.
+    ``angles``: (C,) whether each channel is an angle."""
+    n_frames, frame_time = _read_header(text)
+    rows = _Rows(text, angles, n_frames).read()
+    if len(rows) == 0:
+        if n_frames == 0:
+            return rows, frame_time
+        raise text.error("no frames after 'Frame Time:': the file is truncated")
+    if not np.isnan(n_frames) and len(rows) != n_frames:
+        text.warn_file(f"says {n_frames:g} frames but has {len(rows)}; the rows count")
+    return rows, frame_time
+
+
+def _read_header(text: BvhText) -> tuple[float, float]:
+    """Read the number of frames (NaN if missing) and the frame time."""
+    header: dict[str, tuple[int, str]] = {}
+    awaited = ""  # key that waits for its number on the next line
+    while len(header) < 2 or awaited:
+        line = text.next_line()
+        if not line:
+            missing = "Frame Time" if "Frames" in header else "Frames"
+            raise text.error(f"'{missing}:' is missing after MOTION: the file is truncated or damaged")
+        if not (line := line.strip()):
+            continue
+        if awaited and _NUMBER_START.match(line):
+            header[awaited], awaited = (text.line, line), ""
+        elif all(keys := [_HEADER.fullmatch(part) for part in _NEXT_KEY.split(line)]):
+            for found in filter(None, keys):
+                key = "Frames" if found[1].lower() == "frames" else "Frame Time"
+                header[key] = text.line, found["value"]
+                awaited = "" if found["value"] else key
+                if not found["colon"]:
+                    text.warn(f"'{key}' without a colon")
+        elif _NUMBER_START.match(line):
+            text.unread(line)
+            break
+        else:
+            raise text.error(f"'Frames:' and 'Frame Time:' expected, not {line[:40]!r}")
+    n_frames, frame_time = np.nan, _USUAL_FRAME_TIME
+    usual = f"{1 / _USUAL_FRAME_TIME:g} frames per second are assumed"
+    if "Frames" in header:
+        n_frames = _header_number(text, "Frames", *header["Frames"])
+    else:
+        text.warn("'Frames:' is missing before this line: the rows count", text.line + 1)
+    if "Frame Time" in header:
+        line_number = header["Frame Time"][0]
+        frame_time = _header_number(text, "Frame Time", *header["Frame Time"])
+        if frame_time == 0:
+            text.warn(f"the Frame Time is 0: {usual}", line_number)
+            frame_time = _USUAL_FRAME_TIME
+        if not FRAME_TIMES[0] <= frame_time <= FRAME_TIMES[1]:
+            wrong = f"above zero and below a million seconds, not {frame_time:g}"
+            raise text.error(f"Frame Time must be {wrong}", line_number)
+    else:
+        text.warn(f"'Frame Time:' is missing before this line: {usual}", text.line + 1)
+    return n_frames, frame_time
+
+
+def _header_number(text: BvhText, key: str, line: int, value: str) -> float:
+    try:
+        numbers = text.numbers(value)
+    except ValueError:
+        numbers = []
+    if len(numbers) != 1 or not np.isfinite(numbers[0]):
+        raise text.error(f"'{key}:' needs a number, not {value[:40]!r}{comma_hint(value)}", line)
+    text.warn_of_notes()
+    return numbers[0]
+
+
+#: A file is refused if this share of its rows is bad, or if this number of rows is bad.
+_BAD_SHARE, _MAX_BAD = 0.01, 10_000
+#: The share counts only from this number of bad rows on.
+_FIRST_BAD = 10
+#: An angle that changes by less (degrees) between two frames is interpolated. Otherwise the pose before is
+#: held.
+_STEADY = 45.0
+
+
+@dataclass(frozen=True)
+class _BadLine:
+    """A line that is not a row: its number, the index of its first value, its number of values, and the
+    reason. ``word``: the first word of a line without any number, otherwise "". ``n_lines``: number of such
+    lines one after another."""
+
+    line: int
+    start: int
+    count: int
+    reason: str
+    word: str = ""
+    n_lines: int = 1
+
+
+class _Rows:
+    """Reader of the rows. It reads in blocks, and word by word only if a block is not plain."""
+
+    def __init__(self, text: BvhText, angles: NDArray[np.bool_], n_frames: float) -> None:
+        self.text = text
+        self.angles = angles
+        self.n_channels = len(angles)
+        self.n_frames = n_frames
+        self.layout = _Layout(self.n_channels)
+        self.bad: list[_BadLine] = []  # lines with a word that is not a number
+        self.n_damaged = 0  # how many of the bad lines also have a number
+        self.n_values = 0
+        self.comma: str | None = None  # character that replaces commas
+        self.has_points = False
+
+    def read(self) -> Array:
+        """Channel values (F, C) of the rest of the file."""
+        parts: list[Array] = []
+        for block in self.text.blocks():
+            if self.n_channels == 0 and block.strip():
+                raise self.text.error("a value, but no joint has channels", self.text.line + 1)
+            self.has_points = self.has_points or "." in block
+            if (parsed := _fast_values(block)) is None:
+                block = split_glued(self._without_commas(block) if "," in block else block)
+                parsed = _fast_values(block) or self._slow_values(block)
+            values, ends = parsed
+            parts.append(values)
+            self.layout.add(values, ends, self.text.line + 1)
+            self.n_values += len(values)
+            self.text.line += len(ends)
+            if self._is_over(self.n_values) or self._is_hopeless():
+                break
+        if self.n_channels == 0:
+            return np.zeros((1, 0))
+        self.layout.end(self.text.line + 1)
+        return self._rows(np.concatenate([np.empty(0), *parts]))
+
+    def _is_over(self, n_values: int) -> bool:
+        """Whether there are already as many values as ``Frames:`` says, so that only other text can
+        follow."""
+        is_text = len(self.bad) == 1 and self.bad[0].word and self.bad[0].start == n_values
+        return bool(is_text and n_values and n_values == self.n_frames * self.n_channels)
+
+    def _is_hopeless(self) -> bool:
+        """Whether there are already too many bad lines. Lines of text only may be the end of the file."""
+        n_bad = self.n_damaged + self.layout.n_odd * self.layout.is_broken
+        n_lines = max(self.layout.n_lines, 0 if np.isnan(self.n_frames) else self.n_frames)
+        return n_bad > min(_MAX_BAD, max(_FIRST_BAD, _BAD_SHARE * n_lines)) or len(self.bad) > _MAX_BAD
+
+    def _rows(self, values: Array) -> Array:
+        """Rows (F, C) of all values. Bad lines are left out, or replaced by interpolated frames."""
+        bad = self._without_tail()
+        odd, layout, n_channels = self.layout.odd, self.layout, self.n_channels
+        if odd and not bad and not layout.is_broken and len(values) == self.n_frames * n_channels:
+            found = f"not one frame on a line ({odd[0].count} of {n_channels} values): there are as many "
+            found += f"values as {self.n_frames:g} frames have, which are taken in order"
+            self.text.warn(found, odd[0].line)
+            return values.reshape(-1, n_channels)
+        n_good, bad = layout.n_lines - layout.n_odd, sorted([*bad, *odd], key=lambda each: each.line)
+        n_bad = sum(each.n_lines for each in bad) + layout.n_odd - len(odd)
+        if n_bad > min(_MAX_BAD, _BAD_SHARE * (n_good + n_bad)) or (bad and self._is_hopeless()):
+            first = bad[0]
+            # a short last row means that the file was cut off
+            is_cut = first in odd and first.line == layout.last_line and first.count < n_channels
+            share = f"; {n_bad} of {n_good + n_bad} rows are bad, more than {_BAD_SHARE:.0%}" * (n_good > 0)
+            raise self.text.error(first.reason + "; the file is truncated" * is_cut + share, first.line)
+        return self._mended(values, bad) if bad else values.reshape(-1, n_channels)
+
+    def _without_tail(self) -> list[_BadLine]:
+        """Return the bad lines, except text after the last row. A warning tells about this text."""
+        tail = len(self.bad)
+        while tail and self.bad[tail - 1].word and self.bad[tail - 1].start == self.n_values:
+            tail -= 1
+        if self.n_values and tail < len(self.bad):
+            first = self.bad[tail]
+            more = "; a second motion needs a file of its own" * (first.word.upper() == "HIERARCHY")
+            text = f"the text from {first.word[:40]!r} on is not part of the motion: left out{more}"
+            self.text.warn(text, first.line)
+            return self.bad[:tail]
+        return self.bad
+
+    def _mended(self, values: Array, bad: list[_BadLine]) -> Array:
+        """Rows (F, C) with a new frame in place of each bad line that was a frame."""
+        keep = np.ones(len(values), dtype=bool)
+        before = np.cumsum([0, *(each.count for each in bad)])[:-1]
+        for each in bad:
+            keep[each.start : each.start + each.count] = False
+        rows = values[keep].reshape(-1, self.n_channels)
+        places = (np.array([each.start for each in bad]) - before) // self.n_channels
+        is_frame = self._were_frames(bad, len(rows)) & (places < len(rows))
+        for chosen, what in ((~is_frame, "the line is left out"), (is_frame, "a frame is put in its place")):
+            lines = [each for each, this in zip(bad, chosen, strict=True) if this]
+            if lines:
+                more = f" (so in line {some_of(each.line for each in lines[1:])})" if lines[1:] else ""
+                self.text.warn(f"{lines[0].reason}: {what}{more}", lines[0].line)
+        n_lines = np.array([each.n_lines for each in bad])
+        return _filled(rows, np.repeat(places, n_lines * is_frame), self.angles)
+
+    def _were_frames(self, bad: list[_BadLine], n_rows: int) -> NDArray[np.bool_]:
+        """Whether bad lines are damaged frames or text between frames. ``Frames:`` decides."""
+        if self.n_frames in (n_rows, n_rows + sum(each.n_lines for each in bad)):
+            return np.full(len(bad), self.n_frames > n_rows)
+        return np.array([not each.word for each in bad])
+
+    def _without_commas(self, block: str) -> str:
+        """Replace the commas of a block. If their meaning is not clear, the block does not change."""
+        mark = " " if self.has_points else comma_meaning(block)
+        if mark is None or self.comma not in (None, mark):
+            return block
+        if self.comma is None:
+            line = self.text.line + 1 + block.count("\n", 0, block.index(","))
+            self.text.warn(f"commas {_COMMAS[mark]}", line)
+            self.comma = mark
+        return block.replace(",", mark)
+
+    def _slow_values(self, block: str) -> tuple[Array, NDArray[np.intp]]:
+        """Do the same as :func:`_fast_values` for any white space. Notes bad lines, and ends if only text
+        follows."""
+        values: list[float] = []
+        ends: list[int] = []
+        for number, line in enumerate(block.split("\n"), self.text.line + 1):
+            if bad := self._add_line(line.split(), values, number):
+                last = self.bad[-1] if self.bad else bad
+                if last is not bad and bad.word and last.word and bad.start == last.start:
+                    self.bad[-1] = replace(last, n_lines=last.n_lines + 1)
+                else:
+                    self.bad.append(bad)
+                self.n_damaged += not bad.word
+            ends.append(len(values))
+            if bad and self._is_over(self.n_values + len(values)):
+                break
+        return np.array(values), np.array(ends[:-1], dtype=np.intp)
+
+    def _add_line(self, words: list[str], values: list[float], number: int) -> _BadLine | None:
+        """Add the values of a line. Returns the reason if the line has none."""
+        numbers: list[float] = []
+        reason = bad_word = ""
+        for word in words:
+            try:
+                numbers.append(to_float(word))
+            except ValueError:
+                bad_word = bad_word or word
+                reason = reason or f"{word[:40]!r} is not a number{comma_hint(word)}"
+                continue
+            if not abs(numbers[-1]) <= LARGEST:
+                reason = reason or f"{word[:40]!r} is not finite, or beyond {LARGEST:g}"
+        if reason:
+            is_text = not numbers and not _NUMBER_START.match(words[0])
+            return _BadLine(number, self.n_values + len(values), 0, reason, bad_word if is_text else "")
+        values += numbers
+        return None
+
+
+def _filled(rows: Array, places: NDArray[np.intp], angles: NDArray[np.bool_]) -> Array:
+    """Rows (F, C) with a new frame before each of ``places``. It lies between its neighbours, or equals the
+    nearer one. ``places``: sorted numbers of the good rows (R, C) before which a frame is missing. For two
+    missing frames, the number is there twice. ``angles``: (C,) whether a channel is an angle in degrees."""
+    out = np.insert(rows, places, 0.0, axis=0)
+    missing = places + np.arange(len(places))
+    known = np.setdiff1d(np.arange(len(out)), missing)
+    for frame, place in zip(missing.tolist(), places.tolist(), strict=True):
+        after = known[place]
+        if place == 0:
+            out[frame] = rows[0]
+            continue
+        before = known[place - 1]
+        change = rows[place] - rows[place - 1]
+        change[angles] = (change[angles] + 180) % 360 - 180
+        share = (frame - before) / (after - before)
+        if np.abs(change[angles]).max(initial=0.0) > _STEADY:
+            share = np.round(share)
+        out[frame] = rows[place - 1] + share * change if share < 1 else rows[place]
+    return out
+
+
+class _Layout:
+    """Layout of rows of C values on lines. Usually a line holds one row. A line may also hold several whole
+    rows, or a part of a row. The start of each row is then clear if the number of all values fits."""
+
+    def __init__(self, n_channels: int) -> None:
+        self.n_channels = n_channels
+        #: First lines that do not have exactly one row, the number of all such lines, and the number of lines
+        #: with values.
+        self.odd: list[_BadLine] = []
+        self.n_odd = 0
+        self.n_lines = 0
+        #: Last line with a value.
+        self.last_line = 0
+        #: Whether a line has the end of one row and the start of the next.
+        self.is_broken = False
+        self._on_line = 0  # values so far on the current line
+        self._n_values = 0  # values on all lines before the current one
+
+    def add(self, values: Array, ends: NDArray[np.intp], line: int) -> None:
+        """Add a block. ``values``: its values. ``ends``: the number of values before each line end. ``line``:
+        its first line."""
+        if len(ends) == 0:
+            self._on_line += len(values)
+            return
+        self._add_lines(np.diff(ends, prepend=-self._on_line), line)
+        self._on_line = len(values) - int(ends[-1])
+
+    def end(self, line: int) -> None:
+        """End of the file, at its last line."""
+        self._add_lines(np.array([self._on_line]), line)
+
+    def _add_lines(self, counts: NDArray[np.intp], line: int) -> None:
+        places = np.flatnonzero(counts)
+        if len(places) == 0:
+            return
+        self.last_line = line + int(places[-1])
+        counts = counts[places]
+        odd = counts != self.n_channels
+        first_value, self._n_values = self._n_values, self._n_values + int(counts.sum())
+        self.n_lines += len(counts)
+        if first_value % self.n_channels == 0 and not odd.any():
+            return
+        last_value = first_value + np.cumsum(counts)
+        for place in np.flatnonzero(odd)[: _MAX_BAD + 1 - len(self.odd)].tolist():
+            count = int(counts[place])
+            reason = f"a frame needs {self.n_channels} values, this has {count}"
+            start = int(last_value[place]) - count
+            self.odd.append(_BadLine(line + int(places[place]), start, count, reason))
+        self.n_odd += int(odd.sum())
+        starts = (last_value - counts) % self.n_channels
+        is_part = starts + counts <= self.n_channels
+        is_whole = (starts == 0) & (counts % self.n_channels == 0)
+        self.is_broken |= not (is_part | is_whole).all()
+
+
+def _fast_values(text: str) -> tuple[Array, NDArray[np.intp]] | None:
+    """Values of a text of plain finite numbers, and the number of values before each line end. None for other
+    text."""
+    characters = np.frombuffer(text.encode("latin-1", "replace"), dtype=np.uint8)
+    # with these characters only, Python accepts the same numbers as files do
+    if not _PLAIN[characters].all():
+        return None
+    blank = characters <= 32
+    starts = ~blank
+    starts[1:] &= blank[:-1]
+    places = np.flatnonzero(starts)
+    line_ends = np.flatnonzero(characters == ord("\n"))
+    if len(places) == 0:
+        return np.empty(0), np.zeros_like(line_ends)
+    words = text.split()
+    try:
+        values = np.fromiter(map(float, words), float, len(words))
+    except ValueError:
+        return None
+    if not (values.min() >= -LARGEST and values.max() <= LARGEST):
+        return None
+    return values, np.searchsorted(places, line_ends)

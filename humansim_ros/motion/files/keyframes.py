@@ -1,0 +1,480 @@
+"""Keyframes that move, rotate and scale humans and objects over time, and their files (XML).
+
+docs/keyframes.md defines the format ([thesis §S6]).
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, cast, get_args
+from xml.sax import ContentHandler, SAXParseException
+from xml.sax.saxutils import quoteattr
+from xml.sax.xmlreader import AttributesImpl
+
+import defusedxml.sax
+import numpy as np
+from defusedxml.common import DefusedXmlException
+from numpy.typing import ArrayLike
+
+from humansim_ros.errors import MAX_COORDINATE, MotionError, located, unknown
+from humansim_ros.files.reading import atomic_path, read_bytes
+from humansim_ros.geometry import AROUND, from_degrees, matrix_to_quaternion, quaternion_to_matrix
+from humansim_ros.motion.body.kinematics import JointPoses
+from humansim_ros.types import Array
+
+KeyframeLoop = Literal["none", "repeat"]
+
+#: Names of two joints at the end of a message that show the keyframed space of a motion. The first joint is
+#: at the origin of the space. The second is at the end of its unit vector along x, so their distance is the
+#: size of the person.
+SPACE_JOINTS = ("keyframes", "keyframes_end")
+#: Frames per second of an animation that does not state its rate.
+DEFAULT_RATE = 30.0
+#: Smallest factor by which something is scaled.
+SMALLEST_SIZE = 1e-6
+
+
+@dataclass(frozen=True)
+class KeyframePose:
+    """Pose and size of an object at some times (...).
+
+    ``position``: (..., 3) in ``map``, metres. ``rotation``: (..., 3) degrees about x, y and z. ``size``:
+    (..., 3) factors along x, y and z of the object.
+    """
+
+    position: Array
+    rotation: Array
+    size: Array
+
+    @property
+    def quaternion(self) -> Array:
+        """(..., 4) xyzw of R = Rz Ry Rx: about the fixed x axis first, then y, then z [thesis §9.2]."""
+        angles = self.rotation.reshape(-1, 3)
+        return np.asarray(from_degrees(angles).as_quat().reshape(*self.rotation.shape[:-1], 4))
+
+
+@dataclass(frozen=True)
+class KeyframeTimeline:
+    """Timeline with the frames ``start`` to ``end`` at ``rate`` per second. ``start`` is at second 0 of the
+    scene. ``loop``: ``none`` holds the first and the last frame, ``repeat`` starts again at ``end``."""
+
+    start: int
+    end: int
+    rate: float = DEFAULT_RATE
+    loop: KeyframeLoop = "none"
+
+    @property
+    def duration(self) -> float:
+        """Seconds from start to end."""
+        return (self.end - self.start) / self.rate
+
+    def cycles(self, seconds: Array) -> Array:
+        """Number of the cycle of the loop at each time. 0 if there is no loop."""
+        if self.loop == "none" or self.end == self.start:
+            return np.zeros_like(seconds)
+        return np.floor(seconds / self.duration + 1e-9)
+
+    def frames(self, seconds: Array, cycles: Array) -> Array:
+        """Frame numbers, with fractions, of times in the given cycles."""
+        frame = self.start + (seconds - cycles * self.duration) * self.rate
+        return np.asarray(np.clip(frame, self.start, self.end))
+
+
+@dataclass(frozen=True)
+class KeyframeTrack:
+    """Keys of one object. Between keys, position, angles and size change linearly.
+
+    Attributes:
+        timeline: Timeline of the animation.
+        frames: (K,) increasing whole numbers.
+        positions: (K, 3) the same as in :class:`KeyframePose`.
+        rotations: (K, 3) as in :class:`KeyframePose`.
+        sizes: (K, 3) as in :class:`KeyframePose`.
+
+    Raises:
+        MotionError: The keys are not finite, not in order or outside the timeline, or a size is not positive.
+    """
+
+    timeline: KeyframeTimeline
+    frames: Array
+    positions: Array
+    rotations: Array
+    sizes: Array
+
+    def __post_init__(self) -> None:
+        columns = (self.positions, self.rotations, self.sizes)
+        n = len(self.frames)
+        if n == 0 or any(column.shape != (n, 3) for column in columns):
+            raise MotionError(f"{n} keys cannot have arrays of shapes {[c.shape for c in columns]}")
+        if not all(np.isfinite(column).all() for column in (self.frames, *columns)):
+            raise MotionError("a key is not finite (NaN or infinity)")
+        whole = (self.frames == np.round(self.frames)).all() and (np.diff(self.frames) > 0).all()
+        if not whole or self.frames[0] < self.timeline.start or self.frames[-1] > self.timeline.end:
+            raise MotionError("keys need whole frame numbers that rise, within the timeline's start to end")
+        if not (self.sizes > 0).all():
+            raise MotionError("a size must be above 0")
+
+    def at(self, seconds: ArrayLike) -> KeyframePose:
+        """Pose at times (...), seconds of the scene. It is constant before the first key and after the last
+        one."""
+        times = np.asarray(seconds, dtype=float)
+        return self._interpolate(self.timeline.frames(times, self.timeline.cycles(times)))
+
+    def around(self, seconds: float) -> tuple[Array, KeyframePose]:
+        """Times (3,) just before, at, and just after ``seconds``, and the poses there.
+
+        The times do not cross a jump to the start of the animation.
+        """
+        times = seconds + AROUND
+        cycle = float(self.timeline.cycles(np.array(seconds)))
+        if self.timeline.loop == "repeat" and self.timeline.duration > 0:
+            start, end = cycle * self.timeline.duration, (cycle + 1) * self.timeline.duration
+            times = np.clip(times, min(start, seconds), max(end, seconds))
+        return times, self._interpolate(self.timeline.frames(times, np.full(3, cycle)))
+
+    def apply(self, poses: JointPoses, seconds: float) -> JointPoses:
+        """Move, rotate and scale joints (N = 1) with their space, velocities included. :data:`SPACE_JOINTS`
+        are added after the joints. ``sizes`` must be the same along all axes."""
+        times, key = self.around(seconds)
+        moving = poses if poses.linear is None else poses.extrapolate(times - seconds)
+        n = len(times)
+        space = np.broadcast_to(np.array([[0.0, 0, 0], [1, 0, 0]]), (n, 2, 3))
+        identity = np.broadcast_to(np.array([0.0, 0, 0, 1]), (n, 2, 4))
+        positions = np.broadcast_to(moving.positions, (n, *moving.positions.shape[1:]))
+        rotations = np.broadcast_to(moving.rotations, (n, *moving.rotations.shape[1:]))
+        rotation = quaternion_to_matrix(key.quaternion)
+        positions = np.concatenate([positions, space], axis=1) * key.size[:, None, :1]
+        positions = key.position[:, None] + np.einsum("nij,nkj->nki", rotation, positions)
+        rotations = np.concatenate([rotations, identity], axis=1)
+        rotations = matrix_to_quaternion(rotation[:, None] @ quaternion_to_matrix(rotations))
+        names = (*poses.names, *SPACE_JOINTS)
+        if poses.linear is None:
+            return JointPoses(names, positions[1:2], rotations[1:2])
+        seconds = max(times[2] - times[0], 1e-12)
+        return JointPoses.with_velocities(names, positions[:, None], rotations[:, None], seconds)
+
+    def _interpolate(self, frames: Array) -> KeyframePose:
+        last = len(self.frames) - 1
+        after = np.clip(np.searchsorted(self.frames, frames, side="right"), 0, last)
+        before = np.maximum(after - 1, 0)
+        span = np.where(after > before, self.frames[after] - self.frames[before], 1.0)
+        weight = np.clip((frames - self.frames[before]) / span, 0.0, 1.0)[..., None]
+        return KeyframePose(
+            *(
+                (1 - weight) * values[before] + weight * values[after]
+                for values in (self.positions, self.rotations, self.sizes)
+            )
+        )
+
+
+@dataclass(frozen=True)
+class KeyframeSpace:
+    """Space of a motion in ``map`` at N times, moved by keyframes: ``x' = position + size rotation x``.
+    ``position``: (N, 3). ``rotation``: (N, 3, 3). ``size``: (N,)."""
+
+    position: Array
+    rotation: Array
+    size: Array
+
+    def to_map(self, frames: Array) -> Array:
+        """Frames (N, J, 4, 4) of that space, moved and rotated into ``map``. Their positions are also
+        scaled."""
+        moved = np.array(frames)
+        moved[..., :3, :3] = self.rotation[:, None] @ frames[..., :3, :3]
+        positions = self.size[:, None, None] * frames[..., :3, 3]
+        moved[..., :3, 3] = self.position[:, None] + np.einsum("nij,nkj->nki", self.rotation, positions)
+        return moved
+
+
+def undo_keyframes(poses: JointPoses, space: JointPoses) -> tuple[JointPoses, KeyframeSpace]:
+    """Invert :meth:`KeyframeTrack.apply` at N times.
+
+    Args:
+        poses: Joints in ``map``.
+        space: Poses of the two :data:`SPACE_JOINTS`.
+
+    Returns:
+        Joint poses without keyframes and without velocities, and the space as the keyframes had moved it.
+
+    Raises:
+        MotionError: Both :data:`SPACE_JOINTS` are at the same place.
+    """
+    origin, end = space.positions[:, 0], space.positions[:, 1]
+    size = np.linalg.norm(end - origin, axis=-1)
+    if not (size >= SMALLEST_SIZE / 2).all():
+        raise MotionError(f"the joints {' and '.join(SPACE_JOINTS)} are at one place: a size of zero")
+    rotation = quaternion_to_matrix(space.rotations[:, 0])
+    positions = np.einsum("nji,nkj->nki", rotation, poses.positions - origin[:, None])
+    back = np.swapaxes(rotation, -1, -2)[:, None]
+    rotations = matrix_to_quaternion(back @ quaternion_to_matrix(poses.rotations))
+    original = JointPoses(poses.names, positions / size[:, None, None], rotations)
+    return original, KeyframeSpace(origin, rotation, size)
+
+
+#: Largest file that is read, bytes.
+_MAX_BYTES = 64 * 2**20
+#: Larger frame numbers are mistakes.
+_MAX_FRAMES = 10**9
+_NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+#: Characters that XML 1.0 cannot hold, escaped or not.
+_NO_XML = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
+
+#: Values of a key, and their defaults before the first key.
+_PARTS = {"position": 0.0, "rotation": 0.0, "size": 1.0}
+#: Path of an element from the root -> its attributes and child elements.
+_SCHEMA: dict[tuple[str, ...], tuple[tuple[str, ...], tuple[str, ...]]] = {
+    ("animation",): (("startframe", "endframe", "rate", "loop"), ("object", "frame")),
+    ("animation", "object"): (("name",), ("frame",)),
+    ("animation", "object", "frame"): (("number",), tuple(_PARTS)),
+    ("animation", "frame"): (("number",), ("object",)),
+    ("animation", "frame", "object"): (("name",), tuple(_PARTS)),
+    **{("animation", *between, part): (("x", "y", "z"), ()) for part in _PARTS
+       for between in (("object", "frame"), ("frame", "object"))},
+}  # fmt: skip
+#: Values of a key: part -> x, y, z.
+_KeyValues = dict[str, list[float]]
+
+
+@dataclass(frozen=True)
+class Keyframes:
+    """A keyframe animation: object name -> track, on one timeline."""
+
+    timeline: KeyframeTimeline
+    tracks: Mapping[str, KeyframeTrack]
+    path: str = ""
+
+    def track(self, name: str) -> KeyframeTrack:
+        """Return the track of an object. Raises MotionError, which lists the known names, if the object has
+        no track."""
+        if name not in self.tracks:
+            raise MotionError(unknown("object", name, self.tracks, "the file"), path=self.path)
+        return self.tracks[name]
+
+    def at(self, name: str, seconds: ArrayLike) -> KeyframePose:
+        """Pose of an object at times (...), seconds of the scene; see :meth:`KeyframeTrack.at`."""
+        return self.track(name).at(seconds)
+
+
+def read_keyframes(path: str | os.PathLike[str]) -> Keyframes:
+    """Read a keyframe animation file (docs/keyframes.md).
+
+    Raises:
+        MotionError: The file is not valid, or has a DOCTYPE or entities. The error names file and line.
+    """
+    data, reader = read_bytes(path, MotionError, "keyframe", _MAX_BYTES), _Reader()
+    with located(MotionError, path):
+        try:
+            defusedxml.sax.parseString(data, reader, forbid_dtd=True)
+        except SAXParseException as reason:
+            raise MotionError(f"not valid XML: {reason.getMessage()}", line=reason.getLineNumber()) from None
+        except DefusedXmlException:
+            message = "a keyframe file has no DOCTYPE and no entities: remove them"
+            raise MotionError(message, line=reader.line) from None
+        except (ValueError, LookupError) as reason:  # the parser does not know the encoding
+            raise MotionError(f"the XML cannot be decoded: {reason}") from None
+        return reader.keyframes(os.fspath(path))
+
+
+def write_keyframes(path: str | os.PathLike[str], keyframes: Keyframes) -> None:
+    """Write a keyframe animation file. :func:`read_keyframes` reads it back exactly.
+
+    Raises:
+        MotionError: XML cannot hold a name.
+    """
+    timeline = keyframes.timeline
+    timing = f'startframe="{timeline.start}" endframe="{timeline.end}" rate="{float(timeline.rate)!r}"'
+    lines = [f'<animation {timing} loop="{timeline.loop}">']
+    for name, track in keyframes.tracks.items():
+        if not name or _NO_XML.search(name):
+            raise MotionError(f"{name!r} cannot be a name in XML", path=path)
+        lines.append(f"  <object name={quoteattr(name)}>")
+        for number, *values in zip(track.frames, track.positions, track.rotations, track.sizes, strict=True):
+            lines.append(f'    <frame number="{int(number)}">')
+            for part, (x, y, z) in zip(_PARTS, np.array(values).tolist(), strict=True):
+                lines.append(f'      <{part} x="{x!r}" y="{y!r}" z="{z!r}"/>')
+            lines.append("    </frame>")
+        lines.append("  </object>")
+    lines.append("</animation>")
+    with atomic_path(path) as temporary:
+        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+@dataclass
+class _Element:
+    """An open element: its names from the root on, its line, attributes and text so far. ``parts``: values,
+    if the element is a key. ``keys``: for an object, its keys by frame number; for a frame, its keys by
+    object name. Each key has the number of its line."""
+
+    where: tuple[str, ...]
+    line: int
+    values: dict[str, str]
+    text: list[str] = field(default_factory=list)
+    parts: _KeyValues = field(default_factory=dict)
+    keys: list[tuple[str, int, _KeyValues]] = field(default_factory=list)
+
+    @property
+    def name(self) -> str:
+        return self.where[-1]
+
+
+class _Reader(ContentHandler):
+    """Reads elements one by one. An element outside the schema gives an error that names its line."""
+
+    _locator: Any  # the parser sets it
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._open: list[_Element] = []
+        self._timeline: KeyframeTimeline | None = None
+        self._root_line = 1
+        # object -> its keys: frame number, line, values
+        self._keys: dict[str, list[tuple[int, int, _KeyValues]]] = {}
+        self._closed_objects: set[str] = set()
+
+    @property
+    def line(self) -> int:
+        return int(self._locator.getLineNumber() or 1) if self._locator else 1
+
+    def startElement(self, name: str, attrs: AttributesImpl) -> None:
+        parent = self._open[-1] if self._open else None
+        where = (name,) if parent is None else (*parent.where, name)
+        known, _ = _SCHEMA.get(where, ((), ()))
+        if where not in _SCHEMA:
+            if parent is None:
+                raise self._error(f"a keyframe file is an <animation>, not a <{name[:40]}>")
+            attributes, children = _SCHEMA.get(parent.where, ((), ()))
+            if name not in attributes:
+                names = ", ".join(f"<{child}>" for child in children) or ", ".join(attributes) or "nothing"
+                raise self._error(f"unknown element <{name[:40]}> in <{parent.name}>; known here: {names}")
+            if name in parent.values:
+                raise self._error(f"{name} of <{parent.name}> is here a second time")
+        for attribute in attrs.getNames():
+            if attribute not in known:
+                names = f"known here: {', '.join(known)}" if known else "none is known here"
+                raise self._error(f"<{name}> has the unknown attribute {attribute[:40]!r}; {names}")
+        self._open.append(_Element(where, self.line, dict(attrs.items())))
+
+    def characters(self, content: str) -> None:
+        element = self._open[-1]
+        if element.name in _PARTS or element.where not in _SCHEMA:
+            element.text.append(" " if content.isspace() else content)
+        elif not content.isspace():
+            raise self._error(f"there is text in <{element.name}>: {content.strip()[:40]!r}")
+
+    def endElement(self, name: str) -> None:
+        element = self._open.pop()
+        if not self._open:
+            self._timeline, self._root_line = self._read_timeline(element), element.line
+            return
+        parent = self._open[-1]
+        if name in _PARTS:
+            if name in parent.parts:
+                raise self._error(f"<{name}> is here a second time", element.line)
+            parent.parts[name] = self._vector(element)
+        elif name not in ("object", "frame"):
+            parent.values[name] = "".join(element.text).strip()
+        elif parent.name == "animation":
+            self._add_keys(element)
+        else:
+            parent.keys.append((self._label(element), element.line, element.parts))
+
+    def keyframes(self, path: str) -> Keyframes:
+        """Return the animation. The keys are checked against startframe and endframe."""
+        timeline = self._timeline
+        assert timeline is not None
+        if not self._keys:
+            raise self._error("the animation has no <object> with a <frame>", self._root_line)
+        for name, keys in self._keys.items():
+            last = None
+            for number, line, _ in keys:
+                problem = ""
+                if not timeline.start <= number <= timeline.end:
+                    problem = f"lies outside startframe {timeline.start} to endframe {timeline.end}"
+                elif last is not None and number <= last:
+                    problem = "is here a second time" if number == last else f"comes after frame {last}"
+                if problem:
+                    raise self._error(f"frame {number} of {name[:40]!r} {problem}", line)
+                last = number
+        return Keyframes(timeline, {name: _track(timeline, keys) for name, keys in self._keys.items()}, path)
+
+    def _add_keys(self, element: _Element) -> None:
+        """Add the keys of an object in its frames, or those of a frame with its objects."""
+        label = self._label(element)
+        if element.name == "frame":
+            for name, line, parts in element.keys:
+                self._keys.setdefault(name, []).append((self._frame_number(label, element.line), line, parts))
+            return
+        if label in self._closed_objects:
+            raise self._error(f"the object {label[:40]!r} is here a second time", element.line)
+        if not element.keys:
+            raise self._error(f"the object {label[:40]!r} has no <frame>", element.line)
+        self._closed_objects.add(label)
+        keys = self._keys.setdefault(label, [])
+        keys += [(self._frame_number(number, line), line, parts) for number, line, parts in element.keys]
+
+    def _label(self, element: _Element) -> str:
+        """Name of an object, or number of a frame."""
+        return self._value(element, "name" if element.name == "object" else "number")
+
+    def _value(self, element: _Element, key: str) -> str:
+        if not element.values.get(key):
+            raise self._error(f"<{element.name}> needs {key}=", element.line)
+        return element.values[key]
+
+    def _frame_number(self, word: str, line: int, key: str = "number") -> int:
+        if not re.fullmatch("[+-]?[0-9]{1,10}", word) or abs(int(word)) > _MAX_FRAMES:
+            raise self._error(f"{key} is {word[:40]!r}: a whole number is needed", line)
+        return int(word)
+
+    def _read_timeline(self, element: _Element) -> KeyframeTimeline:
+        line, values = element.line, element.values
+        start, end = (
+            self._frame_number(self._value(element, key), line, key) for key in ("startframe", "endframe")
+        )
+        if end < start:
+            raise self._error(f"endframe {end} comes before startframe {start}", line)
+        rate = self._number(values["rate"], "rate", line) if "rate" in values else DEFAULT_RATE
+        if not 1e-3 <= rate <= 1e4:
+            raise self._error(f"rate is {rate:g}: frames per second are 0.001 to 10000", line)
+        loop = values.get("loop", "none")
+        if loop not in get_args(KeyframeLoop):
+            raise self._error(f"loop is {loop[:40]!r}: none or repeat", line)
+        return KeyframeTimeline(start, end, rate, cast(KeyframeLoop, loop))
+
+    def _vector(self, element: _Element) -> list[float]:
+        line, text = element.line, "".join(element.text).split()
+        if text and element.values:
+            raise self._error(f"<{element.name}> has both x, y, z and text", line)
+        if text and len(text) != 3:
+            raise self._error(f"<{element.name}> needs 3 numbers, not {len(text)}", line)
+        words = text or [self._value(element, axis) for axis in "xyz"]
+        named = zip("xyz", words, strict=True)
+        vector = [self._number(word, f"{axis} of <{element.name}>", line) for axis, word in named]
+        if element.name == "size" and min(vector) < SMALLEST_SIZE:
+            raise self._error(f"a size must be above 0, not {min(vector):g}", line)
+        return vector
+
+    def _number(self, word: str, key: str, line: int) -> float:
+        word = word.strip()
+        if not _NUMBER.fullmatch(word):
+            raise self._error(f"{key} is {word[:40]!r}: a finite number is needed", line)
+        if not abs(float(word)) <= MAX_COORDINATE:
+            raise self._error(f"{key} is {word[:40]}: more than {MAX_COORDINATE:g} is a mistake", line)
+        return float(word)
+
+    def _error(self, message: str, line: int | None = None) -> MotionError:
+        return MotionError(message, line=self.line if line is None else line)
+
+
+def _track(timeline: KeyframeTimeline, keys: list[tuple[int, int, _KeyValues]]) -> KeyframeTrack:
+    """Make the track of an object. If a key omits a value, the value of the key before stays."""
+    last = {part: [default] * 3 for part, default in _PARTS.items()}
+    rows = []
+    for _, _, parts in keys:
+        last |= parts
+        rows.append([last[part] for part in _PARTS])
+    frames = np.array([number for number, _, _ in keys], dtype=float)
+    return KeyframeTrack(timeline, frames, *np.array(rows, dtype=float).swapaxes(0, 1))

@@ -1,0 +1,495 @@
+"""Motions of labelled points in TRC and C3D files. The points are joints, or markers on the skin that give
+the joints.
+
+Hip centres follow the regression of [Harrington 2007]. A knee, an ankle or an elbow is midway between its two
+markers. If there is only the lateral marker, the joint is half its width inwards from it. The shoulder is
+below the acromion. Limbs get the shortest rotation from their parent, and their joints keep their places in
+the file. Arms or a trunk without markers stay at rest.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from humansim_ros.errors import MotionError, some_of, unknown, warn_about
+from humansim_ros.geometry import (
+    are_rotations,
+    nearest_axis,
+    perpendicular,
+    rotate,
+    rotation_vector_to_matrix,
+    shortest_rotations,
+    unit_vectors,
+)
+from humansim_ros.motion.body.kinematics import Motion, motion_of_rotations
+from humansim_ros.motion.files.marker_files import MarkerFile, likely_scale, read_c3d_points, read_trc_points
+from humansim_ros.motion.files.marker_names import NEEDED, NEEDED_MARKERS, SIDES, Marks, is_seen, people_of
+from humansim_ros.types import Array, Indices
+
+#: Largest file (bytes), and most labels and points of a file.
+_MAX_BYTES, _MAX_LABELS, _MAX_POINTS = 1 << 29, 2000, 50_000_000
+#: Distance from the lateral marker of a joint to its centre, and from the marker of the acromion to the
+#: shoulder, metres: half the width of an adult joint, plus the radius of a marker.
+_KNEE, _ANKLE, _ELBOW, _SHOULDER = 0.057, 0.042, 0.047, 0.05
+#: Lengths as shares of the stature [Winter 2009]: leg from hip to ankle, neck above the hips, head above the
+#: neck, half the width of the shoulders, upper arm and forearm.
+_LEG, _TRUNK, _HEAD, _HALF_WIDTH, _UPPER_ARM, _FOREARM = 0.491, 0.30, 0.10, 0.11, 0.186, 0.146
+#: Arms that hang down lean outwards by this angle.
+_HANGING = np.radians(10.0)
+#: An axis of the file is up if the mean direction of the legs differs from it by at most this angle, degrees.
+_MOST_LEAN = 35.0
+#: When a person looks ahead, the line from the neck to a point of the head leans forwards by this angle,
+#: degrees.
+_HEAD_LEAN = {"Nose": 37.0, "Ear": 10.0}
+#: A point is used if it is seen in at least the first share of the frames. For a needed point that is seen
+#: before and after its gaps, the second share is enough.
+_LEAST_SEEN, _LEAST_NEEDED = 0.5, 0.2
+#: A person may be out of sight for at most this number of frames between two played frames.
+_MOST_ABSENT = 25
+#: Factors by which a wrong unit changes the size of a person.
+_UNIT_ERRORS = (1.0, 0.001, 0.01, 0.1, 10.0, 100.0, 1000.0)
+#: A person is mirrored if this share of the signs for left and right is wrong. Larger signs have more weight.
+_MIRRORED = 0.8
+#: Hierarchy of the joints. In the rest pose, each joint is in this direction from its parent: y up, facing
+#: +z.
+_TREE = {
+    "Hips": ("", (0.0, 0.0, 0.0)),
+    "Chest": ("Hips", (0.0, 1.0, 0.0)),
+    "Neck": ("Chest", (0.0, 1.0, 0.0)),
+    "Head": ("Neck", (0.0, 1.0, 0.0)),
+    "LeftShoulder": ("Chest", (0.0, 0.0, 0.0)),
+    "LeftElbow": ("LeftShoulder", (1.0, 0.0, 0.0)),
+    "LeftWrist": ("LeftElbow", (1.0, 0.0, 0.0)),
+    "LeftFingers": ("LeftWrist", (1.0, 0.0, 0.0)),
+    "LeftHip": ("Hips", (0.0, 0.0, 0.0)),
+    "LeftKnee": ("LeftHip", (0.0, -1.0, 0.0)),
+    "LeftAnkle": ("LeftKnee", (0.0, -1.0, 0.0)),
+    "LeftToe": ("LeftAnkle", (0.0, -0.4, 0.9165)),
+}
+Points = Mapping[str, Array]
+
+
+def read_marker_motion(path: str | os.PathLike[str], person: str | None = None) -> Motion:
+    """Read a person from the points of a .trc or .c3d file, in metres.
+
+    ``person``: name before the labels (``anna:LKNE``), if the file has several people.
+
+    Gaps are filled linearly. The first and the last used frame show all points. If the person leaves and
+    comes back, only the longest stay is used. Points that are not required are left out if less than half of
+    the frames show them. A mirrored person is mirrored back. Each of these changes gives a warning.
+
+    Raises:
+        MotionError: The file is not valid, or its labels are not those of a person. The message says what was
+            found and what is missing.
+    """
+    read = read_c3d_points if Path(path).suffix.lower() == ".c3d" else read_trc_points
+    return motion_of_points(path, read(Path(path), MotionError, _MAX_BYTES), person)
+
+
+def motion_of_points(path: str | os.PathLike[str], found: MarkerFile, person: str | None = None) -> Motion:
+    """Do the same as :func:`read_marker_motion` with points that were already read."""
+    file = Path(path)
+    if len(found.labels) > _MAX_LABELS or found.points.size > _MAX_POINTS:
+        message = f"{len(found.points)} frames of {len(found.labels)} points are too many"
+        raise MotionError(message, path=path)
+    if not len(found.points):
+        raise MotionError("no frames" if found.labels else "the file has no points", path=path)
+    people = people_of(found)
+    if found.segments is not None and all(marks.missing for marks in people.values()):
+        found = found.segments
+        people = people_of(found)
+    complete = {name: marks for name, marks in people.items() if not marks.missing}
+    if person is not None and person not in people:
+        raise MotionError(unknown("person", person, people), path=path)
+    chosen = people[person] if person is not None else None
+    if chosen is None and len(complete) > 1:
+        raise MotionError(
+            f"the file has {len(complete)} people: name one, such as {file.name}#{next(iter(complete))}; "
+            f"they are {some_of(complete)}",
+            path=path,
+        )
+    if chosen is None:
+        chosen = min(people.values(), key=lambda marks: len(marks.missing))
+    if chosen.missing:
+        unseen = np.array(found.labels)[~is_seen(found.points).any(axis=0)]
+        raise MotionError(
+            f"the points do not make up a person: {', '.join(chosen.missing)} are missing for a set of "
+            f"{chosen.kind}; found {some_of(chosen.labels, 8)}"
+            + (f". No frame has {some_of(unseen)}" if 0 < len(unseen) < len(found.labels) else ""),
+            path=path,
+        )
+    points, frames = _filled(file, found, chosen)
+    if (scale := likely_scale(np.stack([*points.values()], axis=1), _UNIT_ERRORS)) != 1:
+        warn_about(
+            path, f"no person has this size in the unit of the file: lengths are multiplied by {scale:g}"
+        )
+        points = {landmark: scale * place for landmark, place in points.items()}
+    if (axis := _mirrored_axis(points, chosen.kind)) is not None:
+        warn_about(
+            path,
+            "the person is mirrored: the axes of the file are left-handed, or left and right are exchanged "
+            f"in the names of the points. {'xyz'[axis]} is negated",
+        )
+        signs = np.where(np.arange(3) == axis, -1.0, 1.0)
+        points = {landmark: place * signs for landmark, place in points.items()}
+    pelvis = None
+    if chosen.kind == "markers":
+        joints, pelvis = _joint_centres(points)
+    else:
+        joints = _known_joints(points)
+    if chosen.held:
+        joints = _hold(file, joints, chosen.held)
+    motion = _motion(file, joints, pelvis, _frame_time(file, found, frames))
+    return replace(motion, is_rest_made=True, screen_up=found.screen_up)
+
+
+def _mirrored_axis(points: Points, kind: str) -> int | None:
+    """Number of the axis to negate, so that a mirrored person becomes right. None if the person is not
+    mirrored. Toes, the front of the pelvis and the nose show where ahead is. They must agree."""
+    hip, knee, ankle, shoulder = (
+        ("ASIS", "KneeLateral", "AnkleLateral", "Acromion")
+        if kind == "markers"
+        else ("Hip", "Knee", "Ankle", "Shoulder")
+    )
+    left, hips = points["Left" + hip] - points["Right" + hip], _middle(points, hip)
+    trunk = (
+        _middle(points, shoulder) if "Left" + shoulder in points else 2 * hips - _middle(points, knee)
+    ) - hips
+    signs = []  # lines that go up, and lines that go ahead
+    for side in SIDES:
+        if {side + ankle, side + "Toe"} <= points.keys():
+            shank = points[side + knee] - points[side + ankle]
+            signs.append((shank, points[side + "Toe"] - points.get(side + "Heel", points[side + ankle])))
+    if kind == "markers":
+        signs.append((trunk, hips - _back(points)))
+    elif {"Nose", "LeftEar", "RightEar"} <= points.keys():
+        signs.append((trunk, points["Nose"] - _middle(points, "Ear")))
+    handed = [(np.cross(left, up) * ahead).sum(axis=1) for up, ahead in signs]
+    if not handed or any(each.sum() > -_MIRRORED * np.abs(each).sum() for each in handed):
+        return None
+    return 1 if nearest_axis(trunk.mean(axis=0))[2] else 2
+
+
+def _filled(path: Path, file: MarkerFile, marks: Marks) -> tuple[dict[str, Array], Indices]:
+    """Fill the gaps of the landmarks. Returns points (F, 3) by landmark, and the numbers (F) of their
+    frames."""
+    count = len(file.points)
+    known = {landmark: is_seen(file.points[:, number]) for landmark, number in marks.numbers.items()}
+    present = np.flatnonzero(np.mean([*known.values()], axis=0) >= _LEAST_SEEN)
+    if not len(present):
+        raise MotionError(f"no frame has {_LEAST_SEEN:.0%} of the points of the person", path=path)
+    stays = np.split(present, np.flatnonzero(np.diff(present) > _MOST_ABSENT) + 1)
+    stay = max(stays, key=np.ptp)
+    first, last = int(stay[0]), int(stay[-1]) + 1
+    needed = {*(NEEDED_MARKERS if marks.kind == "markers" else NEEDED)}
+    if marks.held:
+        needed |= {"AnkleLateral", "Ankle"}
+    seldom = []
+    for landmark, seen in list(known.items()):
+        label, here = file.labels[marks.numbers[landmark]], np.flatnonzero(seen[first:last])
+        if len(here) >= _LEAST_SEEN * (last - first):
+            continue
+        if landmark[4:] not in needed and landmark[5:] not in needed:
+            seldom.append(label)
+            del known[landmark]
+        elif len(here) < _LEAST_NEEDED * (last - first) or np.ptp(here) + 1 < _LEAST_SEEN * (last - first):
+            runs = np.split(here + first, np.flatnonzero(np.diff(here) > 1) + 1)
+            where = some_of(f"{run[0]} to {run[-1]}" for run in runs if len(run))
+            raise MotionError(
+                f"{label!r} is seen in less than {_LEAST_SEEN:.0%} of the frames"
+                + (f": in frames {where}. Fill its gaps in the program that wrote the file" if where else ""),
+                path=path,
+            )
+    if seldom:
+        warn_about(path, f"{some_of(seldom)}: seen in less than {_LEAST_SEEN:.0%} of the frames, not used")
+    if marks.kind == "markers" and "Sacrum" not in known and not {"LeftPSIS", "RightPSIS"} <= known.keys():
+        raise MotionError("no marker at the back of the pelvis is seen in most frames", path=path)
+    start = max(first + int(np.argmax(seen[first:last])) for seen in known.values())
+    end = min(last - int(np.argmax(seen[first:last][::-1])) for seen in known.values())
+    if end - start < _LEAST_SEEN * (last - first):
+        start, end = first, last  # fill the gaps at both ends with the nearest point instead
+    if end - start < count:
+        warn_about(path, f"frames {start} to {end - 1} of {count} are used: in others points are missing")
+    frames = np.arange(start, end, dtype=np.intp)
+    filled, gaps, longest, where = {}, [], 0, ""
+    for landmark, is_known in known.items():
+        at, places = np.flatnonzero(is_known), file.points[:, marks.numbers[landmark]]
+        filled[landmark] = np.stack([np.interp(frames, at, column[at]) for column in places.T], axis=1)
+        if not is_known[start:end].all():
+            gaps.append(file.labels[marks.numbers[landmark]])
+            edges = np.r_[start - 1, at[(at >= start) & (at < end)], end]
+            gap = int(np.argmax(np.diff(edges)))
+            if (size := int(np.diff(edges)[gap]) - 1) > longest:
+                longest, where = size, f"{edges[gap] + 1} to {edges[gap] + size} of {gaps[-1]}"
+    if gaps:
+        warn_about(path, f"gaps of {some_of(gaps)} are filled; the longest has {longest} frames ({where})")
+    return filled, frames
+
+
+def _frame_time(path: Path, file: MarkerFile, frames: Indices) -> float:
+    times = file.times[frames]
+    steps = np.diff(times)
+    if len(steps) and np.isfinite(steps).all() and (steps > 1e-6).all():
+        step = float(np.median(steps))
+        if np.abs(steps - step).max() < 0.5 * step:
+            return float((times[-1] - times[0]) / len(steps))
+    if file.rate > 0 and 1e-3 <= file.rate <= 1e6:
+        if len(steps):
+            warn_about(path, f"times do not increase evenly: {file.rate:g} frames per second, as stated")
+        return 1 / file.rate
+    raise MotionError("neither times that increase evenly nor a rate", path=path)
+
+
+def _middle(points: Points, part: str) -> Array:
+    return (points[f"Left{part}"] + points[f"Right{part}"]) / 2
+
+
+def _back(points: Points) -> Array:
+    """Middle of the back of the pelvis (F, 3)."""
+    return points["Sacrum"] if "Sacrum" in points else _middle(points, "PSIS")
+
+
+def _known_joints(points: Points) -> dict[str, Array]:
+    """Joints of a file of joints. If hips, neck or head are missing, their neighbours give them."""
+    joints = {name: place for name, place in points.items() if name in _ALL_JOINTS}
+    joints.setdefault("Hips", _middle(points, "Hip"))
+    if not {"LeftShoulder", "RightShoulder"} <= joints.keys():
+        return joints
+    joints.setdefault("Neck", _middle(points, "Shoulder"))
+    if "Head" not in joints:
+        kind = "Ear" if {"LeftEar", "RightEar"} <= points.keys() else "Nose" if "Nose" in points else None
+        if kind is not None:
+            place = _middle(points, kind) if kind == "Ear" else points[kind]
+            across = joints["LeftShoulder"] - joints["RightShoulder"]
+            joints["Head"] = joints["Neck"] + _raised(place - joints["Neck"], across, _HEAD_LEAN[kind])
+    return joints
+
+
+def _raised(vectors: Array, left: Array, degrees: float) -> Array:
+    """Turn vectors (F, 3) backwards by ``degrees``, about the person's ``left`` (F, 3)."""
+    axes = unit_vectors(perpendicular(left, unit_vectors(vectors)))
+    return rotate(rotation_vector_to_matrix(-np.radians(degrees) * axes), vectors)
+
+
+def _hold(path: Path, joints: Mapping[str, Array], held: Sequence[str]) -> dict[str, Array]:
+    """Add the parts in ``held``: a trunk upright over the hips, and arms that hang down."""
+    links = [
+        float(np.median(np.linalg.norm(joints[side + above] - joints[side + below], axis=1)))
+        for side in SIDES
+        for above, below in (("Hip", "Knee"), ("Knee", "Ankle"))
+    ]
+    stature, out = sum(links) / 2 / _LEG, dict(joints)
+    if len(held) > 1:
+        up = _up_of_legs(path, joints)
+        left = unit_vectors(perpendicular(joints["LeftHip"] - joints["RightHip"], up))
+        out["Neck"] = joints["Hips"] + _TRUNK * stature * up
+        out["Head"] = out["Neck"] + _HEAD * stature * up
+        for side, sign in (("Left", 1.0), ("Right", -1.0)):
+            out[f"{side}Shoulder"] = out["Neck"] + sign * _HALF_WIDTH * stature * left
+    down = unit_vectors(out["Hips"] - out["Neck"])
+    across = unit_vectors(perpendicular(out["LeftShoulder"] - out["RightShoulder"], down))
+    for side, sign in (("Left", 1.0), ("Right", -1.0)):
+        arm = np.cos(_HANGING) * down + sign * np.sin(_HANGING) * across
+        out[f"{side}Elbow"] = out[f"{side}Shoulder"] + _UPPER_ARM * stature * arm
+        out[f"{side}Wrist"] = out[f"{side}Elbow"] + _FOREARM * stature * arm
+    warn_about(path, f"there are no points of {' and '.join(held)}: held at rest")
+    return out
+
+
+def _up_of_legs(path: Path, joints: Points) -> Array:
+    """Axis (3,) of the file along which the legs of people stand."""
+    legs = (joints["Hips"] - _middle(joints, "Ankle")).mean(axis=0)
+    axis = np.zeros(3)
+    axis[np.argmax(np.abs(legs))] = np.sign(legs[np.argmax(np.abs(legs))])
+    lean = float(np.degrees(np.arccos(np.clip(axis @ legs / max(float(np.linalg.norm(legs)), 1e-9), -1, 1))))
+    if lean > _MOST_LEAN:
+        raise MotionError(
+            f"no points of the trunk, and the legs do not show where up is: they lean by {lean:.0f} degrees "
+            "from the nearest axis",
+            path=path,
+        )
+    return axis
+
+
+def _joint_centres(points: Points) -> tuple[dict[str, Array], Array]:
+    """Joints (F, 3) from markers on the skin, and axes (F, 3, 3) of the pelvis: left, up, forward."""
+    front, back = _middle(points, "ASIS"), _back(points)
+    left = unit_vectors(points["LeftASIS"] - points["RightASIS"])
+    forward = unit_vectors(perpendicular(front - back, left))
+    up = np.cross(forward, left)
+    width = float(np.median(np.linalg.norm(points["LeftASIS"] - points["RightASIS"], axis=1)))
+    depth = float(np.median(np.linalg.norm(front - back, axis=1)))
+    centre = front + forward * (-0.24 * depth - 0.0099) + up * (-0.30 * width - 0.0109)
+    has_trunk = {"LeftAcromion", "RightAcromion"} <= points.keys()
+    shoulders = _middle(points, "Acromion") if has_trunk else centre + up
+    trunk = unit_vectors(shoulders - centre)
+    joints = {"Hips": centre}
+    for side, sign in (("Left", 1.0), ("Right", -1.0)):
+
+        def at(part: str, side: str = side) -> Array | None:
+            return points.get(side + part)
+
+        hip = centre + sign * left * (0.33 * width + 0.0073)
+        inwards = -sign * left
+        knee = _centre(points[f"{side}KneeLateral"], at("KneeMedial"), hip, inwards, _KNEE)
+        joints |= {f"{side}Hip": hip, f"{side}Knee": knee}
+        heel, toe = at("Heel"), at("Toe")
+        if toe is None and {f"{side}Toe1", f"{side}Toe5"} <= points.keys():
+            toe = (points[f"{side}Toe1"] + points[f"{side}Toe5"]) / 2
+        if (lateral := at("AnkleLateral")) is not None:
+            if heel is not None and toe is not None:  # the foot shows which side is inwards
+                inwards = sign * np.cross(unit_vectors(toe - heel), unit_vectors(knee - lateral))
+            ankle = _centre(lateral, at("AnkleMedial"), knee, inwards, _ANKLE)
+            joints[f"{side}Ankle"] = ankle
+            if toe is not None:
+                joints[f"{side}Toe"] = toe
+        if not has_trunk:
+            continue
+        shoulder = joints[f"{side}Shoulder"] = points[f"{side}Acromion"] - _SHOULDER * trunk
+        if (lateral := at("ElbowLateral")) is None:
+            continue
+        wrist, other = at("WristA"), at("WristB")
+        if wrist is not None and other is not None:
+            wrist = (wrist + other) / 2
+        if wrist is not None and at("ElbowMedial") is None:
+            elbow = _hinge(lateral, shoulder, wrist, sign)
+        else:
+            inwards = sign * unit_vectors(
+                perpendicular(points["RightAcromion"] - points["LeftAcromion"], trunk)
+            )
+            elbow = _centre(lateral, at("ElbowMedial"), shoulder, inwards, _ELBOW)
+        joints[f"{side}Elbow"] = elbow
+        if wrist is not None:
+            joints[f"{side}Wrist"] = wrist
+            if (fingers := at("Fingers")) is not None:
+                joints[f"{side}Fingers"] = fingers
+    axes = np.stack([left, up, forward], axis=-1)
+    if not has_trunk:
+        return joints, axes
+    neck = [points[name] for name in ("C7", "Clavicle") if name in points]
+    joints["Neck"] = np.mean(neck, axis=0) if len(neck) == 2 else shoulders
+    head = [points[name] for name in _HEAD_MARKERS if name in points]
+    if len(head) >= 2:
+        joints["Head"] = np.mean(head, axis=0)
+    elif "TopHead" in points:
+        joints["Head"] = points["TopHead"]
+    return joints, axes
+
+
+def _centre(lateral: Array, medial: Array | None, above: Array, inwards: Array, distance: float) -> Array:
+    """Centre (F, 3) of a joint below the joint ``above``: between two markers, or inwards from the lateral
+    one."""
+    if medial is not None:
+        return (lateral + medial) / 2
+    limb = unit_vectors(lateral - above)
+    return np.asarray(lateral + distance * unit_vectors(perpendicular(inwards, limb)))
+
+
+def _hinge(lateral: Array, shoulder: Array, wrist: Array, sign: float) -> Array:
+    """Centre (F, 3) of an elbow, where the marker is next to the plane of shoulder, elbow and wrist.
+    ``sign``: 1 for the left elbow, -1 for the right one."""
+    way = unit_vectors(wrist - shoulder)
+    aside = perpendicular(lateral - shoulder, way)
+    along = lateral - shoulder - aside
+    size = np.linalg.norm(aside, axis=-1, keepdims=True)
+    sine = np.clip(_ELBOW / np.maximum(size, 1e-9), 0, 1)
+    cosine = np.sqrt(1 - sine**2)
+    bulge = cosine * aside - sign * sine * np.cross(way, aside)
+    return np.asarray(shoulder + along + cosine * bulge)
+
+
+_HEAD_MARKERS = (
+    *(f"{side}{end}Head" for side in SIDES for end in ("Front", "Back")),
+    *("FrontHead", "RearHead"),
+)
+_ALL_JOINTS = {name.replace("Left", side) for name in _TREE for side in SIDES}
+
+
+def _motion(path: Path, joints: dict[str, Array], pelvis: Array | None, frame_time: float) -> Motion:
+    """Make the motion of joints (F, 3) with the rest pose of :data:`_TREE`. ``pelvis``: axes (F, 3, 3) of the
+    pelvis from its markers: left, up, forward. None if there are no such markers."""
+    joints = {**joints, "Chest": (joints["Hips"] + joints["Neck"]) / 2}
+    names, parents, offsets = [], [], []
+    trunk = joints["Neck"] - joints["Hips"]
+    own = {
+        "Hips": _axes(joints["LeftHip"] - joints["RightHip"], trunk),
+        "Chest": _axes(joints["LeftShoulder"] - joints["RightShoulder"], trunk),
+    }
+    if pelvis is not None:
+        own["Hips"] = pelvis @ _standing_tilt(joints, pelvis)
+    if "Head" in joints:
+        above = joints["Head"] - joints["Neck"]
+        own["Neck"] = own["Head"] = _axes(joints["LeftShoulder"] - joints["RightShoulder"], above)
+    done: dict[str, Array] = {}
+    for key, (above_key, direction) in _TREE.items():
+        for side in SIDES if key.startswith("Left") else ("Left",):
+            name, parent = key.replace("Left", side), above_key.replace("Left", side)
+            if name not in joints or (parent and parent not in done):
+                continue
+            way = np.array(direction) * ((-1.0 if side == "Right" else 1.0), 1.0, 1.0)
+            link = joints[name] - joints[parent] if parent else np.zeros((len(trunk), 3))
+            if parent and not way.any():  # hips and shoulders have their median place in the parent
+                way = np.median(rotate(np.swapaxes(done[parent], -1, -2), link), axis=0)
+            else:
+                way = way * float(np.median(np.linalg.norm(link, axis=1)))
+            names.append(name)
+            parents.append(names.index(parent) if parent else -1)
+            offsets.append(way)
+            done[name] = own[name] if name in own else done[parent]
+    # a limb turns with its link, by the shortest rotation from its parent
+    for name in names:
+        below = [n for n in names if parents[names.index(n)] == names.index(name)]
+        if name in own:
+            continue
+        parent = names[parents[names.index(name)]]
+        done[name] = done[parent]
+        if below:
+            rest = rotate(done[parent], np.broadcast_to(offsets[names.index(below[0])], (len(trunk), 3)))
+            link = joints[below[0]] - joints[name]
+            done[name] = shortest_rotations(unit_vectors(rest), unit_vectors(link)) @ done[parent]
+    rotations, positions = [], {}
+    for number, name in enumerate(names):
+        parent_number = parents[number]
+        if parent_number < 0:
+            rotations.append(done[name])
+            positions[number] = joints[name]
+            continue
+        parent = names[parent_number]
+        back = np.swapaxes(done[parent], -1, -2)
+        rotations.append(back @ done[name])
+        positions[number] = rotate(back, joints[name] - joints[parent])
+    if not are_rotations(np.stack(rotations, axis=1)):
+        raise MotionError("points of the person are at one place or on one line", path=path)
+    return motion_of_rotations(
+        names,
+        np.array(parents, dtype=np.intp),
+        np.array(offsets),
+        np.stack(rotations, axis=1),
+        positions,
+        frame_time,
+        path=str(path),
+        unit=1.0,
+    )
+
+
+def _standing_tilt(joints: Points, pelvis: Array) -> Array:
+    """Rotation (3, 3) from the axes of the pelvis to the axes of the trunk, for a person who stands. The
+    rotation is the median over a quarter of the frames: those where trunk and thighs are straightest."""
+    trunk = unit_vectors(joints["Neck"] - joints["Hips"])
+    thighs = unit_vectors(_middle(joints, "Hip") - _middle(joints, "Knee"))
+    straight = (trunk * thighs).sum(axis=1)
+    local = rotate(np.swapaxes(pelvis, -1, -2), trunk)[straight >= np.quantile(straight, 0.75)]
+    angle = float(np.median(np.arctan2(local[:, 2], local[:, 1])))
+    return rotation_vector_to_matrix(np.array([angle, 0.0, 0.0]))
+
+
+def _axes(left: Array, up: Array) -> Array:
+    """Rotations (F, 3, 3) from the rest pose: x along ``left`` (F, 3), and y nearly along ``up`` (F, 3)."""
+    x = unit_vectors(left)
+    z = unit_vectors(np.cross(x, up))
+    return np.stack([x, np.cross(z, x), z], axis=-1)

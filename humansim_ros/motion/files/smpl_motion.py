@@ -1,0 +1,367 @@
+"""Poses of SMPL, SMPL+H and SMPL-X from AMASS and from programs that estimate them [Loper 2015, Mahmood
+2019].
+
+A file has rotations, but no body. So the joints have the places of a mean person. The size of this person
+follows from the length of the steps (docs/motion.md).
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from humansim_ros.errors import HumansimError, MotionError, some_of, unknown, warn_about
+from humansim_ros.files.reading import read_npz, read_pickle, read_table
+from humansim_ros.motion.body.joint_names import SMPL, SMPL_MODELS
+from humansim_ros.motion.body.kinematics import Motion, motion_of_rotations
+from humansim_ros.motion.files.marker_files import MarkerFile
+from humansim_ros.motion.files.smpl_people import people_of
+from humansim_ros.types import Array
+
+#: Arrays of rotations. Either one array has all joints (the best names come first), or each part has its
+#: own array. Arrays of some parts may be missing.
+_POSES = ("pose_world", "poses", "fullpose", "smpl_poses", "pose_aa", "pred_rotmat", "pose")
+_PARTS = (
+    ("root_orient", "global_orient", "poses_root"),
+    ("pose_body", "body_pose", "poses_body"),
+    ("pose_jaw", "jaw_pose"),
+    ("pose_eye", "leye_pose"),
+    ("reye_pose",),
+    ("pose_hand", "left_hand_pose"),
+    ("right_hand_pose",),
+)
+#: Number of values in a frame for the body of SMPL+H and SMPL-X, and for the parts of face and hands.
+_BODY = 63
+_WIDTHS = {
+    **dict.fromkeys(("pose_jaw", "jaw_pose", "leye_pose", "reye_pose"), 3),
+    **dict.fromkeys(("left_hand_pose", "right_hand_pose"), 45),
+    "pose_eye": 6,
+    "pose_hand": 90,
+}
+#: Arrays that these parts combine.
+_HALVES: dict[str, tuple[str, ...]] = {
+    **dict.fromkeys(("pose_jaw", "jaw_pose"), ("jaw",)),
+    "pose_eye": ("left_eye", "right_eye"),
+    "leye_pose": ("left_eye",),
+    "reye_pose": ("right_eye",),
+    "pose_hand": ("left_hand", "right_hand"),
+    "left_hand_pose": ("left_hand",),
+    "right_hand_pose": ("right_hand",),
+}
+#: Array of rotations -> arrays with the places of the person.
+_PLACES = {"pose_world": ("trans_world",), "pred_rotmat": ("pred_trans",)}
+_USUAL_PLACES = ("trans", "transl", "smpl_trans", "global_t", "trans_orig")
+_RATES = ("mocap_frame_rate", "mocap_framerate", "fps", "frame_rate", "framerate")
+_BETAS = ("betas", "beta", "shape", "pred_shape")
+_KNOWN = (
+    *(*_POSES, *(name for names in _PARTS for name in names)),
+    *(*_USUAL_PLACES, *(name for names in _PLACES.values() for name in names), *_RATES, *_BETAS),
+    *("smpl_scaling", "frame_ids", "frame"),
+)
+#: Arrays with rotations in the axes of a camera.
+_OF_CAMERA = ("pose", "pred_rotmat")
+#: Frames per second: of a file that does not state it, of AIST++, of HumanML3D.
+_RATE, _AIST_RATE, _JOINTS_RATE = 30.0, 60.0, 20.0
+#: A track may lack at most this number of frames for each frame that it has.
+_MOST_MISSING = 10
+#: Most rotations of a file, and largest number in a file.
+_MAX_ROTATIONS, _LARGEST = 20_000_000, 1e4
+#: Most frames that are repaired, as a share of all frames.
+_MOST_WRONG = 0.01
+#: The steps of a person show the size if the person walks farther than the first value (metres) and faster
+#: than the second (metres per second). The foot on the floor may slide by the third value, as a share of the
+#: speed. The last values are the limits of the size, as a multiple of the mean person.
+_LEAST_WAY, _LEAST_SPEED, _MOST_SLIDING = 1.0, 0.3, 0.25
+_SIZES = (0.6, 1.45)
+#: Stature of the mean person, metres.
+_STATURE = 1.7
+#: A warning shows this number of betas. The first ones matter most.
+_SHOWN_BETAS = 10
+
+#: Position of the top of the head relative to the head joint, metres. config/smpl_person.json has all joints
+#: of SMPL, relative to their parents at rest: a mean person of 1.7 m in a T pose, y up, facing +z, +x to the
+#: left. These are round numbers, not those of a model.
+_HEAD_TOP = (0.0, 0.18, 0.0)
+
+
+def is_smpl_motion(path: str | os.PathLike[str]) -> bool:
+    """Whether an archive has poses. False if the archive cannot be read."""
+    try:
+        arrays = read_npz(path, MotionError, "SMPL motion", (*_POSES, *_PARTS[0]))
+    except HumansimError:
+        return False
+    return bool(arrays)
+
+
+def read_smpl_motion(path: str | os.PathLike[str], person: str | None = None) -> Motion:
+    """Read poses of SMPL (24 joints), SMPL+H (52) or SMPL-X (55), or joints of HumanML3D, in metres.
+
+    The file has ``poses`` (F, 3 J) or parts of poses, such as ``root_orient``, ``pose_body`` and
+    ``pose_hand``, as rotation vectors or matrices. It also has ``trans`` (F, 3) and ``mocap_frame_rate``.
+    Arrays of other programs are read, too (docs/motion.md). The shape of the person (``betas``) and the
+    ``gender`` are not used. A warning tells about ``betas``. The stature follows from the steps if the person
+    walks. Single frames that are not finite are filled from their neighbours, with a warning.
+
+    ``person``: keys of a person in a file with several people, such as ``1``. If None, the person with the
+    longest track.
+
+    Raises:
+        MotionError: The file has no poses, or arrays of the wrong size. The error names file and array.
+    """
+    what = "SMPL motion"
+    is_archive = Path(path).suffix.lower() == ".npz"
+    tree = read_npz(path, MotionError, what, _KNOWN) if is_archive else read_pickle(path, MotionError, what)
+    try:
+        people = people_of(tree, (*_POSES, *_PARTS[0], *_PARTS[1], "joints"))
+    except (ValueError, IndexError, KeyError, TypeError, AttributeError):
+        raise MotionError("the arrays of its people do not fit together", path=path) from None
+    if person is not None and person not in people:
+        raise MotionError(unknown("person", person, people, "the file"), path=path)
+    if person is None:
+        by_size = sorted(people, key=lambda name: -max(map(np.size, people[name].values())))
+        person = by_size[0] if by_size else None
+        if by_size[1:]:
+            found = f"{len(by_size)} people, {some_of(by_size)}: the first, which has most frames, is read"
+            warn_about(path, f"{found}; the others are read by name, such as {Path(path).name}#{by_size[1]}")
+    arrays = {} if person is None else people[person]
+    if "joints" in arrays and not any(name in arrays for name in _POSES):
+        return _motion_of_joints(path, arrays["joints"])
+    poses, name = _poses(Path(path), arrays)
+    frames = len(poses)
+    places = next((arrays[n] for n in _PLACES.get(name, _USUAL_PLACES) if n in arrays), None)
+    if places is None:
+        warn_about(path, "no 'trans': the person stays in place")
+        places = np.zeros((frames, 3))
+    places = _finite(path, _numbers(path, "trans", places), "trans")
+    if places.shape != (frames, 3):
+        raise MotionError(f"{places.shape} numbers for {frames} frames", path=path, key="trans")
+    if is_of_camera := name in _OF_CAMERA or "incam" in str(person):
+        warn_about(path, "these are axes of a camera: the person leans, and moves, as the camera does")
+    poses, places = _without_gaps(path, poses, places, arrays)
+    names, frames = SMPL_MODELS[len(poses[0])], len(poses)
+    # AIST++ has centimetres, and a factor that converts the metres of the model to them
+    scaling = _number(arrays.get("smpl_scaling", np.ones(1)))
+    unit = 0.01 if scaling > _SIZES[1] else 1.0
+    parents, offsets = _skeleton(names)
+    rotations = Rotation.from_rotvec(poses.reshape(-1, 3)).as_matrix().reshape(frames, -1, 3, 3)
+    order = sorted(range(len(names)), key=lambda joint: _depth(joint, parents))
+    number = {joint: place for place, joint in enumerate(order)}
+    above = [number[parents[joint]] if parents[joint] >= 0 else -1 for joint in order]
+    head = number[names.index("head")]
+    motion = motion_of_rotations(
+        [*(names[joint] for joint in order), "head_end"],
+        np.array([*above, head], dtype=np.intp),
+        np.array([*offsets[order], _HEAD_TOP]),
+        rotations[:, order],
+        {0: unit * places},
+        1 / _rate(path, arrays),
+        path=os.fspath(path),
+        unit=1.0,
+    )
+    motion = replace(motion, up="-y" if is_of_camera else None)
+    if _SIZES[0] <= unit * scaling <= _SIZES[1] and "smpl_scaling" in arrays:
+        return replace(motion, offsets=unit * scaling * motion.offsets)
+    betas = next((arrays[key] for key in _BETAS if key in arrays), None)
+    if betas is not None and (betas.dtype.kind not in "fiu" or not np.any(betas)):
+        return motion  # keep the mean person
+    size = _size_of_steps(motion)
+    if betas is not None:
+        _warn_of_shape(path, betas, size)
+    return motion if size is None else replace(motion, offsets=size * motion.offsets)
+
+
+def _motion_of_joints(path: str | os.PathLike[str], joints: NDArray[Any]) -> Motion:
+    """Make the motion of joints (F, J, 3) of a model, y up."""
+    # imported here, since few files have joints
+    from humansim_ros.motion.files.marker_motion import motion_of_points
+
+    warn_about(path, f"joints without a frame rate: {_JOINTS_RATE:g} frames per second, as HumanML3D has")
+    points = _finite(path, _numbers(path, "joints", joints), "joints").reshape(len(joints), -1, 3)
+    names = SMPL[: min(22, points.shape[1])]
+    times = np.arange(len(points)) / _JOINTS_RATE
+    return motion_of_points(path, MarkerFile(names, points[:, : len(names)], times, (), _JOINTS_RATE))
+
+
+def _without_gaps(
+    path: str | os.PathLike[str], poses: Array, places: Array, arrays: Mapping[str, NDArray[Any]]
+) -> tuple[Array, Array]:
+    """Poses (F, J, 3) and places (F, 3) of all frames. If a track lacks a frame, the frame before is
+    repeated."""
+    ids = arrays.get("frame_ids", arrays.get("frame", np.empty(0))).ravel()
+    if len(ids) != len(poses) or ids.dtype.kind not in "iu" or (np.diff(ids.astype(float)) < 1).any():
+        return poses, places
+    missing = int(ids[-1]) - int(ids[0]) + 1 - len(ids)
+    if not 0 < missing < _MOST_MISSING * len(ids):
+        return poses, places
+    held = np.searchsorted(ids, np.arange(ids[0], int(ids[-1]) + 1), side="right") - 1
+    warn_about(
+        path, f"the track lacks {missing} frames, the first is {ids[np.argmax(np.diff(ids) > 1)] + 1}: held"
+    )
+    return poses[held], places[held]
+
+
+def _warn_of_shape(path: str | os.PathLike[str], betas: NDArray[Any], size: float | None) -> None:
+    numbers = ", ".join(f"{value:.3g}" for value in betas.ravel()[:_SHOWN_BETAS])
+    stature = (
+        f"a stature of {_STATURE:.2f} m is assumed"
+        if size is None
+        else f"the stature, {size * _STATURE:.2f} m, follows from the steps"
+    )
+    text = f"the shape of this person is not used, {stature}: the motion moves any body."
+    text += f" A human of an SMPL model gets it with betas: [{numbers}] in its description (docs/humans.md)"
+    warn_about(path, f"betas: {text}")
+
+
+def _size_of_steps(motion: Motion) -> float | None:
+    """Find the size of the person with which the foot on the floor stays in place, as a multiple of the mean
+    person. None if the person walks too little, or the feet slide."""
+    places = motion.world_positions()
+    root = places[:, 0]
+    feet = places[:, [motion.joint("left_foot"), motion.joint("right_foot")]] - root[:, None]
+    forward = np.diff(root, axis=0) / motion.frame_time
+    back = np.diff(feet, axis=0) / motion.frame_time  # (F - 1, 2, 3)
+    speed = np.linalg.norm(forward, axis=1)
+    walks = speed > _LEAST_SPEED
+    if speed[walks].sum() * motion.frame_time < _LEAST_WAY:
+        return None
+    forward, back = forward[walks], back[walks]
+    size = 1.0
+    for _ in range(10):
+        slides = np.linalg.norm(forward[:, None] + size * back, axis=-1)
+        standing = back[np.arange(len(back)), slides.argmin(axis=1)]
+        size = float(-(forward * standing).sum() / max(float((standing**2).sum()), 1e-12))
+    sliding = float(np.median(slides.min(axis=1) / speed[walks]))
+    return size if sliding <= _MOST_SLIDING and _SIZES[0] <= size <= _SIZES[1] else None
+
+
+def _poses(path: Path, arrays: Mapping[str, NDArray[Any]]) -> tuple[Array, str]:
+    """Rotation vectors (F, J, 3), and the name of the array. If there are several arrays, the name of the
+    first."""
+    name = next((name for name in _POSES if name in arrays), None)
+    if name is not None:
+        found = _numbers(path, name, arrays[name])
+    else:
+        parts = [next((word for word in names if word in arrays), None) for names in _PARTS]
+        if parts[0] is None or parts[1] is None:
+            there = some_of(arrays) if arrays else "none of the arrays of AMASS"
+            raise MotionError(
+                "not a motion of SMPL: it needs 'poses', or 'root_orient' and 'pose_body' "
+                f"(rotation vectors); it has {there}",
+                path=path,
+            )
+        name = parts[0]
+        tables = {part: _numbers(path, part, arrays[part]) for part in parts if part is not None}
+        if len({len(table) for table in tables.values()}) > 1:
+            raise MotionError("parts of different lengths", path=path, key=name)
+        found = np.concatenate(_all_parts(path, tables), axis=1)
+    width = found.shape[1] // 3
+    # the body alone has 22 joints: those of SMPL without the hands
+    if found.shape[1] % 3 == 0 and width == 22:
+        found, width = np.pad(found, ((0, 0), (0, 6))), 24
+    if not len(found) or found.shape[1] % 3 or width not in SMPL_MODELS:
+        counts = ", ".join(f"{3 * count} ({count} joints)" for count in (22, *SMPL_MODELS))
+        raise MotionError(
+            f"poses of {len(found)} frames with {found.shape[1]} numbers each; a frame has {counts}",
+            path=path,
+            key=name,
+        )
+    if found.size > 3 * _MAX_ROTATIONS:
+        raise MotionError(f"{len(found)} frames are too many", path=path, key=name)
+    return _finite(path, found, name).reshape(len(found), -1, 3), name
+
+
+def _all_parts(path: Path, tables: Mapping[str, Array]) -> list[Array]:
+    """Root, body, face and hands (F, 3 J) in the order of the models. A missing part is zero.
+
+    Args:
+        path: File, for messages.
+        tables: Rotations (F, N) of the parts of a file by name: root, body, and others.
+    """
+    root, body, *others = tables
+    if not others:
+        return list(tables.values())
+    widths = {body: _BODY} | {part: _WIDTHS[part] for part in others}
+    for part, width in widths.items():
+        if (found := tables[part].shape[1]) != width:
+            hint = ". Components of hands (use_pca) need the model: write rotations of 15 joints a hand"
+            hint = hint if "hand" in part and found < width else ""
+            raise MotionError(f"{found} numbers a frame in place of {width}{hint}", path=path, key=part)
+    halves: dict[str, Array] = {}
+    for part in others:
+        halves |= zip(_HALVES[part], np.split(tables[part], len(_HALVES[part]), axis=1), strict=True)
+    order: tuple[str, ...] = ("left_hand", "right_hand")
+    if any(not half.endswith("hand") for half in halves):
+        order = ("jaw", "left_eye", "right_eye", *order)
+    count = len(tables[root])
+    sizes = {half: width // len(_HALVES[part]) for part, width in _WIDTHS.items() for half in _HALVES[part]}
+    details = [halves.get(half, np.zeros((count, sizes[half]))) for half in order]
+    return [tables[root], tables[body], *details]
+
+
+def _numbers(path: str | os.PathLike[str], name: str, array: NDArray[Any]) -> Array:
+    if array.dtype.kind not in "fiu" or array.ndim < 2:
+        raise MotionError(
+            f"must be numbers for each frame, not {array.shape} {str(array.dtype)[:40]}", path=path, key=name
+        )
+    if array.ndim > 2 and array.shape[-2:] == (3, 3):
+        try:
+            if not np.isfinite(array).all():
+                raise ValueError
+            vectors = Rotation.from_matrix(array.reshape(-1, 3, 3)).as_rotvec()
+        except ValueError:
+            raise MotionError("these matrices are no rotations", path=path, key=name) from None
+        return vectors.reshape(len(array), -1)
+    # a copy, since SciPy refuses arrays that are read-only
+    return np.array(array, dtype=float).reshape(len(array), int(np.prod(array.shape[1:])))
+
+
+def _finite(path: str | os.PathLike[str], table: Array, name: str) -> Array:
+    """Fill single wrong frames of a table (F, N) linearly."""
+    wrong = ~(np.abs(table) <= _LARGEST).all(axis=1)
+    if not wrong.any():
+        return table
+    first = int(np.argmax(wrong))
+    if wrong.mean() > _MOST_WRONG:
+        message = f"{int(wrong.sum())} of {len(table)} frames are not finite, the first is {first}"
+        raise MotionError(message, path=path, key=name)
+    warn_about(path, f"{name}: {int(wrong.sum())} frames are not finite, such as {first}: filled")
+    good = np.flatnonzero(~wrong)
+    return np.stack([np.interp(np.arange(len(table)), good, column[good]) for column in table.T], axis=1)
+
+
+def _rate(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]]) -> float:
+    name = next((name for name in _RATES if name in arrays), None)
+    if name is None and "smpl_scaling" in arrays:
+        return _AIST_RATE
+    if name is None:
+        warn_about(path, f"no 'mocap_frame_rate': {_RATE:g} frames per second (else set the speed)")
+        return _RATE
+    value = arrays[name]
+    rate = _number(value)
+    if not 1e-3 <= rate <= 1e6:
+        raise MotionError(f"frames per second must be a number above 0, not {value.tolist()!r:.40}",
+                          path=path, key=name)  # fmt: skip
+    return rate
+
+
+def _number(value: NDArray[Any]) -> float:
+    """The number of an array. 0 if the array has no number or several."""
+    return float(value.ravel()[0]) if value.size == 1 and value.dtype.kind in "fiu" else 0.0
+
+
+def _skeleton(names: tuple[str, ...]) -> tuple[list[int], Array]:
+    """Parents (J), and OFFSETs (J, 3) of the mean person."""
+    rows = {row["name"]: row for row in read_table("smpl_person")}
+    parents = [names.index(rows[name]["parent"]) if rows[name]["parent"] else -1 for name in names]
+    return parents, np.array([rows[name]["offset"] for name in names], dtype=float)
+
+
+def _depth(joint: int, parents: list[int]) -> int:
+    return 0 if parents[joint] < 0 else 1 + _depth(parents[joint], parents)

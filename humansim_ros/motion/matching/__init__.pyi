@@ -1,0 +1,12 @@
+from humansim_ros.motion.matching.file_frame import axis_vector as axis_vector
+from humansim_ros.motion.matching.file_frame import detect_file_frame as detect_file_frame
+from humansim_ros.motion.matching.joint_match import JointMatch as JointMatch
+from humansim_ros.motion.matching.joint_match import match_roles as match_roles
+from humansim_ros.motion.matching.joint_match import table_text as table_text
+from humansim_ros.motion.matching.joint_match import write_table as write_table
+from humansim_ros.motion.matching.joint_matching import LIMBS as LIMBS
+from humansim_ros.motion.matching.joint_matching import match_motion as match_motion
+from humansim_ros.motion.matching.joint_matching import match_names as match_names
+from humansim_ros.motion.matching.joint_tables import JointTable as JointTable
+from humansim_ros.motion.matching.joint_tables import built_in_tables as built_in_tables
+from humansim_ros.motion.matching.joint_tables import load_table as load_table

@@ -1,0 +1,428 @@
+"""Match joints by the shape of the skeleton: tree, link lengths and symmetry, without names.
+
+Lengths along the tree do not depend on the pose. A person has two equal legs at one joint, two equal arms at
+another joint, and a head near the arms. Only left and right may need a pose: if names do not show the sides.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from humansim_ros.geometry import unit_vectors
+from humansim_ros.motion.body.kinematics import Motion
+from humansim_ros.motion.matching.joint_match import MIN_CONFIDENCE, JointMatch, match_roles
+from humansim_ros.motion.matching.joint_tables import JointTable
+from humansim_ros.types import Array
+
+#: Two branches are a pair if their lengths differ by this share at most.
+_PAIR_TOLERANCE = 0.12
+#: Most branches of a joint (the longest ones), and most pairs of branches that are compared with those of a
+#: person.
+_MAX_BRANCHES, _MAX_PAIRS = 30, 60
+#: Standard deviation of the measured length of a bone, as a share of the length.
+_BONE_VARIATION = 0.01
+
+
+@dataclass(frozen=True)
+class BranchPair:
+    """Two similar branches of a joint: the first joints of both, and the length of the longer branch."""
+
+    joint: int
+    branches: tuple[int, int]
+    length: float
+    symmetry: float
+
+
+class JointTree:
+    """Tree of the joints of a motion, with the lengths of links and the longest chain below each joint."""
+
+    def __init__(self, motion: Motion) -> None:
+        self.names = motion.joint_names
+        self.parents = motion.parents
+        count = motion.n_joints
+        frames = np.unique(np.linspace(0, motion.n_frames - 1, 5).astype(int))
+        self.links = np.median(np.linalg.norm(motion.local_translations(frames), axis=-1), axis=0)
+        self.links[self.parents < 0] = 0.0
+        self.points = motion.world_positions(np.unique(np.linspace(0, motion.n_frames - 1, 60).astype(int)))
+        self.children: list[list[int]] = [[] for _ in range(count)]
+        for joint, parent in enumerate(self.parents.tolist()):
+            if parent >= 0:
+                self.children[parent].append(joint)
+        #: Longest way from the parent of a joint through the joint to a leaf.
+        self.reach = self.links.copy()
+        self.next = np.full(count, -1)
+        for joint in range(count - 1, -1, -1):  # children come after their parents
+            if self.children[joint]:
+                farthest = max(self.children[joint], key=lambda child: self.reach[child])
+                self.reach[joint] += self.reach[farthest]
+                self.next[joint] = farthest
+        self.size = float(self.reach.max(initial=0.0))
+
+    def stiffness(self, a: int, b: int) -> float:
+        """1 if the distance between two joints is constant, as along a bone. Less if a joint between them
+        bends."""
+        if int(self.parents[b]) == a:
+            return 1.0
+        distance = np.linalg.norm(self.points[:, a] - self.points[:, b], axis=-1)
+        return float(np.exp(-0.5 * (distance.std() / max(distance.mean(), 1e-9) / _BONE_VARIATION) ** 2))
+
+    def chain(self, joint: int) -> list[int]:
+        """Longest chain of a branch, from its first joint to the leaf."""
+        out = [joint]
+        while self.next[out[-1]] >= 0:
+            out.append(int(self.next[out[-1]]))
+        return out
+
+    def path(self, joint: int) -> list[int]:
+        """A joint and its ancestors, upwards."""
+        out = [joint]
+        while self.parents[out[-1]] >= 0:
+            out.append(int(self.parents[out[-1]]))
+        return out
+
+    def pairs(self) -> list[BranchPair]:
+        """All pairs of similar long branches of one joint. Joints with no distance between them count as
+        one."""
+        pairs = []
+        for joint in range(len(self.parents)):
+            branches = [child for child in self._branches(joint) if self.reach[child] > 0.15 * self.size]
+            if len(branches) > _MAX_BRANCHES:
+                shortest = sorted(self.reach[branches], reverse=True)[_MAX_BRANCHES - 1]
+                branches = [child for child in branches if self.reach[child] >= shortest][:_MAX_BRANCHES]
+            for a, b in combinations(branches, 2):
+                longer, shorter = sorted((self.reach[a], self.reach[b]), reverse=True)
+                if shorter > (1 - _PAIR_TOLERANCE) * longer:
+                    pairs.append(BranchPair(joint, (a, b), float(longer), float(shorter / longer)))
+        return pairs
+
+    def _branches(self, joint: int) -> Iterator[int]:
+        """Children of a joint. If a child has no length, also the children of the child, since they start at
+        the same place."""
+        for child in self.children[joint]:
+            yield child
+            if self.links[child] < 1e-3 * self.size and len(self.children[child]) > 1:
+                yield from self.children[child]
+
+
+#: Shares of a leg (thigh, shin, foot) and of an arm (upper arm, forearm, hand) of a typical person.
+_LEG, _ARM = np.array([0.43, 0.41, 0.16]), np.array([0.42, 0.36, 0.22])
+#: Length of an arm, and of neck and head, as shares of the length of a leg.
+_ARM_BY_LEG, _HEAD_BY_LEG = 0.72, 0.28
+#: A joint with at least this number of children is a hand, a foot or a head, with fingers, toes or parts of a
+#: face.
+_MANY_CHILDREN = 3
+#: The likelihood of a limb is multiplied by this value if the limb does not end at its hand or foot.
+_WRONG_END = 0.2
+_HAND = re.compile(r"hand|wrist", re.IGNORECASE)
+_FOOT = re.compile(r"foot|ankle", re.IGNORECASE)
+_HEAD = re.compile(r"head|skull", re.IGNORECASE)
+_LEFT = re.compile(r"left|(?<![a-z])l(?=[_. -])|(?<=[_. :-])l(?![a-z])", re.IGNORECASE)
+_RIGHT = re.compile(r"right|(?<![a-z])r(?=[_. -])|(?<=[_. :-])r(?![a-z])", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class _Limb:
+    """Collar, three main joints and tip of a limb, and the likelihood of the limb (0 to 1)."""
+
+    collar: int | None
+    joints: tuple[int, int, int]
+    tip: int | None
+    likelihood: float
+
+
+def match_shape(motion: Motion, min_confidence: float = MIN_CONFIDENCE) -> JointMatch | None:
+    """Match the joints of a person by the shape of the skeleton. None if the motion has no person.
+
+    A motion has no person if its similarity to a person is below ``min_confidence``.
+
+    ``confidence`` is the similarity to a person. It is lower where left and right are uncertain.
+    """
+    tree = JointTree(motion)
+    best: tuple[float, dict[str, int]] | None = None
+    for legs, arms in _limb_pairs(tree):
+        person = _person(tree, legs, arms)
+        if person is not None and (best is None or person[0] > best[0]):
+            best = person
+    if best is None or best[0] < min_confidence:
+        return None
+    likelihood, roles = best
+    roles, side_confidence = _assign_sides(motion, roles)
+    names = {role: [motion.joint_names[j]] for role, j in roles.items()}
+    match = match_roles(
+        JointTable.model_validate({"name": "shape", "joints": names}), roles, motion.joint_names
+    )
+    if not match.complete:
+        return None
+    # a motion is not refused only because its sides are uncertain
+    confidence = round(min(1.0, max(float(likelihood * side_confidence), min(likelihood, MIN_CONFIDENCE))), 3)
+    return replace(match, by="shape", confidence=confidence)
+
+
+def _limb_pairs(tree: JointTree) -> Iterator[tuple[BranchPair, BranchPair]]:
+    """Candidates for legs and arms: two pairs of branches that have no joint in common."""
+    pairs = sorted(tree.pairs(), key=lambda pair: -pair.length)[:_MAX_PAIRS]
+    above = [{joint for start in (p.joint, *p.branches) for joint in tree.path(start)[1:]} for p in pairs]
+    for legs, above_legs in zip(pairs, above, strict=True):
+        for arms, above_arms in zip(pairs, above, strict=True):
+            if arms is legs or set(arms.branches) & set(legs.branches):
+                continue
+            if (
+                not above_legs.intersection(arms.branches)
+                and not above_arms.intersection(legs.branches)
+                and legs.joint not in arms.branches
+                and arms.joint not in legs.branches
+            ):
+                yield legs, arms
+
+
+def _person(tree: JointTree, legs: BranchPair, arms: BranchPair) -> tuple[float, dict[str, int]] | None:
+    """Likelihood of a person with these legs and arms, and the roles of the joints. Left and right are not
+    decided yet."""
+    leg_limbs, arm_limbs = _limbs(tree, legs, _LEG, 1.05, _FOOT), _limbs(tree, arms, _ARM, 1.2, _HAND)
+    if leg_limbs is None or arm_limbs is None:
+        return None
+    roles: dict[str, int] = {"Hips": legs.joint}
+    # legs are among the longest branches
+    likelihood = legs.symmetry * arms.symmetry * min(1.0, 2 * legs.length / tree.size) ** 2
+    for side, leg, arm in zip(("Left", "Right"), leg_limbs, arm_limbs, strict=True):
+        roles.update(
+            {f"{side}{part}": j for part, j in zip(("Hip", "Knee", "Ankle"), leg.joints, strict=True)}
+        )
+        roles.update(
+            {f"{side}{part}": j for part, j in zip(("Shoulder", "Elbow", "Wrist"), arm.joints, strict=True)}
+        )
+        if leg.tip is not None:
+            roles[f"{side}Toe"] = leg.tip
+        if arm.collar is not None:
+            roles[f"{side}Collar"] = arm.collar
+        if arm.tip is not None:
+            roles[f"{side}Fingers"] = arm.tip
+        likelihood *= leg.likelihood * arm.likelihood
+    leg_length, arm_length = (
+        sum(tree.links[j] for j in limb.joints[1:]) for limb in (leg_limbs[0], arm_limbs[0])
+    )
+    likelihood *= _similarity(arm_length / leg_length, _ARM_BY_LEG, 0.35)
+    trunk = _path_between(tree, legs.joint, arms.joint)
+    if trunk is None:
+        return None
+    # from the last common joint of hips and trunk up to the arms
+    spine = trunk[trunk.index(_topmost(tree, trunk)) + 1 :]
+    if spine:
+        roles["Spine"], roles["Chest"] = spine[0], spine[-1]
+    else:
+        roles["Chest"] = arms.joint
+    length = sum(tree.links[joint] for joint in trunk if joint != _topmost(tree, trunk))
+    likelihood *= _similarity(max(length, 1e-9) / leg_length, 0.55, 0.9)
+    head = _head(tree, legs, arms, trunk)
+    if head is None:
+        return likelihood * 0.4, roles
+    top = _end_of_chain(tree, head, _HEAD, from_place=0)
+    if top is None:
+        top = max(len(head) - 2, 0)
+    roles["Head"] = head[top]
+    if top > 0:
+        roles["Neck"] = head[0]
+    head = head[: top + 2]
+    likelihood *= _similarity(sum(tree.links[j] for j in head) / leg_length, _HEAD_BY_LEG, 0.9)
+    return likelihood ** (1 / 4), roles
+
+
+def _similarity(ratio: float, typical: float, spread: float) -> float:
+    """Similarity of a ratio to a typical one. It is 1 if both are equal, and falls with the logarithm of the
+    deviation."""
+    return float(np.exp(-0.5 * (np.log(max(ratio, 1e-9) / typical) / spread) ** 2))
+
+
+def _end_of_chain(tree: JointTree, chain: list[int], called: re.Pattern[str], from_place: int) -> int | None:
+    """Place of the hand, foot or head in a chain, from ``from_place`` on, by its name or its children. None
+    if not found."""
+    places = range(from_place, len(chain))
+    for place in places:
+        if tree.children[chain[place]] and called.search(tree.names[chain[place]]):
+            return place
+    return next((place for place in places if len(tree.children[chain[place]]) >= _MANY_CHILDREN), None)
+
+
+def _limbs(
+    tree: JointTree, pair: BranchPair, typical: Array, above: float, end: re.Pattern[str]
+) -> tuple[_Limb, _Limb] | None:
+    """Find the most likely three joints of both limbs. If the chains are equally long, both have the same
+    places.
+
+    Args:
+        tree: Joint tree.
+        pair: First joints of the limbs.
+        typical: (3,) shares of the three parts of a limb.
+        above: Usual length of limb and collar together, as a multiple of the length of the limb.
+        end: Names of the third joint.
+    """
+    chains = [tree.chain(branch) for branch in pair.branches]
+    likelihoods = [_joint_triples(tree, chain, typical, above, end) for chain in chains]
+    if not all(likelihoods):
+        return None
+    if len(chains[0]) == len(chains[1]):
+        both = {
+            places: value * likelihoods[1][places]
+            for places, value in likelihoods[0].items()
+            if places in likelihoods[1]
+        }
+        if not both:
+            return None
+        best = max(both, key=lambda places: both[places])
+        chosen = [best, best]
+    else:
+        chosen = [max(one, key=lambda places, one=one: one[places]) for one in likelihoods]  # type: ignore[misc]
+    first, second = (
+        _Limb(
+            _collar(tree, chain, places[0]),
+            (chain[places[0]], chain[places[1]], chain[places[2]]),
+            _tip(tree, chain, places[2]),
+            one[places],
+        )
+        for chain, places, one in zip(chains, chosen, likelihoods, strict=True)
+    )
+    return first, second
+
+
+def _joint_triples(
+    tree: JointTree, chain: list[int], typical: Array, above: float, end: re.Pattern[str]
+) -> dict[tuple[int, int, int], float]:
+    """For places of three joints in a chain, the likelihood (0 to 1) that these joints form a limb. The
+    parameters are the same as in :func:`_limbs`."""
+    last = _end_of_chain(tree, chain, end, from_place=2)
+    along = np.cumsum([tree.links[joint] for joint in chain])
+    likelihoods = {}
+    for i, j, k in combinations(range(min(len(chain), 16)), 3):
+        upper, lower, rest = along[j] - along[i], along[k] - along[j], along[-1] - along[k]
+        if min(upper, lower) < 0.12 * along[-1]:
+            continue
+        likelihood = _similarity(upper / lower, typical[0] / typical[1], 0.22)
+        if rest > 0.02 * (upper + lower):
+            likelihood *= _similarity(rest / (upper + lower), typical[2] / (typical[0] + typical[1]), 0.6)
+        else:
+            likelihood *= 0.5
+        likelihood *= _similarity(1 + (along[i] - along[0]) / (upper + lower), above, 0.25)
+        likelihood *= tree.stiffness(chain[i], chain[j]) * tree.stiffness(chain[j], chain[k])
+        # a limb ends in a joint, not in an end site. Few skeletons have joints in the middle of a bone
+        likelihood *= 1.0 if tree.children[chain[k]] else 0.6
+        skipped = sum(tree.links[chain[m]] > 0.08 * (upper + lower) for m in range(i + 1, k) if m != j)
+        likelihood *= 1.0 if last in (None, k) else _WRONG_END
+        likelihoods[i, j, k] = float(likelihood * 0.9**skipped)
+    return likelihoods
+
+
+def _collar(tree: JointTree, chain: list[int], place: int) -> int | None:
+    """Last joint before a place in a chain that has a different position."""
+    inner = [chain[m] for m in range(place) if tree.links[chain[m + 1]] > 1e-3 * tree.size]
+    return inner[-1] if inner else None
+
+
+def _tip(tree: JointTree, chain: list[int], place: int) -> int | None:
+    """First joint after a place in a chain that has a different position."""
+    for joint in chain[place + 1 :]:
+        if tree.links[joint] > 0.005 * tree.size:
+            return joint
+    return None
+
+
+def _path_between(tree: JointTree, a: int, b: int) -> list[int] | None:
+    """Joints from a to b along the tree. None if a and b are in different trees."""
+    up_a, up_b = tree.path(a), tree.path(b)
+    common = next((joint for joint in up_a if joint in up_b), None)
+    if common is None:
+        return None
+    return [*up_a[: up_a.index(common) + 1], *reversed(up_b[: up_b.index(common)])]
+
+
+def _topmost(tree: JointTree, joints: list[int]) -> int:
+    """Joint of a path that is the ancestor of all its other joints."""
+    return next(joint for joint in joints if int(tree.parents[joint]) not in joints)
+
+
+def _head(tree: JointTree, legs: BranchPair, arms: BranchPair, trunk: list[int]) -> list[int] | None:
+    """Chain of neck and head: the longest branch left over at the joint of the arms or at its parent."""
+    used = {*legs.branches, *arms.branches, *trunk}
+    near = [arms.joint, *tree.path(arms.joint)[1:2]]
+    near = [joint for joint in near if joint != legs.joint or joint == arms.joint]
+    branches = [
+        child
+        for joint in near
+        for child in tree.children[joint]
+        if child not in used and not any(branch in tree.chain(child) for branch in used)
+    ]
+    branches = [child for child in branches if tree.reach[child] > 0.02 * tree.size]
+    return tree.chain(max(branches, key=lambda child: tree.reach[child])) if branches else None
+
+
+def _assign_sides(motion: Motion, roles: dict[str, int]) -> tuple[dict[str, int], float]:
+    """Give the roles left and right, by names or else by the direction of the feet. Also returns the
+    confidence."""
+
+    def named_side(part: str) -> int:
+        """1 if the names agree with left and right, -1 if they are swapped, 0 if they do not tell."""
+        left, right = (motion.joint_names[roles[f"{side}{part}"]] for side in ("Left", "Right"))
+        a, b = _side_of_name(left), _side_of_name(right)
+        return 0 if a == b else a - b
+
+    legs, arms = named_side("Knee") or named_side("Hip"), named_side("Elbow") or named_side("Shoulder")
+    confidence = 1.0
+    if not legs:
+        legs, confidence = _posed_side(motion, roles, "Hip"), 0.75
+    if not arms:
+        # arms get the sides of the hips that are below them
+        arms, confidence = legs * _shoulders_above_hips(motion, roles), min(confidence, 0.9)
+    out = dict(roles)
+    for swapped, parts in (
+        (legs < 0, ("Hip", "Knee", "Ankle", "Toe")),
+        (arms < 0, ("Collar", "Shoulder", "Elbow", "Wrist", "Fingers")),
+    ):
+        for part in parts if swapped else ():
+            pair = {side: out.pop(f"{side}{part}", None) for side in ("Left", "Right")}
+            for side, other in (("Left", "Right"), ("Right", "Left")):
+                if (joint := pair[other]) is not None:
+                    out[f"{side}{part}"] = joint
+    return out, confidence
+
+
+def _side_of_name(name: str) -> int:
+    return bool(_LEFT.search(name)) - bool(_RIGHT.search(name))
+
+
+def _sampled_positions(motion: Motion) -> Array:
+    return motion.world_positions(np.unique(np.linspace(0, motion.n_frames - 1, 200).astype(int)))
+
+
+def _posed_side(motion: Motion, roles: dict[str, int], part: str) -> int:
+    """1 if the left side is on the left of the direction of feet and knees, seen from above. Else -1."""
+    points = _sampled_positions(motion)
+    head = points[:, roles.get("Head", roles["Chest"])]
+    ankles = (points[:, roles["LeftAnkle"]] + points[:, roles["RightAnkle"]]) / 2
+    up = unit_vectors((head - ankles).mean(0))
+    across = points[:, roles[f"Left{part}"]] - points[:, roles[f"Right{part}"]]
+    votes = np.zeros(len(points))
+    for side in ("Left", "Right"):
+        ankle = points[:, roles[f"{side}Ankle"]]
+        if f"{side}Toe" in roles:
+            votes += _left_of(across, points[:, roles[f"{side}Toe"]] - ankle, up)
+        # knees are in front of the line from hip to ankle
+        hip, knee = points[:, roles[f"{side}Hip"]], points[:, roles[f"{side}Knee"]]
+        votes += _left_of(across, knee - (hip + ankle) / 2, up)
+    return 1 if votes.sum() >= 0 else -1
+
+
+def _left_of(across: Array, forward: Array, up: Array) -> Array:
+    """Positive (N,) where ``across`` points to the left of ``forward``, both (N, 3)."""
+    return np.asarray((np.cross(forward, -across) @ up) * -1.0)
+
+
+def _shoulders_above_hips(motion: Motion, roles: dict[str, int]) -> int:
+    """1 if left shoulder and left hip are on the same side in most poses, else -1."""
+    points = _sampled_positions(motion)
+    hips = points[:, roles["LeftHip"]] - points[:, roles["RightHip"]]
+    shoulders = points[:, roles["LeftShoulder"]] - points[:, roles["RightShoulder"]]
+    return 1 if (hips * shoulders).sum(-1).sum() >= 0 else -1

@@ -1,0 +1,361 @@
+"""Bone rotations from the links and rotations of the joints that drive the bones."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from humansim_ros.geometry import (
+    WORLD_FROM_BODY,
+    angle_between,
+    from_y_axis,
+    quaternion_to_matrix,
+    rotate,
+    unit_vectors,
+)
+from humansim_ros.motion.body.kinematics import JointPoses
+from humansim_ros.motion.body.skeleton import Skeleton
+from humansim_ros.motion.matching.file_frame import BodyLines
+from humansim_ros.motion.matching.joint_match import JointMatch
+from humansim_ros.types import Array, Indices
+
+#: Rotations of pelvis, chest and feet that are computed from positions. In arrays, they come in this order
+#: after the rotations of all joints.
+LINE_ROTATIONS = ("pelvis", "chest", "l_ankle", "r_ankle")
+_LINE_OF_BONE = {
+    "HumanoidRoot": "pelvis",
+    "HumanoidRoot_to_l_hip": "pelvis",
+    "HumanoidRoot_to_r_hip": "pelvis",
+    "sacroiliac": "pelvis",
+    "vl5": "chest",
+    "vt3": "chest",
+    "vl5_to_l_sternoclavicular": "chest",
+    "vl5_to_r_sternoclavicular": "chest",
+    "l_ankle": "l_ankle",
+    "r_ankle": "r_ankle",
+}
+_NONE = np.zeros(0, dtype=np.intp)
+_TOES = {"l_ankle": "l_metatarsal", "r_ankle": "r_metatarsal"}
+#: Arms without known joints hang down. They lean outwards by this share.
+_OUTWARDS = 0.18
+#: A shorter link (metres) has no clear direction, so its bone keeps the rotation that it inherits.
+SHORTEST_LINK = 1e-4
+
+
+@dataclass(frozen=True)
+class DrivenBones:
+    """Some bones of a level of a skeleton, and their drivers. ``places``: places of the bones in the level.
+    ``bones``: indices of the bones. ``starts``, ``ends``: joints at both ends of the driving links. If the
+    rotation of a joint drives a bone, ``starts`` and ``ends`` have the same joint."""
+
+    places: Indices
+    bones: Indices
+    starts: Indices
+    ends: Indices
+
+    @classmethod
+    def among(cls, bones: Indices, skeleton: Skeleton, drivers: Mapping[str, tuple[int, int]]) -> DrivenBones:
+        """Choose the bones that have drivers."""
+        rows = [
+            (place, bone, *drivers[skeleton.names[bone]])
+            for place, bone in enumerate(bones)
+            if skeleton.names[bone] in drivers
+        ]
+        return cls(*np.array(rows, dtype=np.intp).reshape(-1, 4).T)
+
+    def split(self, chosen: ArrayLike) -> tuple[DrivenBones, DrivenBones]:
+        """Split these bones: those that are not ``chosen`` (b,), and those that are."""
+        pick = np.asarray(chosen, dtype=bool)
+        every = (self.places, self.bones, self.starts, self.ends)
+        return DrivenBones(*(part[~pick] for part in every)), DrivenBones(*(part[pick] for part in every))
+
+
+@dataclass(frozen=True)
+class BoneDrivers:
+    """The drivers of the bones of a skeleton.
+
+    ``extra``: include drivers of bones that the general skeleton lacks. ``rest_links``: bone -> direction
+    (3,) of its link at rest, in the axes of the bone at rest. Such a bone is not parallel to its link. It
+    leaves its rest pose as the link leaves its own. ``loose``: bones that do not use the rotations of their
+    joints. Among these, pelvis, chest and feet use the last four of the joint rotations instead, named in
+    ``LINE_ROTATIONS``.
+    """
+
+    skeleton: Skeleton
+    match: JointMatch
+    extra: bool = True
+    rest_links: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
+    loose: tuple[str, ...] = ()
+
+    @cached_property
+    def _joints(self) -> dict[str, tuple[int, int]]:
+        """Bone -> the joint (twice) with the rotation that drives it. A negative number means a rotation from
+        positions."""
+        drivers = {**(self.match.extra if self.extra else {}), **self.match.difference}
+        for bone in self.loose:
+            if drivers.pop(bone, None) is not None and (line := _LINE_OF_BONE.get(bone)) is not None:
+                drivers[bone] = LINE_ROTATIONS.index(line) - len(LINE_ROTATIONS)
+        return {bone: (joint, joint) for bone, joint in drivers.items() if bone not in self.match.parallel}
+
+    def _split(self, bones: Indices) -> tuple[DrivenBones, DrivenBones]:
+        """Bones driven by links, and bones driven by joint rotations."""
+        return (
+            DrivenBones.among(bones, self.skeleton, self.match.parallel),
+            DrivenBones.among(bones, self.skeleton, self._joints),
+        )
+
+    @cached_property
+    def driven(self) -> tuple[DrivenBones, DrivenBones]:
+        """The bones driven by links, and the bones driven by joint rotations."""
+        return self._split(np.arange(len(self.skeleton)))
+
+    @cached_property
+    def levels(self) -> tuple[tuple[Indices, DrivenBones, DrivenBones], ...]:
+        """For each level of the skeleton: all bones, bones driven by links, bones driven by rotations."""
+        return tuple((bones, *self._split(bones)) for bones in self.skeleton.levels)
+
+    def inherited(self, rotations: Array, bones: Indices) -> Array:
+        """Rotations (N, b, 3, 3) of the bones of one level that follow their parents only."""
+        local = self._at_rest[bones]
+        parents = self.skeleton.parents[bones]
+        above = np.where((parents < 0)[:, None, None], WORLD_FROM_BODY, rotations[:, parents])
+        return np.asarray(above @ local)
+
+    @cached_property
+    def _at_rest(self) -> Array:
+        """Rotations (B, 3, 3) at rest relative to the parents. Upper arms without a joint hang down."""
+        local = self.skeleton.rest_in_parent[:, :3, :3].copy()
+        for bone, side in (("l_shoulder", 1), ("r_shoulder", -1)):
+            if bone in self.match.held:
+                number = self.skeleton.bone(bone)
+                rest = self.skeleton.rest[[number], :3, :3]
+                hanging = swing_onto(rest[None], np.array([[[side * _OUTWARDS, -1.0, 0.0]]]))[0]
+                local[number] = local[number] @ (np.swapaxes(rest, -1, -2) @ hanging)[0]
+        return local
+
+    def swing(self, positions: Array, joint_rotations: Array) -> Array:
+        """Rotate bones (N, B, 3, 3) onto their links by the shortest rotation [thesis §7.2], level by level.
+        ``positions``: (N, J, 3). ``joint_rotations``: (N, J, 3, 3), or (N, J + 4, 3, 3) with ``loose``
+        bones."""
+        skeleton = self.skeleton
+        rotations = np.empty((len(positions), len(skeleton), 3, 3))
+        for bones, links, joints in self.levels:
+            inherited = self.inherited(rotations, bones)
+            rotations[:, bones] = inherited
+            if len(links.bones):
+                rotations[:, links.bones] = self._onto_links(
+                    self._along_links(inherited[:, links.places], links.bones), positions, links
+                )
+            if len(joints.bones):
+                rest = WORLD_FROM_BODY @ skeleton.rest[joints.bones, :3, :3]
+                rotations[:, joints.bones] = joint_rotations[:, joints.starts] @ rest
+        return rotations
+
+    def transfer(self, positions: Array, joint_rotations: Array, rest: Array) -> Array:
+        """Rotate bones (N, B, 3, 3) by the whole rotations of the joints, from a shared rest pose (B, 3, 3).
+        Bones with a link are then rotated onto it. ``positions``, ``joint_rotations``: the same as in
+        :meth:`swing`."""
+        rotations = np.empty((len(positions), len(self.skeleton), 3, 3))
+        links, joints, _ = self._transferred
+        for driven in (links, joints):
+            rotations[:, driven.bones] = joint_rotations[:, driven.starts] @ rest[driven.bones]
+        if len(links.bones):
+            rotations[:, links.bones] = swing_onto(
+                rotations[:, links.bones], link_vectors(positions, links.starts, links.ends)
+            )
+        if self._from_links is not None:
+            bones = self._leaving_rest
+            rotations[:, bones] = rotations[:, bones] @ self._from_links[bones]
+        self._inherit(rotations, positions)
+        return rotations
+
+    def turned(self, rotations: Array, positions: Array, turns: Array, chain: Indices) -> Array:
+        """Turn a chain of bones, and the bones that inherit rotations from the chain. Returns rotations (N,
+        B, 3, 3).
+
+        Args:
+            rotations: Bone rotations from :meth:`transfer`, (N, B, 3, 3).
+            positions: Joint positions, (N, J, 3).
+            turns: Rotations of the chain in ``map``, (N, 3, 3).
+            chain: Numbers of its bones.
+        """
+        rotations = rotations.copy()
+        rotations[:, chain] = turns[:, None] @ rotations[:, chain]
+        self._inherit(rotations, positions, chain)
+        return rotations
+
+    def _inherit(self, rotations: Array, positions: Array, fixed: Indices = _NONE) -> None:
+        """Set the rotations (N, B, 3, 3) of bones that inherit them, except for the ``fixed`` bones."""
+        *_, inheriting = self._transferred
+        for bones, links in inheriting:
+            before = rotations[:, fixed]
+            rotations[:, bones] = self.inherited(rotations, bones)
+            if len(links.bones):
+                along = self._along_links(rotations[:, links.bones], links.bones)
+                rotations[:, links.bones] = self._onto_links(along, positions, links)
+            rotations[:, fixed] = before
+
+    @cached_property
+    def _transferred(self) -> tuple[DrivenBones, DrivenBones, list[tuple[Indices, DrivenBones]]]:
+        """Return three groups of bones: with the rotation of their joint and a link, with the rotation only,
+        and the rest. The bones of the rest inherit their rotation. They are listed for each level of the
+        skeleton, together with those of them that have a link."""
+        links, joints = self.driven
+        links, loose = links.split([self.skeleton.names[bone] in self.loose for bone in links.bones])
+        others = np.setdiff1d(np.arange(len(self.skeleton)), [*links.bones, *joints.bones])
+        levels = (np.intersect1d(level, others) for level in self.skeleton.levels)
+        return (
+            links,
+            joints,
+            [(level, loose.split(np.isin(loose.bones, level))[1]) for level in levels if len(level)],
+        )
+
+    @cached_property
+    def _leaving_rest(self) -> Indices:
+        """Bones with the rotation of their joint and a link, where bone and link are not parallel."""
+        links, *_ = self._transferred
+        return np.intersect1d(links.bones, [self.skeleton.bone(bone) for bone in self.rest_links])
+
+    def _along_links(self, rotations: Array, bones: Indices) -> Array:
+        """Rotations (N, b, 3, 3) that make bones parallel to their links at rest. Only bones that differ
+        change."""
+        return (
+            rotations
+            if self._from_links is None
+            else rotations @ np.swapaxes(self._from_links[bones], -1, -2)
+        )
+
+    def _onto_links(self, rotations: Array, positions: Array, driven: DrivenBones) -> Array:
+        """Rotate bones (N, b, 3, 3) that are parallel to their links at rest onto the links, by the shortest
+        way."""
+        swung = swing_onto(rotations, link_vectors(positions, driven.starts, driven.ends))
+        return swung if self._from_links is None else swung @ self._from_links[driven.bones]
+
+    @cached_property
+    def _from_links(self) -> Array | None:
+        """Rotations (B, 3, 3) from a bone that is parallel to its link at rest to the bone at rest."""
+        if not self.rest_links:
+            return None
+        out = np.tile(np.eye(3), (len(self.skeleton), 1, 1))
+        for bone, direction in self.rest_links.items():
+            out[self.skeleton.bone(bone)] = quaternion_to_matrix(from_y_axis(np.array(direction))).T
+        return out
+
+
+def link_vectors(positions: Array, starts: Indices, ends: Indices) -> Array:
+    """Vectors (N, P, 3) from start joints to end joints."""
+    return positions[:, ends] - positions[:, starts]
+
+
+def swing_onto(rotations: Array, links: Array) -> Array:
+    """Rotate bones (N, b, 3, 3), then turn their +y axes onto links (N, b, 3) by the shortest rotation. A
+    link without length changes nothing."""
+    length = np.linalg.norm(links, axis=-1, keepdims=True)
+    in_bone = rotate(np.swapaxes(rotations, -1, -2), links) / np.maximum(length, 1e-12)
+    goal = np.where(length < SHORTEST_LINK, [0.0, 1.0, 0.0], in_bone)
+    return np.asarray(rotations @ quaternion_to_matrix(from_y_axis(goal)))
+
+
+#: Rotations of all joints that differ over time by less than this angle (radians) count as constant.
+_CONSTANT_ANGLE = 1e-6
+#: A line and a joint rotate together if they differ by less than these angles (degrees) in the median pose.
+_HIPS, _SHOULDERS, _FLEXIBLE = 12.0, 15.0, 25.0
+#: Rigid hips may differ by more in this share of the poses.
+_RIGID_SHARE = 0.1
+
+
+def has_rotations(poses: JointPoses) -> bool:
+    """Whether a source measures joint rotations. It does not if all rotations are zero or the same."""
+    rotations = poses.rotations
+    if not (np.linalg.norm(rotations, axis=-1) > 0.5).all():
+        return False
+    cosine = np.abs((rotations * rotations[:1, :1]).sum(-1))
+    return bool((cosine < np.cos(_CONSTANT_ANGLE / 2) - 1e-12).any())
+
+
+def loose_bones(poses: JointPoses, match: JointMatch, standing: bool) -> tuple[str, ...]:
+    """Find bones with a driving joint that does not rotate as the lines between the joints do.
+
+    The rotation of such a joint does not describe the body. Examples are hips that a neural network predicts
+    independently, and a root that does not move. For comparison: the line between the hip joints turns
+    rigidly with the hips. The line between the shoulders turns with chest and spine, within some degrees. The
+    links of limbs turn with their joints.
+
+    Args:
+        poses: Joint poses.
+        match: Joints that drive bones.
+        standing: Whether the rotations count from a rest pose that stands and faces +x.
+    """
+    roles = match.roles
+    back = np.swapaxes(quaternion_to_matrix(poses.rotations), -1, -2)
+    lines = BodyLines.of(poses.positions, roles)
+    left = np.array([0.0, 1.0, 0.0]) if standing else None
+
+    def deviates(joint: int, line: Array, most: float, rest: Array | None = None, share: float = 0.5) -> bool:
+        """Whether lines differ much from their direction at rest.
+
+        Args:
+            joint: Joint. The lines are compared in its axes.
+            line: Lines, (N, 3) metres in ``map``.
+            most: Largest angle that does not count as a difference, degrees.
+            rest: Direction at rest, (3,) in the axes of the joint. If None, the mean direction.
+            share: Share of the lines that must differ, 0 to 1.
+        """
+        known = np.linalg.norm(line, axis=-1) > SHORTEST_LINK
+        inside = rotate(back[known, joint], unit_vectors(line[known]))
+        if not len(inside):
+            return False
+        angles = angle_between(inside, inside.mean(0) if rest is None else rest)
+        return bool(np.quantile(angles, 1 - share) > np.radians(most))
+
+    joints = set()
+    for role, line, most, share in (
+        ("Hips", lines.hips, _HIPS, _RIGID_SHARE),
+        ("Spine", lines.left, _FLEXIBLE, 0.5),
+        ("Chest", lines.shoulders, _SHOULDERS, 0.5),
+    ):
+        if role != "Hips" and lines.shoulders is lines.hips:
+            continue  # if the shoulders are unknown, no line shows how the trunk turns
+        if role in roles and deviates(roles[role], line, most, left, share):
+            joints.add(roles[role])
+    for side in ("Left", "Right"):
+        ankle, toe = roles.get(f"{side}Ankle"), roles.get(f"{side}Toe")
+        if ankle is None or toe is None:
+            continue
+        if deviates(ankle, poses.positions[:, toe] - poses.positions[:, ankle], _FLEXIBLE):
+            joints.add(ankle)
+    links = {
+        bone: (start, poses.positions[:, end] - poses.positions[:, start])
+        for bone, (start, end) in match.parallel.items()
+    }
+    loose = [bone for bone, joint in match.difference.items() if joint in joints]
+    return (
+        *loose,
+        # toes also count if their foot has a joint that does not rotate as the foot does
+        *(toes for bone, toes in _TOES.items() if bone in loose and toes in match.extra),
+        *(bone for bone, (start, link) in links.items() if deviates(start, link, _FLEXIBLE)),
+    )
+
+
+def line_rotations(poses: JointPoses, match: JointMatch) -> Array:
+    """Compute rotations from rest (N, 4, 3, 3) of pelvis, chest, left foot and right foot from joint
+    positions. The pelvis follows hips and trunk, the chest follows shoulders and trunk, and a foot follows
+    its shin."""
+    lines = BodyLines.of(poses.positions, match.roles)
+    pelvis, chest = (lines.axes(left) @ WORLD_FROM_BODY.T for left in (lines.hips, lines.shoulders))
+    feet = []
+    for side in ("Left", "Right"):
+        knee, ankle = (match.roles.get(f"{side}{part}") for part in ("Knee", "Ankle"))
+        if knee is None or ankle is None:
+            feet.append(pelvis)
+            continue
+        # the shortest rotation of the shin from straight down
+        shin = poses.positions[:, ankle] - poses.positions[:, knee]
+        in_pelvis = unit_vectors(rotate(np.swapaxes(pelvis, -1, -2), -shin))
+        up = quaternion_to_matrix(from_y_axis(in_pelvis[:, [1, 2, 0]]))
+        feet.append(pelvis @ WORLD_FROM_BODY @ up @ WORLD_FROM_BODY.T)
+    return np.stack([pelvis, chest, *feet], axis=1)

@@ -1,0 +1,292 @@
+"""Poses of hands with fingers that no motion drives: by name, by keys over time, and by what the arm does.
+
+A pose is the flexion, spread and twist of the joints of a hand (:mod:`humansim_ros.motion.body.hands`).
+Between two poses the angles change linearly, so that a finger bends and never passes through the palm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.errors import MotionError, unknown
+from humansim_ros.files.reading import read_table
+from humansim_ros.geometry import (
+    AROUND,
+    VELOCITY_STEP,
+    central_difference,
+    quaternion_to_matrix,
+    rotate,
+    smooth_step,
+)
+from humansim_ros.motion.body.hands import FINGER_BONES, PER_HAND, HandAnatomy
+from humansim_ros.motion.body.joint_names import FINGERS
+from humansim_ros.motion.body.kinematics import JointPoses
+from humansim_ros.motion.body.skeleton import Skeleton
+from humansim_ros.motion.pose.hand_keys import MAX_SECONDS, HandKey, HandPoseName
+from humansim_ros.types import Array, Indices
+
+if TYPE_CHECKING:
+    from humansim_ros.motion.matching.joint_match import JointMatch
+    from humansim_ros.motion.motion.world_motion import WorldMotion
+
+#: Angles (15, 3) of each pose, degrees: flexion, spread and twist of the joints. The first finger is the
+#: index finger, the fifth is the thumb. The fingers of a fist bend as far as possible without sinking into
+#: the palm of any built-in human.
+HAND_POSES: Mapping[str, Array] = {
+    name: np.concatenate([np.array(hand[finger], dtype=float) for finger in FINGERS])
+    for name, hand in read_table("hand_poses").items()
+}
+assert tuple(HAND_POSES) == get_args(HandPoseName)
+#: Heights of the wrist above the shoulder, as shares of the length of the arm: the hand begins to open at the
+#: first, and is fully open at the second.
+_OPENS, _OPEN = 0.1, 0.4
+#: Names of joints that carry poses of hands in a motion begin with this text.
+HAND_JOINT = "hand_pose/"
+HAND_JOINTS = frozenset(HAND_JOINT + bone for bone in FINGER_BONES)
+
+
+def hand_angles(name: str, anatomy: HandAnatomy) -> Array:
+    """Find the angles (15, 3) of a named pose, radians. If the hand of the body at rest is relaxed,
+    the pose ``relaxed`` is its rest pose.
+
+    Raises:
+        MotionError: No pose has this name.
+    """
+    if name not in HAND_POSES:
+        raise MotionError(unknown("hand pose", name, HAND_POSES))
+    angles = np.radians(HAND_POSES[name])
+    if name == "relaxed" and anatomy.is_relaxed:
+        left, right = anatomy.rest.reshape(2, PER_HAND)
+        angles[:, 0] = np.where(anatomy.present[:PER_HAND], left, right)
+    return angles
+
+
+@dataclass(frozen=True)
+class ReachingHand:
+    """Pose of a hand while it reaches for something.
+
+    Attributes:
+        side: The hand.
+        pose: Name of the pose.
+        shares: Function of scene times (N,). Returns how much (N,) the hand is in this pose, 0 to 1.
+    """
+
+    side: Literal["left", "right"]
+    pose: HandPoseName
+    shares: Callable[[Array], Array]
+
+
+@dataclass(frozen=True)
+class HandKeys:
+    """Keys of the hands of a human over its motion.
+
+    Before its first key, a hand is relaxed. If the motion loops, it has the pose of its last key instead.
+
+    Raises:
+        MotionError: A time is outside the motion, or a blend is longer than the time to the next key.
+    """
+
+    keys: tuple[HandKey, ...]
+    anatomy: HandAnatomy
+    motion: WorldMotion
+    driven: frozenset[str] = frozenset()
+    reaching: tuple[ReachingHand, ...] = ()
+
+    @classmethod
+    def of(
+        cls, keys: Sequence[HandKey], skeleton: Skeleton, motion: WorldMotion, match: JointMatch
+    ) -> HandKeys | None:
+        """Make keys for a skeleton.
+
+        Args:
+            keys: The keys, in any order.
+            skeleton: The skeleton.
+            motion: Motion that the keys belong to.
+            match: Joints of the motion that drive the bones of the skeleton.
+
+        Returns:
+            The keys. None if there are no keys, or if they move no finger.
+        """
+        anatomy = HandAnatomy.of(skeleton)
+        if not keys or anatomy is None:
+            return None
+        driven = frozenset(bone for bone in FINGER_BONES if bone in match.parallel or bone in match.extra)
+        hands = cls(tuple(sorted(keys, key=lambda key: key.time)), anatomy, motion, driven)
+        return hands if hands.bones else None
+
+    def __post_init__(self) -> None:
+        start, end = self.motion.start, self.motion.start + self.motion.cycle_length
+        for key in self.keys:
+            hand_angles(key.pose, self.anatomy)
+            if not start <= key.time <= end:
+                raise MotionError(
+                    f"the hand key at {key.time:g} s is outside the part of the motion that plays, "
+                    f"{start:g} to {end:g} s of the file",
+                    path=self.motion.motion.path,
+                )
+            if not 0 <= key.blend <= MAX_SECONDS:
+                raise MotionError(f"the hand key at {key.time:g} s has a blend of {key.blend:g} s: 0 or more")
+
+    @cached_property
+    def bones(self) -> tuple[int, ...]:
+        """Numbers of the bones that move, in :data:`FINGER_BONES`."""
+        over = {side for side in "lr" for key in self._of_side(side) if key.over_motion}
+        sides = {side for side in "lr" if self._of_side(side)}
+        return tuple(
+            number
+            for number, bone in enumerate(FINGER_BONES)
+            if self.anatomy.present[number]
+            and bone[0] in sides
+            and (bone not in self.driven or bone[0] in over)
+        )
+
+    def _of_side(self, side: str) -> list[HandKey]:
+        return [key for key in self.keys if key.side[0] in (side, "b")]
+
+    def angles(self, times: Array) -> Array:
+        """Angles (N, 30, 3) in radians at times (N,) of a cycle, seconds of the file."""
+        sides = [self._side_angles(self._of_side(side), times) for side in "lr"]
+        return np.concatenate(sides, axis=1)
+
+    def _side_angles(self, keys: Sequence[HandKey], times: Array) -> Array:
+        last = keys[-1].pose if keys and self.motion.loop != "none" else "relaxed"
+        out = np.tile(hand_angles(last, self.anatomy), (len(times), 1, 1))
+        for key in keys:
+            share = np.where(times >= key.time, 1.0, 0.0)
+            if key.blend > 0:
+                share = smooth_step((times - key.time) / key.blend)
+            out += share[:, None, None] * (hand_angles(key.pose, self.anatomy) - out)
+        return out
+
+    def reaching_for(self, reaching: Sequence[ReachingHand]) -> HandKeys:
+        """Return these keys, with other poses while hands reach. A hand without keys is relaxed the rest of
+        the time."""
+        sides = sorted({each.side for each in reaching if not self._of_side(each.side[0])})
+        relaxed = (HandKey("relaxed", self.motion.start, side) for side in sides)
+        return replace(self, keys=(*relaxed, *self.keys), reaching=tuple(reaching))
+
+    def add(self, poses: JointPoses, seconds: float, file_offset: float, delay: float = 0.0) -> JointPoses:
+        """Add joints that carry the poses of the hands to poses (N = 1) of a motion at a time.
+
+        The rotation of such a joint is the rotation of its bone. Its position is that of the first joint.
+
+        Args:
+            poses: Joint poses of the motion.
+            seconds: Time of the motion, seconds.
+            file_offset: Seconds of the file by which the motion is ahead.
+            delay: Seconds by which the time of the motion is ahead of the scene.
+        """
+        times = seconds + AROUND
+        phases = self.motion.phases(times, file_offset)
+        # a new cycle began between the times
+        if np.ptp(phases) > 3 * VELOCITY_STEP * max(self.motion.speed, 1.0):
+            phases[:] = phases[1]
+        angles = self.angles(phases)
+        for each in self.reaching:
+            hand = angles[:, :PER_HAND] if each.side == "left" else angles[:, PER_HAND:]
+            hand += each.shares(times - delay)[:, None, None] * (hand_angles(each.pose, self.anatomy) - hand)
+        turns = self.anatomy.rotations(angles)[:, list(self.bones)]
+        names = [HAND_JOINT + FINGER_BONES[number] for number in self.bones]
+        return poses.with_joints(names, turns[1], central_difference(turns, turns)[1])
+
+
+@dataclass(frozen=True)
+class FreeFingers:
+    """Moves the finger bones of a skeleton that no joint drives. Given rotations decide, else the arm.
+
+    A hand is relaxed by default. It begins to open when its wrist is above the shoulder by a tenth of the
+    length of the arm. Above four tenths it is open, with fingers apart.
+
+    Attributes:
+        skeleton: The skeleton.
+        anatomy: Its finger bones.
+        free: (30,) whether each bone is free: no joint drives it.
+    """
+
+    skeleton: Skeleton
+    anatomy: HandAnatomy
+    free: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, skeleton: Skeleton, match: JointMatch) -> FreeFingers | None:
+        """Find the free fingers of a skeleton. None if the skeleton has no fingers."""
+        anatomy = HandAnatomy.of(skeleton)
+        if anatomy is None:
+            return None
+        driven = {bone for bone in FINGER_BONES if bone in match.parallel or bone in match.extra}
+        # if one bone of a finger is driven, the whole finger counts as driven
+        fingers = {bone[:-1] for bone in driven}
+        return cls(skeleton, anatomy, np.array([bone[:-1] not in fingers for bone in FINGER_BONES]))
+
+    def move(self, rotations: Array, heads: Array, hands: Mapping[str, Array]) -> None:
+        """Set rotations (N, B, 3, 3) and heads (N, B, 3), z up, of finger bones that differ from the rest
+        pose. ``hands``: bone -> rotation (N, 4) xyzw in bone space."""
+        turns: Array | None = None
+        moved = np.zeros(len(FINGER_BONES), dtype=bool)
+        opened = self._opened(heads)
+        opened[:, [any(bone[0] == side for bone in hands) for side in "lr"]] = 0.0
+        if opened.any() or not self.anatomy.is_relaxed:
+            relaxed, wave = (np.tile(hand_angles(name, self.anatomy), (2, 1)) for name in ("relaxed", "wave"))
+            share = np.repeat(opened, PER_HAND, axis=1)[..., None]
+            turns = self.anatomy.rotations(relaxed + share * (wave - relaxed))
+            moved = self.free & ((share[..., 0] > 0).any(0) | np.array(not self.anatomy.is_relaxed))
+        if hands:
+            turns = np.zeros((len(rotations), len(FINGER_BONES), 4)) if turns is None else turns
+            for bone, turn in hands.items():
+                turns[:, FINGER_BONES.index(bone)], moved[FINGER_BONES.index(bone)] = turn, True
+        moved &= self.anatomy.present
+        if turns is None or not moved.any():
+            return
+        local = self.skeleton.rest_in_parent
+        for level in self._levels:
+            rows = level[moved[level]]
+            bones = self.anatomy.bones[rows]
+            parents = self.skeleton.parents[bones]
+            turn = quaternion_to_matrix(turns[:, rows])
+            rotations[:, bones] = rotations[:, parents] @ local[bones, :3, :3] @ turn
+            bones = self.anatomy.bones[level]
+            parents = self.skeleton.parents[bones]
+            heads[:, bones] = heads[:, parents] + rotate(rotations[:, parents], local[bones, :3, 3])
+        fingers = np.asarray(moved.reshape(-1, 3).any(axis=1))
+        for number, finger in self._followers:
+            if fingers[finger]:
+                parent = self.skeleton.parents[number]
+                rotations[:, number] = rotations[:, parent] @ local[number, :3, :3]
+                heads[:, number] = heads[:, parent] + rotate(rotations[:, parent], local[number, :3, 3])
+
+    @cached_property
+    def _levels(self) -> tuple[Indices, ...]:
+        """Numbers in :data:`FINGER_BONES` of the first, second and third bones of the fingers."""
+        levels = (np.arange(first, len(FINGER_BONES), 3) for first in range(3))
+        return tuple(level[self.anatomy.present[level]] for level in levels)
+
+    @cached_property
+    def _followers(self) -> tuple[tuple[int, int], ...]:
+        """Other bones that a finger carries (such as the tips of some figures), each with the number of the
+        finger."""
+        finger_of = {int(bone): number // 3 for number, bone in enumerate(self.anatomy.bones) if bone >= 0}
+        fingers = set(finger_of)
+        for bone, parent in enumerate(self.skeleton.parents.tolist()):
+            if parent in finger_of:
+                finger_of.setdefault(bone, finger_of[parent])
+        return tuple((bone, finger_of[bone]) for bone in sorted(finger_of.keys() - fingers))
+
+    @cached_property
+    def _arms(self) -> tuple[list[int], list[int], Array]:
+        """Shoulders, wrists, and lengths (2,) of the arms."""
+        shoulders, elbows, wrists = (
+            [self.skeleton.bone(f"{side}_{part}") for side in "lr"] for part in ("shoulder", "elbow", "wrist")
+        )
+        return shoulders, wrists, self.skeleton.lengths[shoulders] + self.skeleton.lengths[elbows]
+
+    def _opened(self, heads: Array) -> Array:
+        """How far the hands are open (N, 2), 0 to 1."""
+        shoulders, wrists, lengths = self._arms
+        raised = (heads[:, wrists, 2] - heads[:, shoulders, 2]) / lengths
+        return smooth_step((raised - _OPENS) / (_OPEN - _OPENS))

@@ -1,0 +1,5 @@
+"""Humans: read from files, made from meshes and sliders, rigged; keypoint sets."""
+
+from humansim_ros.lazy import lazy_exports
+
+__getattr__, __dir__, __all__ = lazy_exports(__name__, __file__)

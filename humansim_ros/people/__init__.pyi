@@ -1,0 +1,13 @@
+from humansim_ros.people.humans.human import Human as Human
+from humansim_ros.people.humans.human import joint_surfaces as joint_surfaces
+from humansim_ros.people.keypoints.locator import KeypointLocator as KeypointLocator
+from humansim_ros.people.keypoints.sets import KEYPOINT_SETS as KEYPOINT_SETS
+from humansim_ros.people.keypoints.sets import KeypointSet as KeypointSet
+from humansim_ros.people.keypoints.sets import keypoint_set as keypoint_set
+from humansim_ros.people.loading.loading import load_human as load_human
+from humansim_ros.people.loading.loading import make_human as make_human
+from humansim_ros.people.loading.loading import make_person as make_person
+from humansim_ros.people.makehuman.population import draw_person as draw_person
+from humansim_ros.people.rigging.fitting import fit_skeleton as fit_skeleton
+from humansim_ros.people.rigging.fitting import fit_to_skeleton as fit_to_skeleton
+from humansim_ros.people.rigging.rigging import rig as rig

@@ -1,0 +1,5 @@
+"""Keypoint sets of detectors and motion capture, and their places on a human."""
+
+from humansim_ros.lazy import lazy_exports
+
+__getattr__, __dir__, __all__ = lazy_exports(__name__, __file__)

@@ -1,0 +1,442 @@
+"""Convert skinned meshes (glTF, SMPL) to humans: body space, and bone names of the general skeleton."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
+
+from humansim_ros.errors import MeshError, MotionError, warn_about
+from humansim_ros.files.mesh import Mesh, SkinnedMesh
+from humansim_ros.geometry import angle_between, rotation_vector_to_matrix, unit_vectors
+from humansim_ros.motion.body import (
+    DETAIL_BONES,
+    Motion,
+    Skeleton,
+    dominant_bones,
+    finger_bones,
+    finger_hinges,
+    hanim_skeleton,
+    limit_bones,
+)
+from humansim_ros.motion.matching import LIMBS, JointMatch, detect_file_frame, match_motion
+from humansim_ros.people.makehuman.skeleton import Bones
+from humansim_ros.types import Array
+
+#: Range of plausible statures, metres. A mesh of another size has another unit.
+PLAUSIBLE_STATURE = (0.4, 2.6)
+#: Length that is assumed for a bone without a child or skin, metres.
+_STUB = 0.03
+#: Bones of the trunk, from below. A bone points to the next one, through all joints between them.
+_TRUNK = ("HumanoidRoot", "sacroiliac", "vl5", "vt3")
+#: Directions of chest and head in the rest pose: degrees forwards from straight up, and most degrees from
+#: that direction. Motions turn these bones along their own links, which rise like the bones of the built-in
+#: bodies. A bone with another direction would stoop or look up.
+_UPRIGHT = {"vl5": (5.0, 7.0), "vt3": (7.5, 7.0)}
+#: The skin of the head's joint is the head (without hats) if it has this share of the height of all that the
+#: joint carries.
+_SKULL = 0.5
+#: Largest distance of a foot from the end of its shin, as a share of the length of the thigh. The same holds
+#: for a hand.
+_FOOT_GAP = 0.25
+_HAND = re.compile(r"hand|wrist|palm|fist", re.IGNORECASE)
+#: Bones at the ends of limbs. If such a bone has no joint, it begins where the previous bone ends.
+_ENDS = ("l_wrist", "r_wrist", "l_ankle", "r_ankle")
+
+#: Directions of bones without a child that do not continue their parent.
+_ALONG = {
+    **dict.fromkeys(("l_ankle", "r_ankle", "l_metatarsal", "r_metatarsal"), (0.0, 0.0, 1.0)),
+    **dict.fromkeys(("l_eyeball_joint", "r_eyeball_joint"), (0.0, 0.0, 1.0)),
+    "temporomandibular": (0.0, -0.6, 0.8),
+    "vt3": (0.0, 1.0, 0.0),
+}
+
+
+def to_body_space(
+    figure: SkinnedMesh, unit: float | None = None, up: str | None = None, facing: str | None = None
+) -> tuple[Mesh, Skeleton, csr_matrix]:
+    """Move a skinned mesh into body space, and name its bones as in the general skeleton.
+
+    Joints are matched by name and hierarchy, or by the shape of the skeleton. Fingers, toes, jaw and eyes are
+    matched by name. Other joints keep their names. Bones of the general skeleton without a joint are inserted
+    without skin.
+
+    Args:
+        figure: Skinned mesh of a person.
+        unit: Metres per unit of the file. If None, it is guessed from the stature.
+        up: Up axis of the file. If None, it is detected.
+        facing: Axis of the file that the person faces. If None, it is detected.
+
+    Returns:
+        Mesh in body space (metres, y up, facing +z, soles at height 0), skeleton, and weights (V, B).
+
+    Raises:
+        MeshError: The skeleton is not a person standing upright.
+    """
+    rest = _rest_motion(figure)
+    try:
+        match = match_motion(rest)
+        attached = _attach_ends(figure, match)
+        if attached is not None:
+            figure, rest = attached, _rest_motion(attached)
+            match = match_motion(rest)
+        if match.warning is not None:
+            warn_about(figure.name, f"{match.warning}. Look at the result (docs/humans.md)")
+        frame = detect_file_frame(rest, match, unit, up, facing)
+    except MotionError as error:
+        raise MeshError(f"the skeleton is not a person's: {error.message}") from None
+    if frame.rest_from_body.ndim != 2:
+        raise MeshError("the rest pose does not stand upright: export the mesh in a T or A pose")
+    stature = float(np.ptp(figure.mesh.vertices @ frame.rest_from_body[:, 1]))
+    scale = 1.0 if unit is None else unit
+    if unit is None and not PLAUSIBLE_STATURE[0] <= stature <= PLAUSIBLE_STATURE[1]:
+        scale = frame.unit
+        known = frame.unit_name != "unknown"
+        assumed = f"{frame.unit_name} assumed" if known else "no unit gives the height of a person"
+        warn_about(
+            figure.name,
+            f"the person is {stature:.3g} units tall: {assumed}, made {stature * scale:.2f} m tall. "
+            "If that is wrong, give 'stature' or 'unit' in a description (docs/humans.md)",
+        )
+    vertices = scale * figure.mesh.vertices @ frame.rest_from_body
+    joints = scale * figure.joints @ frame.rest_from_body
+    hips = joints[[match.roles["LeftHip"], match.roles["RightHip"]]].mean(0)
+    origin = np.array([hips[0], vertices[:, 1].min(), hips[2]])
+    vertices, joints = vertices - origin, joints - origin
+    skeleton, bones = _skeleton(figure, match, joints, vertices)
+    columns = np.array(bones)
+    weights = csr_matrix(
+        (figure.weights.data, columns[figure.weights.indices], figure.weights.indptr),
+        shape=(len(vertices), len(skeleton)),
+    )
+    return replace(figure.mesh, vertices=vertices), skeleton, limit_bones(weights)
+
+
+def _attach_ends(figure: SkinnedMesh, match: JointMatch) -> SkinnedMesh | None:
+    """Return a figure with feet and hands that follow their limbs, where these are children of the root.
+    Returns None if every foot and hand is attached to its limb already."""
+    heaviest, parents = dominant_bones(figure.weights), np.array(figure.parents)
+    for side, (upper, lower, last) in product(("Left", "Right"), LIMBS):
+        hip, knee = (match.roles.get(side + part) for part in (upper, lower))
+        if side + last in match.roles or hip is None or knee is None:
+            continue
+        below = np.flatnonzero(figure.parents == knee)
+        skin = figure.mesh.vertices[heaviest == knee]
+        if len(below) == 1:
+            end = figure.joints[below[0]]
+        elif len(skin):
+            end = skin[np.argmax(np.linalg.norm(skin - figure.joints[hip], axis=1))]
+        else:
+            continue
+        gaps = np.linalg.norm(figure.joints - end, axis=1)
+        apart = [joint for joint in np.unique(heaviest) if not _descends(joint, hip, figure.parents)]
+        if last == "Wrist":  # clothes may be near a hand
+            apart = [joint for joint in apart if _HAND.search(figure.joint_names[joint])]
+        foot = min(apart, key=lambda joint: gaps[joint], default=None)
+        thigh = float(np.linalg.norm(figure.joints[knee] - figure.joints[hip]))
+        if foot is not None and gaps[foot] < _FOOT_GAP * thigh and not _descends(knee, foot, figure.parents):
+            parents[foot] = knee
+    if (parents == figure.parents).all():
+        return None
+    order = sorted(range(len(parents)), key=lambda joint: _depth(joint, parents))  # parents come first
+    place = np.argsort(order)
+    return replace(
+        figure,
+        joint_names=tuple(figure.joint_names[joint] for joint in order),
+        parents=np.array([place[parents[j]] if parents[j] >= 0 else -1 for j in order], dtype=np.intp),
+        joints=figure.joints[order],
+        weights=csr_matrix(figure.weights[:, order]),
+    )
+
+
+def _descends(joint: int, ancestor: int, parents: NDArray[np.intp]) -> bool:
+    while joint >= 0 and joint != ancestor:
+        joint = int(parents[joint])
+    return joint == ancestor
+
+
+def _depth(joint: int, parents: NDArray[np.intp]) -> int:
+    depth = 0
+    while parents[joint] >= 0:
+        joint, depth = int(parents[joint]), depth + 1
+    return depth
+
+
+def _rest_motion(figure: SkinnedMesh) -> Motion:
+    """The skeleton of a skinned mesh as a motion of one frame in the rest pose."""
+    parents = figure.parents
+    offsets = figure.joints - np.where((parents < 0)[:, None], 0.0, figure.joints[parents])
+    no_channels: tuple[tuple[str, ...], ...] = ((),) * len(figure.joint_names)
+    return Motion(figure.joint_names, parents, offsets, no_channels, np.zeros((1, 0)), 1.0)
+
+
+def joints_of_bones(match: JointMatch) -> dict[str, int]:
+    """Joint at the head of each general bone. Each joint occurs once, for the bone nearest the root."""
+    skeleton = hanim_skeleton()
+    joints: dict[str, int] = {}
+    for bone in skeleton.names:
+        joint = match.parallel[bone][0] if bone in match.parallel else match.difference.get(bone)
+        if joint is not None and joint not in joints.values():
+            joints[bone] = joint
+    return joints
+
+
+def _details(figure: SkinnedMesh, match: JointMatch, matched: Mapping[str, int]) -> dict[str, int]:
+    """Joint at the head of each bone of fingers, toes, jaw and eyes, if it is below hand, foot or head.
+    ``matched``: joints of the general bones."""
+    joints: dict[str, int] = {}
+    for bone, above in DETAIL_BONES.items():  # the bone above comes first
+        joint = match.details.get(bone, (-1,))[0]
+        over = joints.get(above, matched.get(above))
+        taken = (*matched.values(), *joints.values())
+        if joint >= 0 and joint not in taken and over is not None and _descends(joint, over, figure.parents):
+            joints[bone] = joint
+    return joints
+
+
+def _skeleton(
+    figure: SkinnedMesh, match: JointMatch, joints: Array, vertices: Array
+) -> tuple[Skeleton, list[int]]:
+    """Skeleton with the bone names of the general skeleton, and the bone of each joint.
+
+    ``joints``: (J, 3), ``vertices``: (V, 3) metres in body space.
+    """
+    general = hanim_skeleton()
+    parent_of = {
+        n: general.names[p] if p >= 0 else None for n, p in zip(general.names, general.parents, strict=True)
+    }
+    matched = joints_of_bones(match)
+    details = _details(figure, match, matched)
+    bone_of = {joint: bone for bone, joint in matched.items()}
+    detail_of = {joint: bone for bone, joint in details.items()}
+    taken = {*general.names, *details}
+    names: list[str] = []
+    parents: list[str | None] = []
+    heads: list[Array] = []
+    name_of: dict[int, str] = {}
+
+    def add(name: str, parent: str | None, head: Array) -> None:
+        names.append(name)
+        parents.append(parent)
+        heads.append(np.asarray(head))
+
+    for joint in range(len(joints)):
+        above = name_of[int(figure.parents[joint])] if figure.parents[joint] >= 0 else None
+        bone = bone_of.get(joint)
+        if bone is None:
+            bone = detail_of.get(joint) or _unique_name(figure.joint_names[joint], taken)
+            add(bone, above, joints[joint])
+        else:
+            # bones of the general skeleton on the way to this one that have no joint
+            chain: list[str] = []
+            ancestor = parent_of[bone]
+            while ancestor is not None and ancestor not in matched and ancestor not in names:
+                chain.insert(0, ancestor)
+                ancestor = parent_of[ancestor]
+            start = heads[names.index(above)] if above is not None else joints[joint] - [0.0, _STUB, 0.0]
+            for step, name in enumerate(chain):
+                share = step / len(chain)
+                add(name, above, (1 - share) * start + share * joints[joint])
+                above = name
+            add(bone, above, joints[joint])
+        name_of[joint] = bone
+    for name in general.names:  # remaining bones, which have no joints
+        if name not in names:
+            parent = parent_of[name]
+            add(name, parent, heads[names.index(parent)] if parent is not None else joints[0])
+    tails = _tails(figure, match, names, parents, heads, name_of, joints, vertices)
+    numbers = np.array([-1 if p is None else names.index(p) for p in parents])
+    bones = Bones(tuple(names), numbers, np.array(heads), tails, _hinges(names, heads, tails))
+    rolls = np.where(bones.hinges.any(axis=1), bones.rolls, 0.0)
+    skeleton = Skeleton(bones.names, bones.parents, bones.heads, tails, rolls)
+    return skeleton, [names.index(name_of[joint]) for joint in range(len(joints))]
+
+
+def _hinges(names: list[str], heads: list[Array], tails: Array) -> Array:
+    """Axes (B, 3) about which fingers flex and toes bend down. Zero for other bones."""
+    hinges = np.zeros((len(names), 3))
+    for side in "lr":
+        bones = {name: names.index(name) for name in finger_bones(side) if name in names}
+        ends = {name: (heads[bone], tails[bone]) for name, bone in bones.items()}
+        if ends:
+            for name, axis in finger_hinges(side, ends, heads[names.index(f"{side}_wrist")]).items():
+                hinges[bones[name]] = axis
+        if (toes := f"{side}_metatarsal") in names:
+            bone = names.index(toes)
+            hinges[bone] = unit_vectors(np.cross([0.0, 1.0, 0.0], tails[bone] - heads[bone]))
+    return hinges
+
+
+def _tails(
+    figure: SkinnedMesh,
+    match: JointMatch,
+    names: list[str],
+    parents: list[str | None],
+    heads: list[Array],
+    name_of: Mapping[int, str],
+    joints: Array,
+    vertices: Array,
+) -> Array:
+    """Tails (B, 3) of the bones.
+
+    A tail is at the end of the link, at the only child (or the next bone of the general skeleton), or at the
+    end of the skin. The chest points to the head's joint, the head to the top of the head. Both are nearly
+    upright.
+
+    Args:
+        figure: Skinned mesh.
+        match: Joints of the figure that drive bones.
+        names: Names of the B bones.
+        parents: Name of each bone's parent; None for the root.
+        heads: Heads of the bones, (3,) metres each.
+        name_of: Joint -> name of its bone.
+        joints: Positions of the J joints, (J, 3) metres.
+        vertices: Vertices in body space, (V, 3) metres.
+    """
+    general = hanim_skeleton()
+    joint_of = {name: joint for joint, name in name_of.items()}
+    links = {**match.details, **match.parallel}
+    heaviest = dominant_bones(figure.weights)
+    tails = np.array(heads)
+    for number, name in enumerate(names):
+        children = [i for i, parent in enumerate(parents) if parent == name]
+        named = [i for i in children if names[i] in general.names]
+        if len(children) > len(named):  # a hand or a foot without a joint has no place in the file
+            named = [i for i in named if names[i] in joint_of or names[i] not in _ENDS]
+        if name in _ENDS and name not in joint_of and parents[number] is not None:
+            heads[number] = tails[names.index(str(parents[number]))]
+        head = heads[number]
+        if name == "vt3":
+            goal = _top_of_head(figure, match, joint_of.get(name), joints, vertices, heaviest, head)
+        elif name in links and joint_of.get(name) == links[name][0]:
+            goal = joints[links[name][1]]
+        elif name in _TRUNK:
+            goal = heads[names.index(_TRUNK[_TRUNK.index(name) + 1])]
+        elif len(named) == 1 or (named and len(children) == 1):
+            goal = heads[named[0]]
+        elif children:
+            others = [i for i in children if names[i] not in _ENDS or names[i] in joint_of]
+            goal = np.mean([heads[i] for i in named or others or children], axis=0)
+        else:
+            goal = head
+        if np.linalg.norm(goal - head) < 1e-3:
+            along = _along(number, names, parents, heads)
+            skin = vertices[heaviest == joint_of[name]] if name in joint_of else vertices[:0]
+            reach = (skin - head) @ along
+            far = skin[reach >= 0.9 * reach.max(initial=0.0)]
+            goal = far.mean(0) if reach.max(initial=0.0) > _STUB else head + _STUB * along
+        elif children and name in ("l_wrist", "r_wrist") and name in joint_of:
+            goal = head + (goal - head) * _hand_reach(figure, joint_of[name], vertices, heaviest, head, goal)
+        tails[number] = head + _upright(name, goal - head)
+    return tails
+
+
+def _hand_reach(
+    figure: SkinnedMesh,
+    joint: int,
+    vertices: Array,
+    heaviest: NDArray[np.intp],
+    head: Array,
+    goal: Array,
+) -> float:
+    """Share of the way from the wrist to the knuckles at which a hand with fingers ends, at least 1.
+
+    Args:
+        figure: Skinned mesh.
+        joint: Joint of the hand.
+        vertices: Vertices in body space, (V, 3) metres.
+        heaviest: Joint (V,) that each vertex follows most.
+        head: Wrist, (3,) metres.
+        goal: Point of the knuckles, (3,) metres.
+    """
+    hand = [number for number in range(len(figure.parents)) if _descends(number, joint, figure.parents)]
+    skin, along = vertices[np.isin(heaviest, hand)], goal - head
+    length = float(along @ along)
+    return max(1.0, float(((skin - head) @ along).max(initial=0.0)) / length)
+
+
+def _top_of_head(
+    figure: SkinnedMesh,
+    match: JointMatch,
+    joint: int | None,
+    joints: Array,
+    vertices: Array,
+    heaviest: NDArray[np.intp],
+    head: Array,
+) -> Array:
+    """Top of the head (3,): the joint that is there, or else a point at the height of the top of the skin.
+
+    Joints of eyes, hair and hats may lie at any side of the head, so that they do not show its direction.
+
+    Args:
+        figure: Skinned mesh.
+        match: Joints of the figure that drive bones.
+        joint: Joint of the head; None if the figure has none.
+        joints: Positions of the J joints, (J, 3) metres.
+        vertices: Vertices in body space, (V, 3) metres.
+        heaviest: Joint (V,) that each vertex follows most.
+        head: Lower end of the bone of the head, (3,) metres.
+    """
+    top = match.roles.get("HeadTop")
+    if top is not None and joints[top, 1] > head[1] + _STUB:
+        return joints[top]
+    if joint is None:
+        return head
+    carried = np.zeros(len(figure.parents), dtype=bool)
+    for number, parent in enumerate(figure.parents):  # parents come first
+        carried[number] = number == joint or (parent >= 0 and carried[parent])
+    own, all_ = (
+        float((vertices[skin, 1] - head[1]).max(initial=0.0))
+        for skin in (heaviest == joint, carried[heaviest])
+    )
+    height = own if own >= _SKULL * all_ else all_
+    return head + height * _direction(_UPRIGHT["vt3"][0]) if height > _STUB else head
+
+
+def _direction(degrees: float) -> Array:
+    """Unit vector (3,), ``degrees`` forwards from straight up."""
+    return np.array([0.0, np.cos(np.radians(degrees)), np.sin(np.radians(degrees))])
+
+
+def _upright(name: str, along: Array) -> Array:
+    """Direction ``along`` (3,) of a bone. That of chest and head is turned until it is as upright as a
+    standing person's."""
+    if name not in _UPRIGHT:
+        return along
+    lean, most = _UPRIGHT[name]
+    typical, length = _direction(lean), float(np.linalg.norm(along))
+    excess = float(angle_between(along, typical)) - np.radians(most)
+    if excess <= 0:
+        return along
+    axis = unit_vectors(np.cross(along, typical))
+    return np.asarray(rotation_vector_to_matrix(excess * axis) @ along) if length else along
+
+
+def _along(number: int, names: list[str], parents: list[str | None], heads: list[Array]) -> Array:
+    """Unit direction (3,) of a bone without a child: that of :data:`_ALONG`, or else that of its parent."""
+    if names[number] in _ALONG:
+        return np.array(_ALONG[names[number]])
+    parent = parents[number]
+    while parent is not None:
+        step = heads[number] - heads[names.index(parent)]
+        length = float(np.linalg.norm(step))
+        if length > 1e-3:
+            return np.asarray(step / length)
+        parent = parents[names.index(parent)]
+    return np.array([0.0, 1.0, 0.0])
+
+
+def _unique_name(name: str, taken: set[str]) -> str:
+    """Make a bone name unique."""
+    base = name or "joint"
+    unique, number = base, 0
+    while unique in taken:
+        number += 1
+        unique = f"{base}.{number:03d}"
+    taken.add(unique)
+    return unique

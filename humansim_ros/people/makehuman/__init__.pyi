@@ -1,0 +1,17 @@
+from humansim_ros.people.makehuman.mouth import has_mouth as has_mouth
+from humansim_ros.people.makehuman.mouth import jaw_of as jaw_of
+from humansim_ros.people.makehuman.mouth import with_mouth as with_mouth
+from humansim_ros.people.makehuman.population import AGES as AGES
+from humansim_ros.people.makehuman.population import BMIS as BMIS
+from humansim_ros.people.makehuman.population import MONK_TONES as MONK_TONES
+from humansim_ros.people.makehuman.population import PeopleLimits as PeopleLimits
+from humansim_ros.people.makehuman.population import Person as Person
+from humansim_ros.people.makehuman.population import draw_person as draw_person
+from humansim_ros.people.makehuman.population import is_person as is_person
+from humansim_ros.people.makehuman.population import person_name as person_name
+from humansim_ros.people.makehuman.population import read_person as read_person
+from humansim_ros.people.makehuman.wardrobe import BEARDS as BEARDS
+from humansim_ros.people.makehuman.wardrobe import BOTTOMS as BOTTOMS
+from humansim_ros.people.makehuman.wardrobe import FOOTWEAR as FOOTWEAR
+from humansim_ros.people.makehuman.wardrobe import HAIR as HAIR
+from humansim_ros.people.makehuman.wardrobe import TOPS as TOPS

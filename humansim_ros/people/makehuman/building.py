@@ -1,0 +1,612 @@
+"""Build a dressed human from MakeHuman sliders, in three stages.
+
+1. *Choice*: where clothes are cut, and the raster of the texture. It decides the faces, the layout of the
+texture and the weights.
+
+2. *Topology* of a choice: everything that people with this choice have in common. It is made once and kept.
+3. *Person*: the body as a sum of targets, its skeleton, cloth and hair over the body, and the paint.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
+from scipy.spatial.transform import Rotation
+
+from humansim_ros.files.mesh import MATERIAL_LABELS
+from humansim_ros.motion.body import ACTIONS, FINGERS, Shapes, loose_arrays, shape_arrays, skin
+from humansim_ros.people.makehuman.clothes import (
+    BodyRegions,
+    Cut,
+    Dress,
+    cut_clothes,
+    dress,
+    smooth_under_clothes,
+)
+from humansim_ros.people.makehuman.data import (
+    SOURCE,
+    Base,
+    MakeHumanData,
+    VertexIndices,
+    VertexMask,
+    read_base,
+)
+from humansim_ros.people.makehuman.face import face_offsets, unskin_offsets
+from humansim_ros.people.makehuman.mouth import mouth_places
+from humansim_ros.people.makehuman.paint import (
+    AO_DIRECTIONS,
+    TEXTURE_SIZE,
+    Canvas,
+    Texels,
+    as_image,
+    hair_share,
+    openness,
+    paint,
+    rasterise,
+    relay_uv,
+    skin_share,
+)
+from humansim_ros.people.makehuman.shape import MakeHumanConfig, Outfit, target_strengths, with_stature
+from humansim_ros.people.makehuman.skeleton import (
+    BONE_NAMES,
+    BONES_PER_VERTEX,
+    Bones,
+    bend_in_shoes,
+    bone_weights,
+    edges_of,
+    landmarks,
+    limit_details,
+    make_bones,
+    smooth_weights,
+    t_pose,
+    unskin,
+)
+from humansim_ros.people.makehuman.surface import NONE, SHOES, BodySurface, compact, refine, sample
+from humansim_ros.people.makehuman.wardrobe import BEARDS
+from humansim_ros.people.makehuman.worn import (
+    Wearer,
+    WornPart,
+    add_parts,
+    loose_parts,
+    strip_height,
+    strip_image,
+    under_skirts,
+    worn_parts,
+)
+from humansim_ros.types import Array
+
+#: Flexion of the three joints of each finger of a relaxed hand, degrees, from thumb to little finger.
+_FLEXION = ((6, 10, 14), (20, 28, 14), (24, 32, 16), (27, 34, 17), (30, 35, 17))
+#: A finger is turned towards the middle finger by this share of the angle between them.
+_CLOSING = 0.6
+#: Rotation of the thumb towards the fingers, degrees.
+_THUMB_CLOSING = 14.0
+
+
+def relaxed_fingers(points: Mapping[str, Array]) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Transforms (4, 4) of finger bones to a relaxed hand, and their axes (3,) of flexion there, both by name
+    of the bone. ``points``: landmarks (see ``skeleton.landmarks``). A positive angle about its axis flexes a
+    bone."""
+    transforms, hinges = {}, {}
+    for side in "lr":
+        for number, name in enumerate(FINGERS, 1):
+            segments, axis = _finger(points, side, number)
+            for segment, transform in enumerate(segments, 1):
+                transforms[f"{side}_{name}{segment}"] = transform
+                hinges[f"{side}_{name}{segment}"] = transform[:3, :3] @ axis
+    return transforms, hinges
+
+
+def finger_shares(source: MakeHumanData, count: int) -> Array:
+    """Weights (N, 31) of the artists: first the rest of the body, then the finger bones. The order of the
+    bones is the order of :func:`relaxed_fingers`. ``count``: number of vertices N."""
+    shares = np.zeros((count, 1 + 2 * 3 * len(FINGERS)))
+    names = [f"{side}_{name}{joint}" for side in "lr" for name in FINGERS for joint in (1, 2, 3)]
+    for column, name in enumerate(names, 1):
+        number = FINGERS.index(name[2:-1]) + 1
+        pairs = np.array(source.weights[f"finger{number}-{name[-1]}.{name[0].upper()}"])
+        shares[pairs[:, 0].astype(int), column] = pairs[:, 1]
+    shares[:, 0] = np.maximum(1.0 - shares[:, 1:].sum(axis=1), 0.0)
+    return shares
+
+
+def relax_hands(shares: Array, vertices: Array, transforms: Mapping[str, Array]) -> Array:
+    """Bend the fingers of both hands.
+
+    Args:
+        shares: See :func:`finger_shares`.
+        vertices: (N, 3) all vertices of the base mesh, metres, in the A pose.
+        transforms: See :func:`relaxed_fingers`, of the same body.
+
+    Returns:
+        (N, 3) vertices; only the vertices of the fingers differ.
+    """
+    moved = np.flatnonzero(shares[:, 0] < 1.0)
+    out = vertices.copy()
+    shares = shares[moved] / shares[moved].sum(axis=1, keepdims=True)
+    # dual quaternions, since linear blending would flatten the knuckles
+    motion = np.array([np.eye(4), *transforms.values()])
+    out[moved] = skin(vertices[moved], csr_matrix(shares), motion, "dual_quaternion")
+    return out
+
+
+def _finger(points: Mapping[str, Array], side: str, finger: int) -> tuple[list[Array], Array]:
+    """Transforms (4, 4) of the three segments of a finger, and the axis (3,) of flexion before they are
+    applied."""
+
+    def joint(number: int, of: int = finger) -> Array:
+        return points[f"joint-{side}-finger-{of}-{number}"]
+
+    along = joint(1, 3) - points[f"joint-{side}-hand"]
+    across = joint(1, 5) - joint(1, 2)
+    palm = np.cross(across, along) * (1.0 if side == "l" else -1.0)
+    palm /= np.linalg.norm(palm)
+    closing = _closing(palm, joint, finger)
+    if finger == 1:  # the thumb bends across the palm
+        forwards = joint(4) - joint(1)
+        sideways = across / np.linalg.norm(across)
+        axis = np.cross(forwards, 0.5 * palm + sideways)
+    else:
+        axis = np.cross(joint(4) - joint(1), palm)
+    axis /= np.linalg.norm(axis)
+    out, before = [], np.eye(4)
+    for segment, degrees in enumerate(_FLEXION[finger - 1], 1):
+        turn = Rotation.from_rotvec(np.radians(degrees) * axis).as_matrix()
+        if segment == 1:
+            turn = turn @ closing
+        before = before @ _about(joint(segment), turn)
+        out.append(before)
+    return out, axis
+
+
+def _closing(palm: Array, joint: object, finger: int) -> Array:
+    """Rotation (3, 3) about the normal of the palm that turns a finger towards the middle finger."""
+    assert callable(joint)
+    direction, middle = (d - (d @ palm) * palm for d in (joint(3) - joint(1), joint(3, 3) - joint(1, 3)))
+    angle = np.arctan2(np.cross(direction, middle) @ palm, direction @ middle)
+    angle = np.sign(angle) * np.radians(_THUMB_CLOSING) if finger == 1 else _CLOSING * angle
+    return Rotation.from_rotvec(angle * palm).as_matrix()
+
+
+def _about(centre: Array, turn: Array) -> Array:
+    out = np.eye(4)
+    out[:3, :3] = turn
+    out[:3, 3] = centre - turn @ centre
+    return out
+
+
+JPEG_QUALITY = 92
+#: When sitting, bones that share a vertex move this far apart (thighs at the crotch), as a share of the
+#: height.
+_PARTING = 0.10
+#: Reference body. Clothes are cut and painted on it, since all bodies have the same topology.
+ADULT_MAN = MakeHumanConfig(gender=1.0)
+
+
+@dataclass(frozen=True)
+class _Body:
+    """Naked body: ``vertices`` (V, 3) in the A pose of MakeHuman, ``naked`` (V, 3) in the T pose."""
+
+    vertices: Array
+    naked: Array
+    bones: Bones
+    points: Mapping[str, Array]
+    motion: Array
+    floor: Array
+
+    def regions(self, is_ear: Array, part: VertexIndices, choice: Choice) -> BodyRegions:
+        """Regions of clothes and hair. ``is_ear`` (V,) is above 0.5 at the ears."""
+        eye = self.naked[part == 1]
+        ear = self.naked[(is_ear > 0.5) & (self.naked[:, 0] > 0)].mean(axis=0)
+        middle = (eye.min(axis=0) + eye.max(axis=0)) / 2
+        top = float(self.naked[part == 0, 1].max())
+        radius = float(np.ptp(eye, axis=0).max() / 2)
+        return BodyRegions(self.bones, middle, radius, ear, top, choice.cut)
+
+    @property
+    def gaze(self) -> Array:
+        """Points (2, 3) that the eyes look at."""
+        return np.array([self.points[f"joint-{side}-eye-target"] for side in "lr"]) - self.floor
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What decides the topology of a person. ``raster``: number of texels along a side of the raster. Twice
+    the size of the texture smooths edges, and takes four times as long to paint."""
+
+    cut: Cut
+    raster: int = 2 * TEXTURE_SIZE
+
+
+@dataclass(frozen=True)
+class _Scalp:
+    """Data that all choices with the same hairline have in common.
+
+    Attributes:
+        bare: Body and eyes of the base mesh, on the reference body.
+        rows: (V,) vertices of ``bare`` in the base mesh.
+        fingers: (N, 31) see :func:`finger_shares`.
+        is_ear: (V,) above 0.5 at the ears.
+        man: Reference body.
+        refined: The mesh with a finer scalp, and the matrix that gives its vertices from ``bare``.
+    """
+
+    bare: BodySurface
+    rows: VertexIndices
+    fingers: Array
+    is_ear: Array
+    man: _Body
+    refined: tuple[BodySurface, csr_matrix]
+
+    @classmethod
+    def of(cls, source: MakeHumanData, choice: Choice) -> _Scalp:
+        base = read_base(source, target_strengths(source, ADULT_MAN))
+        fingers = finger_shares(source, len(base.vertices))
+        rows, bare = _bare(source, base)
+        man = _naked(base, rows, bare, fingers)
+        is_ear = _at_vertices(bare, source.mask("ears"))
+        bare = replace(bare, vertices=man.vertices, canonical=man.naked, naked=man.naked)
+        hair = man.regions(is_ear, bare.part, choice).hair(bare.canonical)
+        on_scalp = (hair > 0.01) & (is_ear < 0.01) & (bare.part == 0)
+        return cls(bare, rows, fingers, is_ear, man, refine(bare, on_scalp[bare.faces].all(axis=1)))
+
+
+@dataclass(frozen=True)
+class PersonTopology:
+    """Data that all people with the same choice have in common.
+
+    Attributes:
+        scalp: Data that they also share with other choices of the same hairline.
+        reference: Regions of the reference body.
+        cut: The mesh with a finer scalp, cut along the borders of clothes, and the matrix from that mesh.
+        ear_cover: (V',) above 0 at the ears, of ``cut``.
+        uv: (T, 2) layout of the texture.
+        edges: (E, 2) of ``cut``.
+        source: MakeHuman's files.
+        raster: See :class:`Choice`.
+    """
+
+    scalp: _Scalp
+    reference: BodyRegions
+    cut: tuple[BodySurface, csr_matrix]
+    ear_cover: Array
+    uv: Array
+    edges: VertexIndices
+    source: MakeHumanData
+    raster: int
+
+    @classmethod
+    def of_choice(cls, source: MakeHumanData, choice: Choice) -> PersonTopology:
+        """Cut the clothes of a choice on the reference body, and lay out the texture. It takes half a
+        second."""
+        key = ("scalp", choice.cut.hair)
+        scalp = source.kept.get(key) or _Scalp.of(source, choice)
+        assert isinstance(scalp, _Scalp)
+        source.kept[key] = scalp
+        reference = scalp.man.regions(scalp.is_ear, scalp.bare.part, choice)
+        mesh, carry = cut_clothes(scalp.refined[0], reference)
+        return cls(
+            scalp=scalp,
+            reference=reference,
+            cut=(mesh, carry),
+            ear_cover=_at_vertices(mesh, source.mask("ears")),
+            uv=relay_uv(mesh.uv, mesh.uv_faces, mesh.part[mesh.faces[:, 0]] > 0),
+            edges=edges_of(mesh.faces),
+            source=source,
+            raster=choice.raster,
+        )
+
+    @cached_property
+    def texels(self) -> Texels:
+        """Raster of the texture. It takes a second."""
+        return rasterise(self.cut[0], self.uv, self.raster)
+
+    @cached_property
+    def canvas(self) -> Canvas:
+        """Geometry of the texels on the reference body."""
+        body = self.texels.mixing @ self.cut[0].canonical
+        return Canvas(body, body, self.texels.uv, self.reference, self.reference, self.source)
+
+    @cached_property
+    def skin(self) -> NDArray[np.uint8]:
+        """(S, S) share of skin in each texel of the texture."""
+        return as_image(self.texels, 255 * skin_share(self.cut[0], self.texels, self.canvas))
+
+    def worn_by(self, body: _Body, own: BodyRegions) -> BodySurface:
+        """The mesh on a body before it is dressed. The body is smoothed under clothes."""
+        refined, into_refined = self.scalp.refined
+        cut, into_cut = self.cut
+        naked = into_refined @ body.naked
+        skin = replace(refined, vertices=into_refined @ body.vertices, naked=naked)
+        vertices = smooth_under_clothes(skin, self.reference, own)
+        return replace(cut, vertices=into_cut @ vertices, naked=into_cut @ naked)
+
+
+def topology(source: MakeHumanData, choice: Choice) -> PersonTopology:
+    """Topology of a choice. Those of the last choices are kept with the source."""
+    found = source.kept.pop(choice, None) or PersonTopology.of_choice(source, choice)
+    assert isinstance(found, PersonTopology)
+    source.kept[choice] = found  # the last entry of the dictionary is the one that was used last
+    for oldest in [key for key in source.kept if isinstance(key, Choice)][:-_MOST_KEPT]:
+        del source.kept[oldest]
+    return found
+
+
+#: Most topologies that are kept. Each takes about 150 MB.
+_MOST_KEPT = 4
+
+
+def build(
+    source: MakeHumanData, config: MakeHumanConfig, outfits: Mapping[str, Outfit], fine: bool = True
+) -> dict[str, NDArray[Any]]:
+    """Build the arrays of a human file (docs/humans.md) from MakeHuman sliders.
+
+    Clothes are cut and painted on the reference body, and draped over this body. Both have the same topology.
+    Equal input gives equal arrays. Raises MeshError if a target is missing or the stature is impossible.
+
+    Args:
+        source: MakeHuman's files.
+        config: Sliders.
+        outfits: Colours and fabrics by the name of the outfit.
+        fine: Whether a raster of twice the size of the texture is painted.
+    """
+    figure = _Figure.of(source, config, Choice(Dress.of(config).cut, TEXTURE_SIZE * (2 if fine else 1)))
+    common, parts = figure.common, figure.parts
+    looks = {
+        name: np.concatenate([look, strip_image(parts, figure.config, outfits[name])])
+        for name, look in _painted(common, figure.mesh, figure.dressed, figure.own, outfits).items()
+    }
+    sole = np.array([0, figure.solid["vertices"][:, 1].min(), 0])
+    return {
+        **figure.arrays(sole),
+        "outfits": np.array(list(looks)),
+        **{f"texture_{name}": _jpeg(image) for name, image in looks.items()},
+        **shape_arrays(Shapes.of_offsets(ACTIONS, figure.offsets), figure.scale),
+        "mouth": (figure.mouth - sole).astype(np.float32),
+        "skin": np.pad(common.skin, ((0, strip_height(parts)), (0, 0))),
+        "materials": figure.materials,
+        **figure.off_body,
+        **figure.hair,
+        **figure.loose,
+        "license": np.array("CC0-1.0"),
+        "source": np.array(SOURCE),
+    }
+
+
+def build_unpainted(source: MakeHumanData, config: MakeHumanConfig) -> tuple[dict[str, NDArray[Any]], int]:
+    """Build the arrays of a human file without looks and shapes: surface, bones and weights. The bare soles
+    are at height 0, so that the surface does not depend on the shoes. Returns also the number of vertices of
+    body, eyes and the clothes that are cut from them. Vertices of worn things come after these."""
+    choice = Choice(Dress.of(config).cut, TEXTURE_SIZE)
+    figure = _Figure.of(source, config, choice, barefoot=True)
+    return figure.arrays(np.zeros(3)), len(figure.mesh.vertices)
+
+
+@dataclass(frozen=True)
+class _Figure:
+    """A dressed person before it is painted.
+
+    Attributes:
+        common: Topology of the person.
+        config: Its sliders, with its stature.
+        scale: Size relative to the sliders.
+        mesh: Surface of body and clothes.
+        dressed: Vertices (V, 3) of ``mesh`` in the T pose.
+        own: Regions of this body.
+        bones: Its bones.
+        offsets: Offsets of the face by the actions, in the T pose.
+        mouth: (M, 3) teeth and tongue in the T pose.
+        parts: Off-body parts, such as hats and skirts.
+        solid: Arrays of surface and parts, see :func:`add_parts`.
+    """
+
+    common: PersonTopology
+    config: MakeHumanConfig
+    scale: float
+    mesh: BodySurface
+    dressed: Array
+    own: BodyRegions
+    bones: Bones
+    offsets: Array
+    mouth: Array
+    parts: Sequence[WornPart]
+    solid: Mapping[str, NDArray[Any]]
+
+    @classmethod
+    def of(
+        cls, source: MakeHumanData, config: MakeHumanConfig, choice: Choice, barefoot: bool = False
+    ) -> _Figure:
+        """Dress a person. ``barefoot``: compute weights for the height without clothes and hair, so that
+        clothes and hair do not change the weights of other parts."""
+        common = topology(source, choice)
+        scalp = common.scalp
+        config, scale = with_stature(source, config)
+        base = _scaled(read_base(source, target_strengths(source, config)), scale)
+        body = _naked(base, scalp.rows, scalp.bare, scalp.fingers)
+        own = replace(body.regions(scalp.is_ear, scalp.bare.part, choice), dress=Dress.of(config))
+        mesh = common.worn_by(body, own)
+        balls = (body.points["joint-l-toe-1-1"], body.points["joint-r-toe-1-1"])
+        dressed = dress(mesh, common.reference, own, common.ear_cover, balls)
+        offsets = unskin_offsets(scale * mesh.shapes, mesh.weights, body.motion)
+        dressed = unskin(dressed, mesh.weights, body.motion) - body.floor
+        height = float(np.ptp((body.naked if barefoot else dressed)[:, 1]))
+        weights = _worn_weights(common, mesh, dressed, body.bones, height)
+        wearer = Wearer(mesh, dressed, weights, common.ear_cover, common.reference, own)
+        parts = worn_parts(config, wearer)
+        solid = add_parts(
+            {
+                "vertices": under_skirts(config, wearer),
+                "faces": mesh.faces,
+                "uv": common.uv,
+                "uv_faces": mesh.uv_faces,
+                "weights": weights,
+            },
+            parts,
+            TEXTURE_SIZE,
+        )
+        mouth = mouth_places(base) - body.floor  # the T pose does not move the head
+        return cls(common, config, scale, mesh, dressed, own, body.bones, offsets, mouth, parts, solid)
+
+    @property
+    def materials(self) -> NDArray[np.uint8]:
+        """(F,) label of each face."""
+        garments = np.array([MATERIAL_LABELS[name] for name in ("skin", "shoes", "bottom", "top")], np.uint8)
+        labels = garments[self.mesh.face_garment]
+        labels[self.mesh.part[self.mesh.faces[:, 0]] > 0] = MATERIAL_LABELS["eyes"]
+        return np.concatenate([labels, *(part.labels for part in self.parts)])
+
+    @property
+    def off_body(self) -> dict[str, NDArray[np.bool_]]:
+        """Whether each face belongs to an off-body part. Empty if there are no such parts."""
+        faces = len(self.solid["faces"])
+        return {"off_body": np.arange(faces) >= len(self.mesh.faces)} if self.parts else {}
+
+    @property
+    def hair(self) -> dict[str, NDArray[np.uint8]]:
+        """Share of hair in each texel, for people with a beard. Empty if hair is just the rest of
+        ``skin``."""
+        if self.own.dress.beard == BEARDS["none"]:
+            return {}
+        texels = self.common.texels
+        canvas = replace(self.common.canvas, own=self.own)
+        share = as_image(texels, 255 * hair_share(self.mesh, texels, canvas))
+        return {"hair": np.pad(share, ((0, strip_height(self.parts)), (0, 0)))}
+
+    @property
+    def loose(self) -> dict[str, NDArray[Any]]:
+        """Arrays of cloth and hair that swing."""
+        parts = loose_parts(self.parts, len(self.mesh.vertices))
+        return {} if parts is None else loose_arrays(parts)
+
+    def arrays(self, sole: Array) -> dict[str, NDArray[Any]]:
+        """Arrays of surface, bones and weights. ``sole``: point (3,) that becomes the origin."""
+        solid, bones = self.solid, self.bones
+        weights, faces, uv_faces = solid["weights"], solid["faces"], solid["uv_faces"].astype(np.int32)
+        order = np.argsort(-weights, axis=1, kind="stable")[:, :BONES_PER_VERTEX]
+        values = np.take_along_axis(weights, order, axis=1)
+        triangle = faces[:, 3] == faces[:, 2]
+        faces = faces.astype(np.int32)
+        faces[triangle, 3] = -1
+        uv_faces[triangle, 3] = -1
+        return {
+            "vertices": (solid["vertices"] - sole).astype(np.float32),
+            "faces": faces,
+            "uv": solid["uv"].astype(np.float32),
+            "uv_faces": uv_faces,
+            "bone_names": np.array(bones.names),
+            "bone_parents": bones.parents.astype(np.int32),
+            "bone_heads": bones.heads - sole,
+            "bone_tails": bones.tails - sole,
+            "bone_rolls": bones.rolls,
+            "weight_bones": np.where(values > 0, order, 0).astype(np.int16),
+            "weight_values": values.astype(np.float32),
+        }
+
+
+def _painted(
+    common: PersonTopology, mesh: BodySurface, dressed: Array, own: BodyRegions, outfits: Mapping[str, Outfit]
+) -> dict[str, NDArray[np.uint8]]:
+    """Textures by outfit.
+
+    Args:
+        common: Topology of the person.
+        mesh: Surface of the person.
+        dressed: Vertices of ``mesh`` with clothes, (V, 3), in the T pose.
+        own: Regions of this body.
+        outfits: Colours and fabrics by the name of the outfit.
+    """
+    texels = common.texels
+    canvas = replace(common.canvas, dressed=texels.mixing @ dressed, own=own)
+    fine = len(texels.nearest) > TEXTURE_SIZE
+    open_sky = texels.mixing @ openness(dressed, mesh.surface, AO_DIRECTIONS // (1 if fine else 2))
+    light = np.where(mesh.part[texels.vertex] == 0, 0.55 + 0.45 * open_sky, 1.0)
+    return {
+        name: as_image(texels, paint(mesh, texels, canvas, light, outfit, common.scalp.man.gaze))
+        for name, outfit in outfits.items()
+    }
+
+
+def _worn_weights(
+    common: PersonTopology, mesh: BodySurface, dressed: Array, bones: Bones, height: float
+) -> Array:
+    """Weights (V, B) of cloth, shoes and skin; ``dressed``: vertices (V, 3) with clothes."""
+    reach = _PARTING * height
+    weights = smooth_weights(mesh.weights, dressed, common.edges, reach)
+    in_shoes = mesh.garment == SHOES
+    weights[in_shoes] = bend_in_shoes(weights[in_shoes], dressed[in_shoes], bones)
+    return limit_details(weights)
+
+
+def _jpeg(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    # no chroma subsampling, since it blurs edges of saturated colours
+    chroma = [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
+    encoded = cv2.imencode(".jpg", image[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY, *chroma])[1]
+    return np.asarray(encoded, dtype=np.uint8).ravel()
+
+
+def _scaled(base: Base, scale: float) -> Base:
+    return base if scale == 1.0 else replace(base, vertices=base.vertices * scale)
+
+
+def _bare(source: MakeHumanData, base: Base) -> tuple[VertexIndices, BodySurface]:
+    """Rows (V,) of the base mesh that are body and eyes, and their surface with faces, weights and shapes."""
+    keep = np.isin(base.face_groups, ("body", "helper-l-eye", "helper-r-eye"))
+    rows, faces = compact(base.faces[keep], len(base.vertices))
+    uv_rows, uv_faces = compact(base.uv_faces[keep], len(base.uv))
+    part = np.zeros(len(rows), np.int64)
+    weights = bone_weights(source, len(base.vertices))
+    for number, side in enumerate("lr", 1):
+        group = f"helper-{side}-eye"
+        part[faces[base.face_groups[keep] == group]] = number
+        weights[base.vertex_groups[group]] = np.eye(len(BONE_NAMES))[
+            BONE_NAMES.index(f"{side}_eyeball_joint")
+        ]
+    naked = base.vertices[rows]
+    return rows, BodySurface(
+        vertices=naked,
+        faces=faces,
+        uv=base.uv[uv_rows],
+        uv_faces=uv_faces,
+        weights=weights[rows],
+        canonical=naked,
+        naked=naked,
+        part=part,
+        garment=np.full(len(rows), NONE),
+        face_garment=np.full(len(faces), NONE),
+        weld=np.arange(len(rows)),
+        shapes=face_offsets(source, rows),
+    )
+
+
+def _naked(base: Base, rows: VertexIndices, bare: BodySurface, fingers: Array) -> _Body:
+    """Body and eyes without the other helpers. In the T pose the bare soles are at height 0.
+
+    Args:
+        base: Base mesh with its targets.
+        rows: Its vertices (V,) that are body and eyes.
+        bare: Their surface.
+        fingers: See :func:`finger_shares`.
+    """
+    points = landmarks(base)
+    transforms, hinges = relaxed_fingers(points)
+    motion, bones = t_pose(make_bones(points, transforms, hinges))
+    vertices = relax_hands(fingers, base.vertices, transforms)[rows]
+    naked = unskin(vertices, bare.weights, motion)
+    floor = np.array([0, float(naked[bare.part == 0, 1].min()), 0])
+    bones = replace(bones, heads=bones.heads - floor, tails=bones.tails - floor)
+    return _Body(vertices, naked - floor, bones, points, motion, floor)
+
+
+def _at_vertices(mesh: BodySurface, mask: VertexMask) -> Array:
+    """Values (V,) of a painted mask at the vertices."""
+    uv = np.zeros((len(mesh.vertices), 2))
+    corners: VertexIndices = mesh.faces
+    uv[corners] = mesh.uv[mesh.uv_faces]
+    return sample(mask, uv)

@@ -1,0 +1,12 @@
+from humansim_ros.render.device.context import OpenGLContext as OpenGLContext
+from humansim_ros.render.device.context import keep_image_blocks as keep_image_blocks
+from humansim_ros.render.device.lens_tessellation import NEAR as NEAR
+from humansim_ros.render.device.lens_tessellation import near_plane as near_plane
+from humansim_ros.render.device.mesh_buffers import PosedMesh as PosedMesh
+from humansim_ros.render.device.mesh_buffers import Topology as Topology
+from humansim_ros.render.device.pixel_geometry import ImageBackdrop as ImageBackdrop
+from humansim_ros.render.device.pixel_geometry import Panorama as Panorama
+from humansim_ros.render.device.pixel_geometry import PixelGeometry as PixelGeometry
+from humansim_ros.render.device.pixel_geometry import VisiblePixels as VisiblePixels
+from humansim_ros.render.device.pixel_geometry import ambient as ambient
+from humansim_ros.render.device.pixel_geometry import pixel_rays as pixel_rays

@@ -1,0 +1,479 @@
+"""Meshes posed in a frame, with their vertices, triangles and materials on the device.
+
+Quantities that are the same for all cameras are computed once per frame.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable, Sequence
+from functools import cache, cached_property
+from typing import Any
+
+import cv2
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.files.mesh import Material, Mesh, split_seams
+from humansim_ros.render.device.contact_shadow import ShadowCaster
+from humansim_ros.render.device.programs import MAP_UNITS, set_uniform
+from humansim_ros.types import Array, Float32Array, Indices
+
+_WHITE = b"\xff\xff\xff"
+_PLAIN = np.full((1, 1, 3), 255, np.uint8)
+#: Number of texture layers that every device supports.
+_MAX_LAYERS = 256
+#: Vertex attributes of the shaders, with their numbers of components. The first ones are the columns of
+#: :meth:`ExpandedMesh.attributes`. Static meshes have two more: the layer of the texture, and the place in
+#: the light map.
+_LAYOUT = (("position", 3), ("normal", 3), ("uv", 2), ("color", 3), ("layer", 1), ("light_uv", 2))
+
+
+class ExpandedMesh:
+    """Vertices of a mesh as they are rendered. A vertex on a texture seam is there once per texture
+    coordinate. ``source``: (E,) index of each vertex in the mesh. ``corners``: (N, 3) vertices of the
+    triangles. ``uv_colors``: (E, 5) float32, texture coordinates and colour."""
+
+    def __init__(self, mesh: Mesh) -> None:
+        self.source, uv, corners = split_seams(mesh)
+        if uv is None:
+            uv = np.zeros((len(self.source), 2))
+        colors = np.full((len(mesh.vertices), 3), 255, np.uint8) if mesh.colors is None else mesh.colors
+        self.uv_colors: Float32Array = np.concatenate([uv, colors[self.source] / 255.0], axis=1).astype("f4")
+        self.corners = np.ascontiguousarray(corners, dtype=np.int32)
+
+    def attributes(self, posed: PosedMesh) -> Float32Array:
+        """(E, 11) vertex attributes in a pose: position, normal, texture coordinates and colour."""
+        both = np.concatenate([posed.vertices, posed.normals], axis=1).take(self.source, axis=0)
+        return np.concatenate([both, self.uv_colors], axis=1)
+
+
+class MaterialBuffers:
+    """Texture and material of a mesh on the device.
+
+    Args:
+        ctx: OpenGL context.
+        mesh: The mesh.
+        images: Images of several static meshes, which become the layers of one texture. If None, the image of
+            ``mesh`` alone.
+    """
+
+    def __init__(
+        self, ctx: moderngl.Context, mesh: Mesh, images: Sequence[NDArray[np.uint8]] | None = None
+    ) -> None:
+        self.material = material = mesh.material
+        self.texture: moderngl.Texture | moderngl.TextureArray
+        if images is None:
+            self.texture = _texture(ctx, mesh.texture, mesh.skin)
+        else:
+            self.texture = _texture_array(ctx, images)
+        self._maps: dict[str, moderngl.Texture] = {}
+        if material is not None:
+            alpha = None if material.alpha_map is None else material.alpha_map[..., None].repeat(3, axis=2)
+            self._maps = {
+                "metal_rough": _texture(ctx, material.metal_rough),
+                "normal_map": _texture(ctx, material.normals, plain=b"\x80\x80\xff"),
+                "emissive_map": _texture(ctx, material.emissive_map),
+                "alpha_map": _texture(ctx, alpha),
+            }
+            for one in (self.texture, *self._maps.values()):
+                one.repeat_x, one.repeat_y = material.wrap
+
+    @classmethod
+    def of_meshes(cls, ctx: moderngl.Context, meshes: Sequence[Mesh]) -> list[tuple[MaterialBuffers, int]]:
+        """Materials of static meshes, each with the layer of its texture. Meshes without a material share one
+        texture if their images have the same size, since each draw call takes long."""
+        images: dict[Any, list[NDArray[np.uint8]]] = {}
+        places: dict[int, tuple[Any, int]] = {}
+        made: dict[Any, MaterialBuffers] = {}
+        found: list[tuple[Any, int]] = []
+        for number, mesh in enumerate(meshes):
+            image = _PLAIN if mesh.texture is None else mesh.texture
+            # a material defines how its texture repeats, so it has its own texture
+            place = places.get(id(image)) if mesh.material is None else ((number,), 0)
+            if place is None:
+                key: tuple[int, ...] = image.shape[:2]
+                while len(images.get(key, ())) == _MAX_LAYERS:
+                    key = (*key, 0)
+                place = places[id(image)] = key, len(images.get(key, ()))
+            found.append(place)
+            if place[1] == len(images.setdefault(place[0], [])):
+                images[place[0]].append(image)
+        for (key, _), mesh in zip(found, meshes, strict=True):
+            if key not in made:
+                made[key] = cls(ctx, mesh, images[key])
+                # each pixel has several samples of one mip level, so their mean is as smooth as that of two
+                # levels
+                made[key].texture.filter = (moderngl.LINEAR_MIPMAP_NEAREST, moderngl.LINEAR)
+        return [(made[key], layer) for key, layer in found]
+
+    @staticmethod
+    def matter(program: moderngl.Program) -> bool:
+        """Whether a program distinguishes materials."""
+        return any(name in program for name in ("surface", "has_material", "opacity"))
+
+    @property
+    def blends(self) -> bool:
+        """Whether the material blends with the surfaces behind it."""
+        return self.material is not None and self.material.alpha == "blend"
+
+    def use(self, program: moderngl.Program) -> None:
+        """Bind the material for a program."""
+        self.texture.use(0)
+        if program.get("has_material", None) is None and program.get("opacity", None) is None:
+            return
+        material = self.material or Material()
+        set_uniform(program, "has_material", float(self.material is not None))
+        set_uniform(program, "masked", material.alpha == "mask")
+        set_uniform(program, "opacity", 1.0 if material.alpha == "opaque" else material.opacity)
+        set_uniform(program, "cutoff", material.cutoff)
+        set_uniform(program, "one_sided", not material.double_sided)
+        for name in ("metallic", "roughness", "specular", "emission"):
+            set_uniform(program, name, getattr(material, name))
+        set_uniform(program, "normal_scale", material.normal_scale if material.normals is not None else 0.0)
+        for name, image in self._maps.items():
+            image.use(MAP_UNITS[name])
+            set_uniform(program, name, MAP_UNITS[name])
+
+    def release(self) -> None:
+        """Free the memory on the device."""
+        for one in (self.texture, *self._maps.values()):
+            one.release()
+
+
+class TriangleBuffers:
+    """Triangles (N, 3) of vertices on the device. ``with`` releases them. Attributes are (V, 11). Those of
+    static meshes are (V, 12) with the layer of the texture, or (V, 14) with a place in the light map as
+    well."""
+
+    def __init__(self, ctx: moderngl.Context, attributes: NDArray[Any], triangles: NDArray[Any]) -> None:
+        self._ctx = ctx
+        self._empty, self._floats = len(triangles) == 0, attributes.shape[1]
+        if not self._empty:
+            self._vertices = ctx.buffer(attributes.astype("f4").tobytes())
+            self._index = ctx.buffer(np.ascontiguousarray(triangles, dtype=np.int32).tobytes())
+
+    def __enter__(self) -> TriangleBuffers:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.release()
+
+    def release(self) -> None:
+        """Free the memory on the device."""
+        if not self._empty:
+            self._vertices.release()
+            self._index.release()
+
+    def draw(
+        self,
+        program: moderngl.Program,
+        materials: Sequence[MaterialBuffers],
+        counts: Sequence[int],
+        selected: Sequence[bool] | None = None,
+        eye: Array | None = None,
+        mode: int = moderngl.TRIANGLES,
+        first_id: int | None = None,
+    ) -> None:
+        """Draw runs of consecutive triangles, each run with its material.
+
+        Args:
+            program: Program that draws.
+            materials: Material of each run.
+            counts: Number of triangles of each run.
+            selected: The runs to draw. If None, all.
+            eye: (3,) point that the triangles are sorted by, farthest first. If None, they are not sorted.
+            mode: What is drawn of each triangle.
+            first_id: Id of the first triangle. If None, the id that the program has already.
+        """
+        if self._empty:
+            return
+        columns = np.cumsum([n for _, n in _LAYOUT])
+        layouts = _LAYOUT[: int(np.searchsorted(columns, self._floats)) + 1]
+        layout = " ".join(f"{n}f" if name in program else f"{4 * n}x" for name, n in layouts)
+        used = [name for name, _ in layouts if name in program]
+        starts = np.cumsum([0, *counts])[:-1].tolist()
+        chosen = [True] * len(counts) if selected is None else selected
+        runs = [
+            run for run, use in zip(zip(materials, starts, counts, strict=True), chosen, strict=True) if use
+        ]
+        runs = [run for run in runs if run[2]]
+        if eye is None:
+            runs = _joined(runs, MaterialBuffers.matter(program))
+        index = self._index
+        if eye is not None:
+            index, runs = self._farthest_first(runs, eye)
+        array = self._ctx.vertex_array(program, [(self._vertices, layout, *used)], index_buffer=index)
+        for material, first, count in runs:
+            material.use(program)
+            if first_id is not None:
+                set_uniform(program, "first_id", first_id + first)
+            array.render(mode, vertices=3 * count, first=3 * first)
+        array.release()
+        if index is not self._index:
+            index.release()
+
+    def _farthest_first(
+        self, runs: Sequence[tuple[MaterialBuffers, int, int]], eye: Array
+    ) -> tuple[moderngl.Buffer, list[tuple[MaterialBuffers, int, int]]]:
+        """Sort the triangles of some runs by distance, farthest first. Returns their indices and the new
+        runs."""
+        corners = np.frombuffer(self._index.read(), np.int32).reshape(-1, 3)
+        positions = np.frombuffer(self._vertices.read(), np.float32).reshape(-1, self._floats)[:, :3]
+        selected = np.concatenate([np.arange(first, first + count) for _, first, count in runs])
+        owner = np.repeat(np.arange(len(runs)), [count for _, _, count in runs])
+        middle = positions[corners[selected]].mean(axis=1) - eye.astype(np.float32)
+        order = np.argsort(-np.einsum("ij,ij->i", middle, middle), kind="stable")
+        selected, owner = selected[order], owner[order]
+        starts = np.flatnonzero(np.diff(owner, prepend=-1))
+        ends = np.append(starts[1:], len(owner))
+        new = [
+            (runs[int(owner[start])][0], int(start), int(end - start))
+            for start, end in zip(starts, ends, strict=True)
+        ]
+        return self._ctx.buffer(np.ascontiguousarray(corners[selected]).tobytes()), new
+
+
+def _joined(
+    runs: Sequence[tuple[MaterialBuffers, int, int]], materials_matter: bool
+) -> list[tuple[MaterialBuffers, int, int]]:
+    """Join runs of consecutive triangles into one, since calls of OpenGL take long."""
+    out: list[tuple[MaterialBuffers, int, int]] = []
+    for material, first, count in runs:
+        follows = bool(out) and out[-1][1] + out[-1][2] == first
+        if follows and (out[-1][0] is material or not materials_matter):
+            out[-1] = (out[-1][0], out[-1][1], out[-1][2] + count)
+        else:
+            out.append((material, first, count))
+    return out
+
+
+def _texture(
+    ctx: moderngl.Context,
+    image: NDArray[np.uint8] | None,
+    skin: NDArray[np.uint8] | None = None,
+    plain: bytes = _WHITE,
+) -> moderngl.Texture:
+    """Create the texture of an image, or of one colour if there is no image. Its alpha is 0 on skin."""
+    if image is None:
+        return ctx.texture((1, 1), 3, plain, alignment=1)
+    # the texture coordinate v points up, the image's first row is on top
+    height, width = image.shape[:2]
+    if skin is not None:
+        image = np.dstack([image, 255 - skin])
+    image = np.ascontiguousarray(image[::-1])
+    made = ctx.texture((width, height), image.shape[2], image, alignment=1)
+    _add_mipmaps(made, image[None])
+    made.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
+    return made
+
+
+def _texture_array(ctx: moderngl.Context, images: Sequence[NDArray[np.uint8]]) -> moderngl.TextureArray:
+    """Create a texture with images (H, W, 3) of one size as its layers."""
+    height, width = images[0].shape[:2]
+    # alpha is added here, since Mesa would have to add it
+    layers = np.asarray(
+        np.stack([cv2.cvtColor(image[::-1], cv2.COLOR_RGB2RGBA) for image in images]), np.uint8
+    )
+    made = ctx.texture_array((width, height, len(layers)), 4, layers.tobytes())
+    _add_mipmaps(made, layers)
+    return made
+
+
+_TEXTURE_2D, _TEXTURE_ARRAY, _UNSIGNED_BYTE = 0x0DE1, 0x8C1A, 0x1401
+#: Internal format and format of OpenGL by number of components.
+_FORMATS = {3: (0x8051, 0x1907), 4: (0x8058, 0x1908)}
+
+
+def _add_mipmaps(texture: moderngl.Texture | moderngl.TextureArray, layers: NDArray[np.uint8]) -> None:
+    """Add the smaller levels of a new texture. OpenCV computes those of a room in 0.01 s, llvmpipe in 0.5 s.
+    ``layers``: (L, H, W, C) of the first level."""
+    array = isinstance(texture, moderngl.TextureArray)
+    upload = _tex_image("glTexImage3D" if array else "glTexImage2D")
+    if upload is None or texture.components not in _FORMATS:
+        texture.build_mipmaps()
+        return
+    internal, layout = _FORMATS[texture.components]
+    texture.use(0)  # rows are not padded, as the upload of the first level has set
+    level = 0
+    while max(layers.shape[1:3]) > 1:
+        level += 1
+        height, width = (max(1, side // 2) for side in layers.shape[1:3])
+        smaller = [cv2.resize(one, (width, height), interpolation=cv2.INTER_AREA) for one in layers]
+        layers = np.asarray(np.stack(smaller), np.uint8).reshape(len(layers), height, width, -1)
+        size = (width, height, len(layers)) if array else (width, height)
+        target = _TEXTURE_ARRAY if array else _TEXTURE_2D
+        upload(target, level, internal, *size, 0, layout, _UNSIGNED_BYTE, layers.ctypes.data)
+
+
+@cache
+def _tex_image(name: str) -> Callable[..., None] | None:
+    """Find glTexImage2D or glTexImage3D. moderngl calls them for the first level only. Returns None where EGL
+    does not give the function."""
+    try:
+        find = ctypes.CDLL("libEGL.so.1").eglGetProcAddress
+    except (OSError, AttributeError):
+        return None
+    find.restype, find.argtypes = ctypes.c_void_p, [ctypes.c_char_p]
+    address = find(name.encode())
+    kind = ctypes.CFUNCTYPE(None, *[ctypes.c_int] * (8 + name.endswith("3D")), ctypes.c_void_p)
+    return kind(address) if address else None
+
+
+#: Largest ratio of the length of an edge to its length in the rest pose.
+_STRETCH = 2.0
+#: Distance of surface samples, metres, and most samples along an edge.
+_SAMPLE, _MAX_PIECES = 0.04, 48
+
+
+class Topology:
+    """Triangles, edges and rest shape of a mesh of N triangles and V vertices. Holds no reference to the
+    mesh.
+
+    ``corners``: three of (N,), the vertices of the triangles. ``edges``: (E, 2) vertices. ``sides``: two of
+    (E,), the triangles on both sides of each edge. ``border``: (E,) true for edges of one triangle. An edge
+    that more than two triangles share is listed once for each pair of neighbours.
+    """
+
+    def __init__(self, mesh: Mesh) -> None:
+        self._triangles, self._rest_vertices = mesh.triangles, mesh.vertices
+        self._shading = mesh.shading
+        triangles = mesh.triangles.astype(np.intp)
+        self.corners = tuple(np.ascontiguousarray(column) for column in triangles.T)
+        edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+        order = np.argsort(edges[:, 1] * len(mesh.vertices) + edges[:, 0], kind="stable")
+        edges, owner = edges[order], order // 3
+        same = (edges[1:] == edges[:-1]).all(axis=1)
+        alone = ~(np.append(same, False) | np.insert(same, 0, False))
+        first, second = owner[:-1][same], owner[1:][same]
+        self.edges = np.concatenate([edges[:-1][same], edges[alone]])
+        self.sides = (np.concatenate([first, owner[alone]]), np.concatenate([second, owner[alone]]))
+        self.border = np.arange(len(self.edges)) >= len(first)
+
+    @cached_property
+    def _by_length(self) -> tuple[Float32Array, NDArray[np.intp]]:
+        starts, ends = self._rest_vertices[self.edges].transpose(1, 0, 2)
+        length = np.linalg.norm(ends - starts, axis=1)
+        order = np.argsort(length)
+        return np.asarray(length[order], dtype=np.float32), order
+
+    def longer(self, length: float) -> Indices:
+        """(M,) edges that are longer than ``length`` metres in some pose."""
+        lengths, order = self._by_length
+        return order[int(np.searchsorted(lengths, length / _STRETCH)) :]
+
+    @cached_property
+    def vertex_triangles(self) -> Any:
+        """(V, N) sparse matrix that sums over the triangles around each vertex."""
+        from scipy.sparse import csr_matrix
+
+        n = len(self._triangles)
+        rows, columns = self._triangles.ravel(), np.repeat(np.arange(n), 3)
+        shape = (len(self._rest_vertices), n)
+        return csr_matrix((np.ones(3 * n, dtype=np.float32), (rows, columns)), shape=shape)
+
+    @property
+    def shading(self) -> Any:
+        """(V, N) sparse matrix that sums area vectors of triangles up to vertex normals."""
+        return self.vertex_triangles if self._shading is None else self._shading
+
+    @cached_property
+    def vertex_areas(self) -> Float32Array:
+        """(V,) area that belongs to each vertex in the rest pose, square metres: a third of the triangles
+        around it."""
+        area = np.linalg.norm(PosedMesh(self, self._rest_vertices.astype(np.float32)).areas, axis=0)
+        return np.asarray(self.vertex_triangles @ area / 3, dtype=np.float32)
+
+
+class PosedMesh:
+    """A mesh with vertices (V, 3) float32. In derived arrays, coordinates come first: (3, V), (3, N)."""
+
+    def __init__(self, topology: Topology, vertices: Float32Array) -> None:
+        self.topology = topology
+        self.vertices = vertices
+        #: simpler surfaces in this pose, by level of detail
+        self.levels: dict[int, PosedMesh] = {}
+        self.points: Float32Array = np.ascontiguousarray(vertices.T)
+
+    @cached_property
+    def _first_corners(self) -> Float32Array:
+        return self.points.take(self.topology.corners[0], axis=1)
+
+    @cached_property
+    def areas(self) -> Float32Array:
+        """(3, N) area vectors of the triangles. Each is the outward normal with the area as its length."""
+        a = self._first_corners
+        b, c = (self.points.take(corner, axis=1) - a for corner in self.topology.corners[1:])
+        areas = np.empty_like(a)
+        for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+            np.multiply(b[j], c[k], out=areas[i])
+            areas[i] -= b[k] * c[j]
+        areas *= np.float32(0.5)
+        return areas
+
+    @cached_property
+    def _planes(self) -> Float32Array:
+        return np.einsum("ij,ij->j", self.areas, self._first_corners)
+
+    @cached_property
+    def normals(self) -> Float32Array:
+        """(V, 3) unit vertex normals: means of the triangle normals, weighted by area or as the file says."""
+        triangles = self.topology.shading
+        normals = np.stack([triangles @ component for component in self.areas])
+        normals /= np.maximum(np.sqrt(np.einsum("ij,ij->j", normals, normals)), np.float32(1e-20))
+        return np.ascontiguousarray(normals.T)
+
+    @cached_property
+    def box(self) -> Float32Array:
+        """(2, 3) lowest and highest corner of the bounding box."""
+        return np.stack([self.points.min(axis=1), self.points.max(axis=1)])
+
+    def level(self, number: int, topology: Topology, kept: Indices) -> PosedMesh:
+        """A simpler surface that uses the vertices ``kept`` (v,) of this one."""
+        if number not in self.levels:
+            self.levels[number] = PosedMesh(topology, self.vertices.take(kept, axis=0))
+        return self.levels[number]
+
+    @cached_property
+    def human_caster(self) -> ShadowCaster:
+        """The vertices of a human, as caster of a contact shadow."""
+        return ShadowCaster(self.points, self.topology.vertex_areas)
+
+    @cached_property
+    def object_caster(self) -> ShadowCaster:
+        """Samples of the surface of an object, as caster of a contact shadow. The object may have few
+        vertices and may be scaled."""
+        return ShadowCaster(*self.samples)
+
+    @property
+    def samples(self) -> tuple[Float32Array, Float32Array]:
+        """Points (3, M) spread evenly over the surface, and the area (M,) of each."""
+        corners = np.stack([self.points.take(corner, axis=1) for corner in self.topology.corners])
+        area = np.linalg.norm(self.areas, axis=0)
+        longest = np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).max(axis=0)
+        pieces = np.clip(np.ceil(longest / _SAMPLE), 1, _MAX_PIECES).astype(np.intp)
+        points, areas = [], []
+        for n in np.unique(pieces).tolist():
+            chosen = np.flatnonzero(pieces == n)
+            i, j = np.divmod(np.arange(n * n), n)
+            # a square of cell centers, folded over its diagonal
+            u, v = (i + 0.5) / n, (j + 0.5) / n
+            u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
+            weights = np.stack([1 - u - v, u, v]).astype(np.float32)
+            points.append(np.einsum("ks,kcn->cns", weights, corners[..., chosen]).reshape(3, -1))
+            areas.append(np.repeat(area[chosen] / (n * n), n * n))
+        return np.concatenate(points, axis=1), np.concatenate(areas).astype(np.float32)
+
+    def facing(self, eye: NDArray[np.floating]) -> NDArray[np.bool_]:
+        """(N,) whether each triangle shows its front to a point."""
+        # einsum does not use BLAS, which rounds differently with another number of threads
+        return np.asarray(np.einsum("i,ij->j", eye.astype(np.float32), self.areas) > self._planes)
+
+    def contour(self, facing: NDArray[np.bool_]) -> tuple[Indices, Indices]:
+        """Start and end vertices (C,) of the contour edges. All outlines lie on these edges. A contour edge
+        separates a front face from a back face, or lies on the border of the surface."""
+        first, second = self.topology.sides
+        chosen = np.flatnonzero((facing.take(first) != facing.take(second)) | self.topology.border)
+        starts, ends = self.topology.edges.take(chosen, axis=0).T
+        return starts, ends

@@ -1,0 +1,362 @@
+"""Rendered images of the static scene and of frames, and the channels computed from these images."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from copy import deepcopy
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import cv2
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.cameras.camera import Camera
+from humansim_ros.files.mesh import SKIN, Mesh, with_hair
+from humansim_ros.render.device.pixel_geometry import PixelGeometry, VisiblePixels, optical_flow
+from humansim_ros.render.device.target import Rectangle, RenderTarget
+from humansim_ros.render.frame.sun_shadows import ShadowInputs
+from humansim_ros.render.interface.channels import CHANNEL_TABLE, AdjacentName, View
+from humansim_ros.render.interface.renderer import AdjacentFrame, Backdrop, Body
+from humansim_ros.render.static.edge_antialiasing import EdgeCrossings, blend
+from humansim_ros.types import Float32Array, Indices
+
+#: Adjacent frames with their rendered images. Channels of occlusion need the images.
+AdjacentFrames = Mapping[AdjacentName, tuple[AdjacentFrame, "RenderedFrame | None"]]
+
+
+class Passes(NamedTuple):
+    """What is rendered in addition to depth and triangle ids. The passes are colour, outlines, each body
+    without occluders, and all bodies without off-body surfaces."""
+
+    lit: bool = False
+    outlined: bool = False
+    alone: bool = False
+    uncovered: bool = False
+
+    @classmethod
+    def of(cls, channels: Collection[str]) -> Passes:
+        """Return the passes that channels need."""
+        needed = {name for channel in channels for name in CHANNEL_TABLE[channel].passes}
+        return cls(*(name in needed for name in cls._fields))
+
+    def covers(self, other: Passes) -> bool:
+        """Whether these passes include all of ``other``."""
+        return all(has or not needs for has, needs in zip(self, other, strict=True))
+
+
+class _Drawn(NamedTuple):
+    """Drawn triangles (M,) of one body of the frame. ``mesh``: mesh of a human; None for an object."""
+
+    number: int
+    instance: int
+    parts: NDArray[np.uint8]
+    mesh: Mesh | None
+    triangles: Indices
+
+    def materials(self) -> NDArray[np.uint8]:
+        """(M,) label of the material of each triangle. 0 for objects."""
+        if self.mesh is None or not self.instance:
+            return np.zeros(len(self.triangles), np.uint8)
+        return self.mesh.triangle_materials[self.triangles]
+
+    def off_body(self) -> NDArray[np.bool_]:
+        """(M,) whether each triangle belongs to an off-body surface of a human."""
+        if self.mesh is None or self.mesh.off_body is None:
+            return np.zeros(len(self.triangles), bool)
+        return self.mesh.triangles_off_body[self.triangles]
+
+
+#: Types of those tables of ids that are not channels.
+_OTHER_TABLES: dict[str, type[np.generic]] = {"owner": np.intp, "triangle": np.intp, "off_body": np.bool_}
+
+
+class TriangleIds:
+    """Triangles of the bodies of one image. Id 0 is no body; id n is the n-th triangle that was drawn."""
+
+    def __init__(self) -> None:
+        self.count = 1
+        self._bodies: list[_Drawn] = []
+
+    def add(self, number: int, body: Body, triangles: Indices) -> None:
+        """Append the drawn triangles (M,) of a body. ``number``: its number in the frame."""
+        self.count += len(triangles)
+        mesh = body.mesh if body.kind == "human" else None
+        self._bodies.append(_Drawn(number, body.instance, body.parts, mesh, triangles))
+
+    def table(self, name: str) -> NDArray[Any]:
+        """Table of the values of a channel by id. Other names: ``owner``, the index of the body;
+        ``triangle``, the index in the mesh; ``off_body``, whether the triangle belongs to an off-body
+        surface."""
+        make: dict[str, Callable[[_Drawn], NDArray[Any]]] = {
+            "instance": lambda drawn: np.full(len(drawn.triangles), drawn.instance, np.uint16),
+            "part": lambda drawn: drawn.parts[drawn.triangles],
+            "body_part": lambda drawn: drawn.parts[drawn.triangles],
+            "material": _Drawn.materials,
+            "off_body": _Drawn.off_body,
+            "owner": lambda drawn: np.full(len(drawn.triangles), drawn.number, np.intp),
+            "triangle": lambda drawn: drawn.triangles,
+            "face": lambda drawn: ((drawn.triangles + 1) * (drawn.instance > 0)).astype(np.int32),
+        }
+        kind = CHANNEL_TABLE[name].dtype if name in CHANNEL_TABLE else _OTHER_TABLES[name]
+        values = (make[name](drawn) for drawn in self._bodies)
+        return np.concatenate([np.zeros(1, kind), *values])
+
+
+class StaticLayer:
+    """Image of the static scene from one camera. It is a copy, so that the target is free afterwards.
+    ``rgba``: (H, W, 4). If None, the layer has depths only."""
+
+    def __init__(
+        self,
+        target: RenderTarget,
+        rgba: NDArray[np.uint8] | None,
+        backdrop: Backdrop | None = None,
+        shadow_inputs: ShadowInputs | None = None,
+    ) -> None:
+        self.rgba, self.shadow_inputs = rgba, shadow_inputs
+        self._backdrop = backdrop  # a reference is kept, since caches use the id of the backdrop as its key
+        #: labels of the static bodies, once a frame has needed them
+        self.labels: StaticLabels | None = None
+        depth = target.read("depth", lit=True)
+        self.depth_buffer = target.read_depth_buffer()
+        #: both images on the device, as the start of frames
+        self.kept: moderngl.Framebuffer | None = None
+        #: (H, W) metres, +inf where nothing is
+        self.depth = np.where(depth > 0, depth, np.float32(np.inf))
+
+    def images(self, channels: Collection[str]) -> dict[str, NDArray[Any]]:
+        """Return new arrays of the channels of an image without bodies."""
+        make: dict[str, Callable[[], NDArray[Any]]] = {"depth": self.depth.copy}
+        if self.rgba is not None:
+            rgba = self.rgba
+            make["rgb"] = lambda: cv2.cvtColor(rgba, cv2.COLOR_RGBA2RGB)
+        shared = [c for c in map(CHANNEL_TABLE.__getitem__, channels) if not (c.per_body or c.adjacent_frame)]
+        return {c.name: make[c.name]() if c.name in make else c.empty_image(self.depth.shape) for c in shared}
+
+    def release(self) -> None:
+        """Free the memory on the device."""
+        self.labels = None  # the labels refer to this layer
+        if self.kept is not None:
+            for image in (*self.kept.color_attachments, self.kept.depth_attachment, self.kept):
+                image.release()
+            self.kept = None  # frames that were started before may draw once more
+        if self.shadow_inputs is not None:
+            self.shadow_inputs.release()
+
+
+@dataclass(eq=False)
+class RenderedFrame:
+    """Images of the bodies that one camera sees. They cover ``rectangle``, the part of the image that bodies
+    may touch.
+
+    It holds no reference to the bodies. ``rgba`` and ``outline``, ``alone``, ``body_part`` are None if their
+    pass was not requested. ``triangle_ids``: (h, w), see :class:`TriangleIds`. ``depth``: (h, w) metres, 0
+    where no body is. ``rgba``: (h, w, 4), within ``coloured``, which includes shadows; alpha is the share of
+    direct light that bodies let through. ``outline``: crossings of outlines with pixels. ``alone``: by
+    instance, (H, W) mask of the body without occluders. ``static_labels``: labels of the static bodies.
+    ``body_part``: (H, W) part labels without off-body surfaces such as skirts, hats and long hair; None if no
+    pixel shows such a surface.
+    """
+
+    passes: Passes
+    instances: tuple[int, ...]
+    camera: Camera
+    layer: StaticLayer
+    rectangle: Rectangle
+    coloured: Rectangle
+    ids: TriangleIds
+    triangle_ids: NDArray[np.uint32]
+    depth: Float32Array
+    rgba: NDArray[np.uint8] | None
+    outline: EdgeCrossings | None
+    alone: Mapping[int, NDArray[np.bool_]] | None
+    static_labels: StaticLabels | None = None
+    body_part: NDArray[np.uint8] | None = None
+    _geometry: PixelGeometry | None = field(default=None, init=False)
+
+    @cached_property
+    def whole_depth(self) -> Float32Array:
+        """(H, W) metres of bodies and static scene, read-only. It is +inf where nothing is."""
+        whole: Float32Array = self.layer.images(("depth",))["depth"]
+        np.copyto(whole[self.rectangle.slices], self.depth, where=self.depth > 0)
+        whole.setflags(write=False)
+        return whole
+
+    def _depth_at(self, pixels: Indices) -> Float32Array:
+        """Depth (N,) of pixels of the whole image. It makes no copy of the whole image."""
+        depth = self.layer.depth.take(pixels)
+        row = pixels // self.camera.size[0]  # divmod takes several times as long
+        column = pixels - row * self.camera.size[0] - self.rectangle.x0
+        row -= self.rectangle.y0
+        height, width = self.rectangle.shape
+        within = np.flatnonzero((row >= 0) & (row < height) & (column >= 0) & (column < width))
+        own = self.depth.take(row[within] * width + column[within])
+        covered = np.flatnonzero(own > 0)
+        depth[within[covered]] = own[covered]
+        return depth
+
+    @property
+    def nbytes(self) -> int:
+        """Approximate memory in bytes."""
+        pixels, own = self.camera.size[0] * self.camera.size[1], self.triangle_ids.size
+        masks = 0 if self.alone is None else pixels * len(self.alone)
+        depth = 4 * pixels if "whole_depth" in vars(self) else 0
+        colours = 0 if self.rgba is None else self.rgba.nbytes
+        uncovered = 0 if self.body_part is None else self.body_part.nbytes
+        return 8 * own + colours + masks + depth + uncovered + (0 if self._geometry is None else 64 * own)
+
+    def geometry(self, bodies: Sequence[Body]) -> PixelGeometry:
+        """Surface points that the pixels show. ``bodies``: the bodies that were rendered."""
+        if self._geometry is None:
+            pixels = np.flatnonzero(self.triangle_ids > 0)
+            ids = self.triangle_ids.ravel().take(pixels)
+            row, column = np.divmod(pixels, max(self.rectangle.shape[1], 1))
+            pixels = (row + self.rectangle.y0) * self.camera.size[0] + column + self.rectangle.x0
+            owner, triangle = (self.ids.table(name).take(ids) for name in ("owner", "triangle"))
+            self._geometry = PixelGeometry(self.camera, bodies, VisiblePixels(pixels, owner, triangle))
+        return self._geometry
+
+    def view(self, bodies: Sequence[Body], channels: Collection[str], adjacent: AdjacentFrames) -> View:
+        """Return channels of the whole image.
+
+        Args:
+            bodies: Bodies that were rendered.
+            channels: Names of the channels.
+            adjacent: Adjacent frames that the channels need.
+        """
+        images: dict[str, Any] = self.layer.images(channels)
+        if self.static_labels is not None:
+            images |= self.static_labels.images(channels)
+        for name, fill in _FILL.items():
+            if name in channels or name in images:
+                fill(self, name, images, bodies)
+        blended = [*([images["rgb"]] if "rgb" in images else []), *images.get("alpha", {}).values()]
+        if self.outline is not None and blended:
+            here, beside = self._depth_at(self.outline.pixel), self._depth_at(self.outline.neighbour)
+            blend(blended, here, beside, self.outline)
+        for which, (frame, other) in adjacent.items():
+            depth, touched = None, self.rectangle.slices
+            if other is not None:
+                depth, touched = other.whole_depth, other.rectangle.slices
+            geometry = self.geometry(bodies)
+            flow = optical_flow(self.camera, geometry, self.whole_depth, frame, depth, touched)
+            name = "flow" if which == "next_frame" else "flow_back"
+            images[name], images[f"{name}_hidden"] = flow.flow, flow.hidden
+        return View(**{name: images[name] for name in channels})
+
+
+class StaticLabels:
+    """Label images of the static bodies from one camera, computed once per channel."""
+
+    def __init__(self, frame: RenderedFrame, bodies: Sequence[Body]) -> None:
+        self.passes = frame.passes
+        self._frame, self._bodies = frame, bodies
+        self._images: dict[str, Any] = {}
+
+    def images(self, channels: Collection[str]) -> dict[str, Any]:
+        """Return new arrays of those of the channels that describe labelled bodies."""
+        names = {name for name in channels if CHANNEL_TABLE[name].labels_bodies}
+        for name in names - self._images.keys():
+            self._images[name] = getattr(self._frame.view(self._bodies, (name,), {}), name)
+        return {name: deepcopy(self._images[name]) for name in names}
+
+
+_Fill = Callable[[RenderedFrame, str, dict[str, Any], Sequence[Body]], None]
+
+
+def _fill_depth(frame: RenderedFrame, name: str, images: dict[str, Any], _: Sequence[Body]) -> None:
+    np.copyto(images[name][frame.rectangle.slices], frame.depth, where=frame.depth > 0)
+
+
+def _fill_from_ids(frame: RenderedFrame, name: str, images: dict[str, Any], _: Sequence[Body]) -> None:
+    within, values = frame.rectangle.slices, frame.ids.table(name).take(frame.triangle_ids)
+    if frame.static_labels is None:
+        images[name][within] = values
+    else:
+        np.copyto(images[name][within], values, where=frame.triangle_ids > 0)
+
+
+def _fill_body_part(frame: RenderedFrame, name: str, images: dict[str, Any], bodies: Sequence[Body]) -> None:
+    if frame.body_part is None:
+        _fill_from_ids(frame, name, images, bodies)
+    else:
+        images[name] = frame.body_part.copy()
+
+
+def _fill_rgb(frame: RenderedFrame, name: str, images: dict[str, Any], _: Sequence[Body]) -> None:
+    if frame.rgba is not None and frame.rgba.size:
+        # many times faster than an assignment of three channels out of four
+        images[name][frame.coloured.slices] = cv2.cvtColor(frame.rgba, cv2.COLOR_RGBA2RGB)
+
+
+def _fill_shadow(frame: RenderedFrame, name: str, images: dict[str, Any], _: Sequence[Body]) -> None:
+    if frame.rgba is not None:
+        images[name][frame.coloured.slices] = 255 - frame.rgba[..., 3]
+
+
+def _fill_alpha(frame: RenderedFrame, name: str, images: dict[str, Any], _: Sequence[Body]) -> None:
+    """Coverage without anti-aliasing: 255 where the pixel center shows the body."""
+    within, instances = frame.rectangle.slices, images.get("instance")
+    static = images.get(name, {})
+    for alpha in static.values():
+        alpha[within][frame.triangle_ids > 0] = 0
+    if instances is None:
+        instances = frame.layer.images(("instance",))["instance"]
+        instances[within] = frame.ids.table("instance").take(frame.triangle_ids)
+    moving = {
+        instance: (instances == instance).view(np.uint8) * np.uint8(255)
+        for instance in frame.instances
+        if instance
+    }
+    images[name] = moving | static
+
+
+def _fill_normal(frame: RenderedFrame, name: str, images: dict[str, Any], bodies: Sequence[Body]) -> None:
+    geometry = frame.geometry(bodies)
+    images[name].reshape(-1, 3)[geometry.visible.pixels] = geometry.normals()
+
+
+def _fill_material(frame: RenderedFrame, name: str, images: dict[str, Any], bodies: Sequence[Body]) -> None:
+    _fill_from_ids(frame, name, images, bodies)
+    geometry = frame.geometry(bodies)
+    labels, visible = images[name].reshape(-1), geometry.visible
+    if not (labels[visible.pixels] == SKIN).any():
+        return
+    uv = geometry.texture_coordinates()
+    for number, body in enumerate(bodies):
+        if body.kind == "human" and body.mesh.hair_texels is not None:
+            own = np.flatnonzero(visible.owner == number)
+            pixels = visible.pixels[own]
+            labels[pixels] = with_hair(labels[pixels], uv[own], body.mesh.hair_texels)
+
+
+def _fill_uv(frame: RenderedFrame, name: str, images: dict[str, Any], bodies: Sequence[Body]) -> None:
+    geometry = frame.geometry(bodies)
+    images[name].reshape(-1, 2)[geometry.visible.pixels] = geometry.texture_coordinates()
+
+
+def _fill_amodal(frame: RenderedFrame, name: str, images: dict[str, Any], _: Sequence[Body]) -> None:
+    if frame.alone is not None:
+        moving = {instance: mask.copy() for instance, mask in frame.alone.items()}
+        images[name] = moving | images.get(name, {})
+
+
+#: Functions that draw the bodies into the image of each channel, except optical flow. Labels come before
+#: alpha.
+_FILL: dict[str, _Fill] = {
+    "depth": _fill_depth,
+    "instance": _fill_from_ids,
+    "part": _fill_from_ids,
+    "body_part": _fill_body_part,
+    "material": _fill_material,
+    "face": _fill_from_ids,
+    "rgb": _fill_rgb,
+    "shadow": _fill_shadow,
+    "alpha": _fill_alpha,
+    "normal": _fill_normal,
+    "uv": _fill_uv,
+    "amodal": _fill_amodal,
+}

@@ -1,0 +1,17 @@
+from humansim_ros.render.pictures.canvas import GRID as GRID
+from humansim_ros.render.pictures.canvas import INK as INK
+from humansim_ros.render.pictures.canvas import PAPER as PAPER
+from humansim_ros.render.pictures.canvas import SIDE_COLORS as SIDE_COLORS
+from humansim_ros.render.pictures.canvas import TITLE_HEIGHT as TITLE_HEIGHT
+from humansim_ros.render.pictures.canvas import distinct_hues as distinct_hues
+from humansim_ros.render.pictures.canvas import draw_disc as draw_disc
+from humansim_ros.render.pictures.canvas import draw_line as draw_line
+from humansim_ros.render.pictures.canvas import draw_text as draw_text
+from humansim_ros.render.pictures.canvas import encode_png as encode_png
+from humansim_ros.render.pictures.canvas import fill_polygon as fill_polygon
+from humansim_ros.render.pictures.canvas import hsv_colors as hsv_colors
+from humansim_ros.render.pictures.canvas import text_size as text_size
+from humansim_ros.render.pictures.canvas import title_bar as title_bar
+from humansim_ros.render.pictures.canvas import write_gif as write_gif
+from humansim_ros.render.pictures.canvas import write_mp4 as write_mp4
+from humansim_ros.render.pictures.canvas import write_png as write_png

@@ -1,0 +1,1 @@
+"""What is drawn once: static scenes, charts, light maps."""

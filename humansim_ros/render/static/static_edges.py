@@ -1,0 +1,272 @@
+"""Edges of the static scene, for the anti-aliasing of images with one sample in each pixel."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.cameras.camera import Camera
+from humansim_ros.files.mesh import Mesh, padded, welded
+from humansim_ros.render.device.lens_tessellation import VISIBLE, LensView, near_plane
+from humansim_ros.render.device.mesh_buffers import PosedMesh, Topology
+from humansim_ros.render.device.pixel_geometry import pixel_rays
+from humansim_ros.render.static.edge_antialiasing import (
+    EdgeCrossings,
+    ImageEdges,
+    edge_crossings,
+    mix,
+    share_beyond,
+)
+from humansim_ros.types import Array, Float32Array, Indices
+
+#: An edge is sharp if the cosine of the angle between its triangles is below this: the colour may change
+#: there.
+_SHARP = 0.99
+#: A surface is before another one if their 1 / z (z in metres) differ by more than this.
+_APART = 1e-6
+#: A narrow surface is nearer than this share of the depth of the surfaces behind it.
+_BEFORE = 0.999
+#: A narrow surface counts if it covers more than this share of a pixel.
+_VISIBLE = 1 / 64
+
+
+class StaticEdges:
+    """Edges between triangles.
+
+    Args:
+        positions: (V, 3) metres in ``map``.
+        corners: (N, 3) vertices of the triangles.
+        owner: (N,) mesh of each triangle; the colour changes from one mesh to the next.
+    """
+
+    def __init__(self, positions: Float32Array, corners: NDArray[Any], owner: Indices) -> None:
+        places = welded(positions)
+        points = np.empty((int(places.max()) + 1, 3), np.float32)
+        points[places] = positions
+        triangles = places[corners].astype(np.int32)
+        self._topology = Topology(Mesh(points.astype(float), padded(triangles)))
+        self._posed = PosedMesh(self._topology, points)
+        self._owner = owner
+
+    @cached_property
+    def _sharp(self) -> NDArray[np.bool_]:
+        """(E,) whether the colour changes at an edge, seen from any direction."""
+        first, second = self._topology.sides
+        areas = self._posed.areas / np.maximum(np.linalg.norm(self._posed.areas, axis=0), 1e-12)
+        flat = np.einsum("ij,ij->j", areas[:, first], areas[:, second]) > _SHARP
+        return np.asarray(~flat | (self._owner[first] != self._owner[second]) | self._topology.border)
+
+    @cached_property
+    def _forward(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """(E,) for the two triangles at each edge: whether the triangle runs along the edge from its start to
+        its end."""
+        corners = np.stack(self._topology.corners, axis=1)
+        start, end = self._topology.edges.T[..., None]
+        one, other = (
+            ((corners[side] == start) & (np.roll(corners[side], -1, axis=1) == end)).any(axis=1)
+            for side in self._topology.sides
+        )
+        return one, other
+
+    @cached_property
+    def _facets(self) -> Indices:
+        """(N + 1,) facet of each triangle; the last value is -1. The triangles of a facet are connected by
+        edges that are not sharp."""
+        from scipy.sparse import coo_matrix
+        from scipy.sparse.csgraph import connected_components
+
+        first, second = (side[~self._sharp] for side in self._topology.sides)
+        count = len(self._owner)
+        graph = coo_matrix((np.ones(len(first), bool), (first, second)), shape=(count, count))
+        return np.append(connected_components(graph, directed=False)[1], -1)
+
+    def smooth(self, image: NDArray[np.uint8], camera: Camera, shown: Indices, depth: Float32Array) -> None:
+        """Anti-alias an image in place.
+
+        Colours are mixed where edges pass between pixels, where surfaces intersect, and where a surface is so
+        narrow that it passes between pixels.
+
+        Args:
+            image: (H, W, C) colours.
+            camera: The camera.
+            shown: (H * W,) triangle that each pixel shows, -1 for none.
+            depth: (H, W) metres, 0 where nothing is.
+        """
+        facets = self._facets[shown]
+        passing = self._passing(camera, facets)
+        crossings = passing.crossings
+        own = [self._facets[side[passing.edge]] for side in self._topology.sides]
+        here, there = facets[crossings.pixel], facets[crossings.neighbour]
+        shows = (here == own[0]) | (here == own[1]) | (there == own[0]) | (there == own[1])
+        z = np.where(depth > 0, depth, np.inf).ravel()
+        before = crossings.depth < _BEFORE * np.minimum(z[crossings.pixel], z[crossings.neighbour])
+        narrow = self._narrow(camera, facets, passing.take(np.flatnonzero(before & ~shows & passing.across)))
+        colours = image.reshape(len(shown), -1)[narrow.source]
+        other = shown[crossings.pixel] != shown[crossings.neighbour]
+        visible = crossings.take(np.flatnonzero(other & shows))
+        mix(image, visible + self._intersections(camera, shown, visible))
+        _add(image.reshape(len(shown), -1), narrow, colours)
+
+    def _passing(self, camera: Camera, facets: Indices) -> _Passing:
+        """Find where edges of visible facets pass between two neighbouring pixels. ``facets``: (H * W,) facet
+        that each pixel shows, -1 for none."""
+        seen = np.zeros(len(self._owner) + 1, bool)
+        seen[facets] = True
+        seen[-1] = False
+        first, second = self._topology.sides
+        beside = np.flatnonzero(seen[self._facets[first]] | seen[self._facets[second]])
+        facing = self._posed.facing(camera.center)
+        outline = facing[first[beside]] != facing[second[beside]]
+        chosen = beside[self._sharp[beside] | outline]
+        starts, ends = (self._posed.vertices[ends].astype(float) for ends in self._topology.edges[chosen].T)
+        if camera.distorted:
+            starts, ends, parents = LensView(camera).divide_edges(starts, ends, VISIBLE)
+            chosen = chosen[parents]
+        starts, ends, kept = _before_camera(camera, starts, ends)
+        (p, near), (q, far) = camera.project_optical(starts), camera.project_optical(ends)
+        good = np.isfinite(p[:, 0]) & np.isfinite(q[:, 0])
+        edges = ImageEdges((*p[good].T, near[good]), (*q[good].T, far[good]))
+        crossings = edge_crossings([edges], camera.size)
+        return _Passing(crossings, chosen[kept][good][crossings.edge], (q - p)[good][crossings.edge])
+
+    def _narrow(self, camera: Camera, facets: Indices, passing: _Passing) -> _Narrow:
+        """Shares of pixels that narrow surfaces cover, one for each crossing of their edges. A share is
+        positive if the surface begins at the edge, and negative if it ends there."""
+        facing, sides = self._posed.facing(camera.center), self._topology.sides
+        pixel, share, facet = [], [], []
+        outline = facing[sides[0][passing.edge]] != facing[sides[1][passing.edge]]
+        for number, (side, forward) in enumerate(zip(sides, self._forward, strict=True)):
+            surface = side[passing.edge]
+            used = np.where(outline, facing[surface], True)
+            if number:
+                used &= ~self._topology.border[passing.edge]
+            sign = np.where((forward[passing.edge] == facing[surface]) == passing.left, 1.0, -1.0)
+            pixel.append(passing.crossings.pixel[used])
+            share.append((sign * passing.crossings.share)[used])
+            facet.append(self._facets[surface[used]])
+        return _Narrow.of(np.concatenate(pixel), np.concatenate(share), np.concatenate(facet), facets)
+
+    def _intersections(self, camera: Camera, shown: Indices, edges: EdgeCrossings) -> EdgeCrossings:
+        """Crossings between neighbouring pixels with surfaces that intersect, where no edge passes."""
+        width, height = camera.size
+        image, rays = self._facets[shown].reshape(height, width), pixel_rays(camera)
+        known = np.zeros((2, height * width), bool)
+        lower = np.minimum(edges.pixel, edges.neighbour)
+        known[(np.abs(edges.neighbour - edges.pixel) > 1).astype(np.intp), lower] = True
+        found = []
+        for axis, step in enumerate((1, width)):
+            differ = np.zeros((height, width), bool)
+            low, high = (image[:, :-1], image[:, 1:]) if axis == 0 else (image[:-1], image[1:])
+            differ[: low.shape[0], : low.shape[1]] = (low != high) & (low >= 0) & (high >= 0)
+            pixel = np.flatnonzero(differ.ravel() & ~known[axis])
+            a, b = shown[pixel], shown[pixel + step]
+            # differences of 1 / z, which is linear in an image without distortion
+            planes = self._inverse_depths(camera, a) - self._inverse_depths(camera, b)
+            last = (pixel >= (height - 1) * width) if axis == 0 else (pixel % width == width - 1)
+            beside = np.where(last, pixel, pixel + (width if axis == 0 else 1))
+            here, there, other = (
+                planes[0] * rays[0, at] + planes[1] * rays[1, at] + planes[2]
+                for at in (pixel, pixel + step, beside)
+            )
+            good = np.flatnonzero((here > _APART) & (there < -_APART))
+            here, change = here[good], (here - there)[good]
+            distance = here / change
+            slope = np.minimum(np.abs(other[good] - here) / change, 1)
+            pixel = pixel[good]
+            for own, beyond, far in ((pixel, pixel + step, distance), (pixel + step, pixel, 1 - distance)):
+                found.append((own, beyond, share_beyond(far, slope), 1 / here))
+        pixel, neighbour, share, depth = (np.concatenate(parts) for parts in zip(*found, strict=True))
+        return EdgeCrossings(pixel, neighbour, share, depth, np.full(len(pixel), -1)).take(share > 0)
+
+    def _inverse_depths(self, camera: Camera, triangles: Indices) -> Array:
+        """(3, N) vector of each triangle. Its product with a ray of :func:`pixel_rays` is 1 / z."""
+        normals = self._posed.areas[:, triangles].astype(float)
+        corner = self._posed.points[:, self._topology.corners[0][triangles]]
+        distance = np.einsum("ij,ij->j", normals, corner - camera.center[:, None])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.asarray(camera.R @ normals / distance)
+
+
+class _Passing(NamedTuple):
+    """Places where edges pass between pixels. ``edge``: (N,) number of the edge. ``run``: (N, 2) direction
+    along it."""
+
+    crossings: EdgeCrossings
+    edge: Indices
+    run: Array
+
+    def take(self, which: Indices) -> _Passing:
+        return _Passing(self.crossings.take(which), self.edge[which], self.run[which])
+
+    @property
+    def _step(self) -> tuple[NDArray[np.bool_], Array]:
+        """(N,) whether the neighbour is in the same row; and 1 if it comes after the pixel, -1 if before."""
+        step = self.crossings.neighbour - self.crossings.pixel
+        return np.abs(step) == 1, np.sign(step).astype(float)
+
+    @property
+    def across(self) -> NDArray[np.bool_]:
+        """(N,) whether the edge runs more across than along the line to the neighbour."""
+        x, y = np.abs(self.run.T)
+        return self._step[0] == (y >= x)
+
+    @property
+    def left(self) -> NDArray[np.bool_]:
+        """(N,) whether the neighbour is to the left of the edge, seen from its start to its end."""
+        level, step = self._step
+        x, y = self.run.T
+        return np.where(level, y, -x) * step > 0
+
+
+class _Narrow(NamedTuple):
+    """Narrow surfaces. ``share``: (N,) share that each covers of ``pixel`` (N,). ``source``: (N,) a pixel
+    that shows the same facet."""
+
+    pixel: Indices
+    share: Array
+    source: Indices
+
+    @classmethod
+    def of(cls, pixel: Indices, share: Array, facet: Indices, facets: Indices) -> _Narrow:
+        """For each of the facets (N,), find the nearest pixel that shows it, in the order of rows. Facets
+        that no pixel shows are left out. ``facets``: (H * W,) that each pixel shows, or -1."""
+        wanted = np.zeros(max(int(facet.max(initial=-1)), int(facets.max(initial=-1))) + 2, bool)
+        wanted[facet] = True
+        shows = np.flatnonzero(wanted[facets])
+        shows = shows[np.argsort(facets[shows], kind="stable")]
+        if not len(shows):
+            return cls(pixel[:0], share[:0], pixel[:0])
+        after = np.searchsorted(facets[shows] * len(facets) + shows, facet * len(facets) + pixel)
+        around = shows[[np.maximum(after - 1, 0), np.minimum(after, len(shows) - 1)]]
+        distance = np.where(facets[around] == facet, np.abs(around - pixel), len(facets))
+        nearest = distance.argmin(axis=0)[None]
+        found = np.take_along_axis(distance, nearest, axis=0)[0] < len(facets)
+        return cls(pixel[found], share[found], np.take_along_axis(around, nearest, axis=0)[0, found])
+
+
+def _add(image: NDArray[np.uint8], narrow: _Narrow, colours: NDArray[np.uint8]) -> None:
+    """Mix narrow surfaces with colours (N, C) into the pixels of an image (H * W, C), in place."""
+    pixels, which = np.unique(narrow.pixel, return_inverse=True)
+    covered = np.bincount(which, narrow.share, len(pixels))
+    sums = np.stack([np.bincount(which, narrow.share * one, len(pixels)) for one in colours.T], axis=1)
+    seen = np.flatnonzero(covered > _VISIBLE)
+    colour = np.clip(sums[seen] / covered[seen, None], 0, 255)
+    part = np.minimum(covered[seen, None], 1)
+    image[pixels[seen]] = np.rint(image[pixels[seen]] * (1 - part) + colour * part).astype(np.uint8)
+
+
+def _before_camera(camera: Camera, starts: Array, ends: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Parts of edges (E, 3) beyond the near plane of the camera, in the optical frame; and which edges have
+    such a part."""
+    near = near_plane(camera)
+    a, b = camera.to_optical(starts), camera.to_optical(ends)
+    kept = np.maximum(a[:, 2], b[:, 2]) > near
+    a, b = a[kept], b[kept]
+    for point, other in ((a, b), (b, a)):
+        behind = point[:, 2] < near
+        share = (near - point[behind, 2]) / (other[behind, 2] - point[behind, 2])
+        point[behind] += share[:, None] * (other[behind] - point[behind])
+    return a, b, kept

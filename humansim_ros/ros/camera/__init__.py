@@ -1,1 +1,0 @@
-"""The parts that a camera node consists of: publishers, calibration, pose."""

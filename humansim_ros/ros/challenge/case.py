@@ -1,0 +1,331 @@
+"""A case of a challenge: its nodes run in one process, and what the tracker publishes is collected.
+
+:class:`CaseJob` runs cases in a worker process (``data/engine/workers.py``), one after the other.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from humansim_ros.data.engine import Costs, FrameResult
+from humansim_ros.data.evaluation import EstimateStream, ReadOptions, evaluate_poses, set_of_names, truth_at
+from humansim_ros.data.messages import PoseFrame
+from humansim_ros.errors import EvaluationError, show_warnings
+from humansim_ros.people.keypoints import keypoint_set
+from humansim_ros.ros.graph.transport import domain_environment
+from humansim_ros.scene.core import Scene
+
+#: Most messages of a tracker for each frame, and in addition for a case. More messages are a flood.
+MAX_MESSAGES_PER_FRAME, MAX_MESSAGES = 50, 1000
+#: After this many seconds without a message, no more results are expected.
+_REST = 0.7
+#: Seconds between the end of the tracker and the end of its case, since its last messages still arrive.
+_AFTER_END = 0.3
+#: Seconds between two checks for subscribers of images.
+_LOOK_EVERY = 0.5
+#: Number of frames for warming up, which have no scores. In a short case, a third of the frames.
+_WARM_UP = 8
+
+
+@dataclass(frozen=True)
+class ChallengeOptions:
+    """How a tracker is run.
+
+    Attributes:
+        tracker: Command line.
+        topic: Topic of its estimate.
+        keypoints: Keypoint set of its estimate. If None, its names decide.
+        timeout: Seconds that a frame waits for the tracker.
+        start_within: The tracker must publish its topic within this time, seconds.
+        is_realtime: Whether frames follow the wall clock.
+        is_quick: Whether the short form of the suite is run.
+        scale: Metres of a unit of its estimate.
+        axes: Axes of its estimate. If None, the axes of ``map``.
+    """
+
+    tracker: str
+    topic: str = "/tracker/poses"
+    keypoints: str | None = None
+    timeout: float = 10.0
+    start_within: float = 20.0
+    is_realtime: bool = False
+    is_quick: bool = False
+    scale: float = 1.0
+    axes: str | None = None
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Everything except the command, without defaults that older reports do not have."""
+        added = {"scale": 1.0, "axes": None}
+        values = {key: value for key, value in asdict(self).items() if key != "tracker"}
+        return {key: value for key, value in values.items() if key not in added or value != added[key]}
+
+
+@dataclass(frozen=True)
+class CaseOrder:
+    """A case to run.
+
+    Attributes:
+        scene: Scene file.
+        tracker: Process id of the tracker. The case ends when the tracker ends.
+        frames: Number of frames.
+        patience: Seconds that a frame in lockstep waits for the tracker.
+        options: How the tracker is run.
+    """
+
+    scene: str
+    tracker: int
+    frames: int
+    patience: float
+    options: ChallengeOptions
+
+
+class _Collector:
+    """Collects messages of a tracker, and times of the frames."""
+
+    def __init__(self, order: CaseOrder, node: Any) -> None:
+        from sensor_msgs.msg import TimeReference
+
+        from humansim_ros.ros.graph.qos import DATA, SCENE_TIME
+        from humansim_ros.ros.processes.estimate_topics import PoseTopics
+
+        options = order.options
+        names = keypoint_set(options.keypoints).names if options.keypoints else None
+        self.stream = EstimateStream(options.topic)
+        #: By stamp: scene time (nanoseconds), and time of the first arrival (seconds).
+        self.frames: dict[int, int] = {}
+        self.sent: dict[int, float] = {}
+        self.messages = self.people = 0
+        self.finite = False
+        self.last = time.monotonic()
+        self.fault = ""
+        self.topics = PoseTopics(
+            node,
+            order.options.topic,
+            ReadOptions(names, axes=order.options.axes, scale=order.options.scale),
+            self._on_frame,
+        )
+        node.create_subscription(TimeReference, SCENE_TIME, self._on_time, DATA)
+
+    def _on_time(self, message: Any) -> None:
+        from humansim_ros.data.messages import read_scene_time, to_nanoseconds
+
+        stamp = to_nanoseconds(message.header.stamp)
+        self.frames[stamp] = read_scene_time(message)
+        self.sent.setdefault(stamp, time.monotonic())
+
+    def _on_frame(self, frame: PoseFrame, topic: str, person: str | None) -> None:
+        self.messages += 1
+        self.people += len(frame.people)
+        self.finite = self.finite or any(np.isfinite(pose.positions).any() for pose in frame.people)
+        self.last = time.monotonic()
+        sent = None if frame.stamp is None else self.sent.get(frame.stamp)
+        latency = None if sent is None else self.last - sent
+        try:
+            self.stream.add(frame, topic, time.monotonic_ns(), person, latency)
+        except EvaluationError as error:
+            self.fault = str(error)
+
+
+def has_ended(process: int) -> bool:
+    """Whether there is no process with this id. A dead process that its parent has not noticed still
+    counts."""
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return True
+    except PermissionError:  # the process belongs to another user
+        pass
+    return False
+
+
+def run_case(order: CaseOrder) -> dict[str, Any]:
+    """Run a case. Returns the keys of its ``CaseResult``.
+
+    Raises:
+        HumansimError: The scene cannot be played on this machine.
+    """
+    import rclpy
+    from rclpy.signals import SignalHandlerOptions
+
+    from humansim_ros.ros.graph.guarded_node import GuardedNode
+    from humansim_ros.ros.nodes.in_process import InProcessNodes
+    from humansim_ros.ros.processes.lockstep_settings import TOPIC_PREFIX
+    from humansim_ros.ros.processes.runtime import make_executor
+
+    scene = Scene.load(Path(order.scene))
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    node, nodes = None, None
+    try:
+        node = GuardedNode("humansim_challenge", start_parameter_services=False)
+        collector = _Collector(order, node)
+        executor = make_executor()
+        executor.add_node(node)
+        player: dict[str, Any] = {"mode": "realtime"}
+        if not order.options.is_realtime:
+            player = {
+                "mode": "lockstep",
+                "wait_for": [f"{TOPIC_PREFIX}{order.options.topic}"],
+                "timeout": order.patience,
+                "on_timeout": "continue",
+                "frames": order.frames,
+                "clock_search": 0.0,
+            }
+        start = time.monotonic()
+        while not collector.topics.found and time.monotonic() < start + order.options.start_within:
+            executor.spin_once(0.05)
+            if has_ended(order.tracker):
+                return {}
+        nodes = InProcessNodes(scene, "", player, is_simulated=not order.options.is_realtime)
+        for each in nodes.nodes:
+            executor.add_node(each)
+        start = time.monotonic()
+        most = MAX_MESSAGES + MAX_MESSAGES_PER_FRAME * order.frames
+        end = order.frames / scene.config.rate
+        last, ended, next_look, sees = float("inf"), float("inf"), 0.0, False
+        while time.monotonic() < last and collector.messages <= most:
+            executor.spin_once(0.05)
+            if not sees and time.monotonic() >= next_look:
+                sees, next_look = _has_images(node), time.monotonic() + _LOOK_EVERY
+            if has_ended(order.tracker):
+                last = min(last, time.monotonic() + _AFTER_END)
+            if order.options.is_realtime:
+                first = min(collector.sent.values(), default=time.monotonic())
+                is_over = time.monotonic() > first + end + _REST
+            else:
+                if nodes.has_ended:
+                    ended = min(ended, time.monotonic())
+                # the player may have read the last message before the collector does
+                is_over = time.monotonic() > max(ended, collector.last) + _REST
+                is_over |= nodes.has_ended and len(collector.stream) >= order.frames
+            if is_over:
+                break
+        seconds = time.monotonic() - start
+        return {**measured(order, scene, collector, most), "seconds": seconds, "sees": sees}
+    finally:
+        if nodes is not None:
+            nodes.close()
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()
+
+
+def _has_images(node: Any) -> bool:
+    """Whether any node subscribes to a topic of images."""
+    kinds = {"sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"}
+    topics = (name for name, types in node.get_topic_names_and_types() if kinds & set(types))
+    return any(node.count_subscribers(name) for name in topics)
+
+
+def measured(order: CaseOrder, scene: Scene, collector: Any, most: int) -> dict[str, Any]:
+    """Keys of the ``CaseResult`` of a case.
+
+    Args:
+        order: The case.
+        scene: Scene of the case.
+        collector: Messages of the tracker, and times of the frames.
+        most: More messages than this are a flood.
+    """
+    frames = dict(sorted(collector.frames.items()))
+    result: dict[str, Any] = {"frames": len(frames), "estimates": len(collector.stream)}
+    if collector.messages > most:
+        result["failure"] = f"the tracker floods its topic: {collector.messages} messages"
+        return result
+    if not collector.messages:
+        found = collector.topics.found
+        result["failure"] = (
+            f"the tracker published nothing that can be read on {order.options.topic}"
+            if found
+            else f"nobody published {order.options.topic} with a type that holds poses"
+        )
+        return result
+    if not frames:
+        result["failure"] = "no frame was sent"
+        return result
+    if collector.fault:
+        result["failure"] = collector.fault
+    if not collector.people:  # the tracker runs, but finds nobody
+        return {**result, "pck": 0.0, "recall": 0.0}
+    if not collector.finite:
+        return {**result, "failure": "no position is finite: the tracker sends NaN"}
+    try:
+        result.update(_scores(order, scene, frames, collector.stream))
+    except EvaluationError as error:
+        result["failure"] = error.message
+    return result
+
+
+def _scores(order: CaseOrder, scene: Scene, frames: dict[int, int], stream: EstimateStream) -> dict[str, Any]:
+    stamps = np.array(list(frames), np.int64)
+    half = int(np.median(np.diff(stamps))) // 2 if len(stamps) > 1 else 0
+    estimate = stream.sequence()
+    latencies = estimate.arrivals.latencies if estimate.arrivals is not None else np.zeros(0)
+    # everybody is missed in a frame without an estimate, also at the end
+    own = estimate.times
+    for stamp in stamps.tolist():
+        if not (np.abs(own - stamp) <= half).any():
+            stream.add(PoseFrame(stamp, "map", ()), "", 0)
+    estimate = stream.sequence()
+    # in the first frames, trackers load models, find the topics and confirm people; this varies between runs
+    kept = stamps[min(_WARM_UP, len(stamps) // 3) :]
+    estimate = estimate.since(int(kept[0]) - half)
+    points = (
+        keypoint_set(order.options.keypoints) if order.options.keypoints else set_of_names(estimate.names)
+    )
+    times = np.array([frames[stamp] for stamp in kept.tolist()], np.int64)
+    truth = truth_at(scene, times, kept, points)
+    found = evaluate_poses(truth, estimate)
+    return {
+        "mpjpe": found.position.mpjpe,
+        "pck": found.position.pck,
+        "recall": found.people.recall,
+        "precision": found.people.precision,
+        "idf1": found.tracking.idf1 if found.tracking is not None else None,
+        "switches": found.tracking.switches if found.tracking is not None else None,
+        "latency": float(np.median(latencies)) if len(latencies) else None,
+    }
+
+
+class CaseWorker:
+    """Runs cases in this process."""
+
+    def __init__(self) -> None:
+        self.costs = Costs()
+
+    def work(self, order: CaseOrder) -> FrameResult:
+        """Run a case; ``value`` has the keys of its result."""
+        return FrameResult(run_case(order))
+
+    def close(self) -> None:
+        """Do nothing, since each case ends its nodes."""
+
+
+@dataclass(frozen=True)
+class CaseJob:
+    """Cases of a challenge in a worker process.
+
+    Attributes:
+        log: File for the output of the nodes.
+        domain: ROS domain.
+    """
+
+    log: Path
+    domain: int
+
+    def start(self) -> CaseWorker:
+        """Prepare this process for ROS. Raises HumansimError if this machine cannot run nodes."""
+        from humansim_ros.ros.processes.runtime import prepare_transport
+
+        with self.log.open("ab") as log:
+            os.dup2(log.fileno(), 1)
+            os.dup2(log.fileno(), 2)
+        os.environ.update(domain_environment(self.domain))
+        show_warnings()
+        prepare_transport(network=False)
+        return CaseWorker()

@@ -1,0 +1,417 @@
+"""Run a tracker through a suite, case by case, and keep the results of finished cases."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import shlex
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from humansim_ros.data.engine import FrameProgress, WorkerDiedError, WorkerProcess, Workers, children_of
+from humansim_ros.data.evaluation import axes_matrix
+from humansim_ros.errors import ChallengeError, HumansimError, printable
+from humansim_ros.files.reading import atomic_path
+from humansim_ros.people.keypoints import keypoint_set
+from humansim_ros.ros.challenge.case import CaseJob, CaseOrder, ChallengeOptions
+from humansim_ros.ros.challenge.results import RESULTS, CaseResult, Report
+from humansim_ros.ros.challenge.suite import Case, Suite
+from humansim_ros.ros.graph.transport import claim_domain, domain_environment
+
+#: Seconds from SIGINT to SIGTERM, and from SIGTERM to SIGKILL.
+_AFTER = 2.0
+#: Most bytes of the end of the tracker's output in an error, and most bytes of its output that are kept.
+_MAX_TAIL, _MAX_OUTPUT = 600, 1 << 20
+#: Option of prctl. With it, orphans among the descendants of this process become its children.
+_PR_SET_CHILD_SUBREAPER = 36
+
+
+def command_words(command: str, values: Mapping[str, str]) -> list[str]:
+    """Words of a command line, with ``{cameras}``, ``{topic}`` and ``{scene}`` replaced.
+
+    Raises:
+        ChallengeError: Quotes are not closed, or the command is empty.
+    """
+    try:
+        words = shlex.split(command)
+    except ValueError as reason:
+        raise ChallengeError(f"not a command line: {reason}", key="--tracker") from None
+    if not words:
+        raise ChallengeError("give the command that starts the tracker", key="--tracker")
+    for name, value in values.items():
+        words = [word.replace(f"{{{name}}}", value) for word in words]
+    return words
+
+
+class TrackerProcess:
+    """A running tracker. Use it as a context manager, which stops the tracker with all its processes at the
+    end.
+
+    Daemons that it leaves behind become children of this process and are killed. So start nothing else from
+    this process while the tracker runs.
+
+    Args:
+        words: Command line.
+        environment: Environment variables that are added to the ones of this process.
+        log: File for its output.
+
+    Raises:
+        ChallengeError: The command cannot be started.
+    """
+
+    def __init__(self, words: list[str], environment: Mapping[str, str], log: Path) -> None:
+        self._log = log
+        _adopt_orphans(True)
+        self._others = children_of(os.getpid())
+        with log.open("wb") as output:
+            try:
+                self._process = subprocess.Popen(
+                    words,
+                    stdin=subprocess.DEVNULL,
+                    stdout=output,
+                    stderr=subprocess.STDOUT,
+                    env={**os.environ, **environment},
+                    start_new_session=True,
+                )
+            except OSError as reason:
+                _adopt_orphans(False)
+                raise ChallengeError(
+                    f"{printable(words[0], 100)} cannot be started: {reason.strerror or reason}",
+                    key="--tracker",
+                ) from None
+
+    def __enter__(self) -> TrackerProcess:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    @property
+    def pid(self) -> int:
+        """Process id."""
+        return self._process.pid
+
+    @property
+    def death(self) -> str:
+        """How the process has ended. Empty while it runs."""
+        code = self._process.poll()
+        if code is None:
+            return ""
+        how = f"was killed by signal {-code}" if code < 0 else f"ended with exit code {code}"
+        tail = self.output_tail
+        return f"the tracker {how}{f': {tail}' if tail else ''}"
+
+    @property
+    def output_tail(self) -> str:
+        """Last line of the tracker's output."""
+        with suppress(OSError), self._log.open("rb") as file:
+            file.seek(max(0, self._log.stat().st_size - _MAX_TAIL))
+            lines = file.read(_MAX_TAIL).decode(errors="replace").split("\n")
+            return printable(next((line.strip() for line in reversed(lines) if line.strip()), ""))
+        return ""
+
+    @property
+    def is_too_talkative(self) -> bool:
+        """Whether the output is longer than a report keeps."""
+        with suppress(OSError):
+            return self._log.stat().st_size > _MAX_OUTPUT
+        return False
+
+    def stop(self) -> None:
+        """Stop the process and its children. Signals become stronger: SIGINT, SIGTERM, SIGKILL."""
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
+            with suppress(ProcessLookupError, PermissionError):
+                os.killpg(self._process.pid, number)
+            end = time.monotonic() + _AFTER
+            while self._process.poll() is None and time.monotonic() < end:
+                time.sleep(0.02)
+            if self._process.poll() is not None and not _has_group(self._process.pid):
+                break
+        self._process.wait()
+        self._kill_daemons()
+        _adopt_orphans(False)
+        with suppress(OSError):
+            if self.is_too_talkative:
+                os.truncate(self._log, _MAX_OUTPUT)
+
+    def _kill_daemons(self) -> None:
+        """Kill processes that have left the group of the tracker, and their children."""
+        end = time.monotonic() + _AFTER
+        while (left := children_of(os.getpid()) - self._others) and time.monotonic() < end:
+            for process in left:
+                with suppress(ProcessLookupError, PermissionError, ChildProcessError):
+                    os.kill(process, signal.SIGKILL)
+                    os.waitpid(process, os.WNOHANG)
+            time.sleep(0.02)
+
+
+def _adopt_orphans(adopt: bool) -> None:
+    """Set whether descendants become children of this process when their parent has ended."""
+    ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, int(adopt), 0, 0, 0)
+
+
+def _has_group(number: int) -> bool:
+    try:
+        os.killpg(number, 0)
+    except (ProcessLookupError, PermissionError):
+        return False
+    return True
+
+
+#: Folder of a report with the scenes and the output of the tracker.
+CASES = "cases"
+#: Seconds between two checks of the processes.
+_LOOK_EVERY = 0.05
+#: Seconds that a case may take in addition to its frames, and that the nodes may take to end.
+_BESIDE, _END_WITHIN = 60.0, 20.0
+#: In a case with its own patience, the smallest patience with a tracker, as a multiple of its usual time per
+#: frame.
+_TIMES_LATENCY = 4.0
+
+
+def open_report(suite: Suite, options: ChallengeOptions, folder: Path, resume: bool) -> Report:
+    """The report of a folder: a new one, or an earlier one that is continued.
+
+    Args:
+        suite: The suite.
+        options: How the tracker is run.
+        folder: Folder of the report. It is created.
+        resume: Whether existing results are kept.
+
+    Raises:
+        HumansimError: The folder has results, and they belong to something else, or ``resume`` is not set.
+    """
+    if options.keypoints is not None:
+        keypoint_set(options.keypoints)
+    if options.axes is not None:
+        axes_matrix(options.axes)
+    new = Report.of_suite(suite, options.tracker, options.settings)
+    if not (folder / RESULTS).exists():
+        _make_folder(folder / CASES)
+        return new
+    if not resume:
+        raise ChallengeError(
+            "the folder has results: give --resume to keep them and go on, or another folder", path=folder
+        )
+    old = Report.read(folder)
+    for what, was, wanted in (
+        ("tracker", old.tracker, new.tracker),
+        ("suite", old.suite, new.suite),
+        ("settings", dict(old.settings), dict(new.settings)),
+    ):
+        if was != wanted:
+            raise ChallengeError(
+                f"these are results of another {what} ({was}, not {wanted}): give another folder", path=folder
+            )
+    _make_folder(folder / CASES)
+    return replace(new, results=old.results)
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as reason:
+        raise ChallengeError(f"cannot be made: {reason.strerror or reason}", path=folder) from None
+
+
+def run_challenge(
+    suite: Suite,
+    options: ChallengeOptions,
+    report: Report,
+    folder: Path,
+    on_result: Callable[[CaseResult, FrameProgress], object],
+) -> None:
+    """Run all cases that have no result yet. Results are written after each case.
+
+    Args:
+        suite: The suite.
+        options: How the tracker is run.
+        report: Report that gets the results.
+        folder: Folder of the report.
+        on_result: Called with each new result and the number of finished cases.
+
+    Raises:
+        HumansimError: The tracker cannot be started or fails in the baseline, or a file cannot be written.
+            Finished results are in the folder.
+    """
+    command_words(options.tracker, {})
+    cases = [case for case in suite.cases if case.name not in report.results]
+    progress, start = FrameProgress.of(len(suite.cases), len(cases)), time.monotonic()
+    with CaseProcess(folder / CASES / "nodes.log") as nodes:
+        for case in cases:
+            result = run_case(
+                case, options, folder / CASES, nodes, patience_with(case, options.timeout, report.baseline)
+            )
+            if not case.strength and result.failure:
+                raise ChallengeError(
+                    f"the tracker fails already without a difficulty: {result.failure}. Its output is in "
+                    f"{folder / CASES / case.name}.log",
+                    key="--tracker",
+                )
+            report.results[case.name] = result
+            report.write(folder)
+            progress.done += 1
+            progress.seconds = time.monotonic() - start
+            on_result(result, progress)
+
+
+class CaseProcess:
+    """The process with the nodes of all cases. If it hangs, it is started again. Use it as a context manager.
+
+    Args:
+        log: File for its output.
+    """
+
+    def __init__(self, log: Path) -> None:
+        self._log = log
+        self._workers: Workers | None = None
+        #: Own ROS domain, so that the cases and what the user runs in another terminal do not receive each
+        #: other's messages.
+        self.domain = claim_domain()
+
+    def __enter__(self) -> CaseProcess:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def processes(self) -> list[WorkerProcess]:
+        """The process, as a list. Empty if it does not run."""
+        return [] if self._workers is None else self._workers.processes
+
+    def start(self) -> None:
+        """Start the process unless it runs."""
+        with self._errors():
+            if self._workers is None:
+                self._workers = Workers(CaseJob(self._log, self.domain), 1)
+                self._workers.wait_until_ready()
+
+    def ask(self, order: CaseOrder) -> None:
+        """Begin a case. The process is started if it does not run."""
+        self.start()
+        with self._errors():
+            assert self._workers is not None
+            self._workers.ask(order)
+
+    def answer(self, wait: float) -> dict[str, Any] | None:
+        """The result of a case; None if no result arrives within ``wait`` seconds.
+
+        Raises:
+            HumansimError: The process has ended, or the case cannot be run.
+        """
+        assert self._workers is not None
+        with self._errors():
+            for _, answer in self._workers.arrived(wait):
+                if isinstance(answer, HumansimError):
+                    raise answer
+                return dict(answer.value)
+        return None
+
+    @contextmanager
+    def _errors(self) -> Iterator[None]:
+        try:
+            yield
+        except WorkerDiedError:
+            self.close()
+            raise ChallengeError(f"the nodes of the case have ended with an error; see {self._log}") from None
+
+    def close(self) -> None:
+        """End the process, and the case in progress."""
+        workers, self._workers = self._workers, None
+        if workers is not None:
+            workers.close()
+
+
+def patience_with(case: Case, timeout: float, baseline: CaseResult | None) -> float:
+    """Seconds that a frame of a case waits for the tracker.
+
+    A case with its own patience must not time out a tracker that is slow even in the baseline.
+
+    Args:
+        case: The case.
+        timeout: Longest time that a frame waits, seconds.
+        baseline: Result without a difficulty.
+    """
+    if case.patience is None:
+        return timeout
+    usual = baseline.latency if baseline is not None and baseline.latency is not None else 0.0
+    return min(max(case.patience, _TIMES_LATENCY * usual), timeout)
+
+
+def run_case(
+    case: Case, options: ChallengeOptions, folder: Path, nodes: CaseProcess, patience: float
+) -> CaseResult:
+    """Run the tracker in one case. If the tracker fails, that is a result.
+
+    Args:
+        case: The case.
+        options: How the tracker is run.
+        folder: Folder for its scene and its output.
+        nodes: The process with its nodes.
+        patience: Seconds that a frame waits for the tracker.
+
+    Raises:
+        HumansimError: The tracker cannot be started, or a file cannot be written.
+    """
+    scene = folder / f"{case.name}.yaml"
+    with atomic_path(scene) as temporary:
+        content = case.scene.model_dump(mode="json", exclude_unset=True)
+        temporary.write_text(yaml.safe_dump(content, sort_keys=False, allow_unicode=True), encoding="utf-8")
+    values = {"cameras": ",".join(case.scene.cameras), "topic": options.topic, "scene": str(scene.resolve())}
+    words = command_words(options.tracker, values)
+    log = folder / f"{case.name}.log"
+    # started before the tracker, since the tracker's own processes are those that come after it
+    nodes.start()
+    with _writing(log):
+        tracker = TrackerProcess(words, domain_environment(nodes.domain), log)
+    with tracker:
+        nodes.ask(CaseOrder(str(scene.resolve()), tracker.pid, case.frames, patience, options))
+        limit = time.monotonic() + _BESIDE + options.start_within + case.frames * patience
+        answer, failure = _wait(nodes, tracker, limit)
+    known = {field.name for field in fields(CaseResult)}
+    found: Mapping[str, Any] = {key: value for key, value in (answer or {}).items() if key in known}
+    if failure:
+        found = {**found, "failure": failure}
+    elif found.get("failure") and tracker.output_tail:
+        found = {**found, "failure": f"{found['failure']} (its last output: {tracker.output_tail})"}
+    return CaseResult(**{**found, "axis": case.axis, "strength": case.strength, "label": case.label})
+
+
+def _wait(nodes: CaseProcess, tracker: TrackerProcess, limit: float) -> tuple[dict[str, Any] | None, str]:
+    """Wait for the end of a case. Returns its result, and why it ended early."""
+    failure, end = "", 0.0
+    while (answer := nodes.answer(_LOOK_EVERY)) is None:
+        if failure and time.monotonic() > end:
+            nodes.close()
+            break
+        if not failure and (failure := _failure(tracker, limit)):
+            tracker.stop()  # the case ends with the tracker
+            end = time.monotonic() + _END_WITHIN
+    return answer, failure
+
+
+def _failure(tracker: TrackerProcess, limit: float) -> str:
+    """Why a case ends early. Empty if it goes on. ``limit``: monotonic seconds."""
+    if tracker.is_too_talkative:
+        return "the tracker prints more than a megabyte"
+    if time.monotonic() > limit:
+        return "the case took too long: the tracker is too slow or hangs"
+    return tracker.death
+
+
+@contextmanager
+def _writing(path: Path) -> Iterator[None]:
+    """Convert system errors about a file to ChallengeError."""
+    try:
+        yield
+    except OSError as reason:
+        raise ChallengeError(f"cannot be written: {reason.strerror or reason}", path=path) from None

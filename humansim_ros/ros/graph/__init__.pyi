@@ -1,0 +1,13 @@
+from humansim_ros.ros.graph.graph import absolute as absolute
+from humansim_ros.ros.graph.guarded_node import ANY_SIZE as ANY_SIZE
+from humansim_ros.ros.graph.guarded_node import GuardedNode as GuardedNode
+from humansim_ros.ros.graph.qos import DATA as DATA
+from humansim_ros.ros.graph.qos import FRAME_DONE as FRAME_DONE
+from humansim_ros.ros.graph.qos import REPORTS as REPORTS
+from humansim_ros.ros.graph.qos import SCENE_TIME as SCENE_TIME
+from humansim_ros.ros.graph.qos import offered_profile as offered_profile
+from humansim_ros.ros.graph.qos import subscription_profile as subscription_profile
+from humansim_ros.ros.graph.transport import claim_domain as claim_domain
+from humansim_ros.ros.graph.transport import domain_environment as domain_environment
+from humansim_ros.ros.graph.transport import files_of_fast_dds as files_of_fast_dds
+from humansim_ros.ros.graph.transport import free_memory as free_memory

@@ -1,0 +1,114 @@
+"""Quality of service: profiles (REP-2003), and profiles of recorded and played topics."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from rclpy.duration import Duration
+from rclpy.qos import (
+    QoSDurabilityPolicy,
+    QoSHistoryPolicy,
+    QoSLivelinessPolicy,
+    QoSProfile,
+    QoSReliabilityPolicy,
+)
+
+from humansim_ros.data.bags import Qos
+from humansim_ros.data.messages import DATA_DEPTH, LATCHED_DEPTH, Topic
+from humansim_ros.data.messages import SCENE_TIME as SCENE_TIME
+
+
+def _profile(depth: int, durability: QoSDurabilityPolicy) -> QoSProfile:
+    return QoSProfile(
+        depth=depth,
+        history=QoSHistoryPolicy.KEEP_LAST,
+        reliability=QoSReliabilityPolicy.RELIABLE,
+        durability=durability,
+    )
+
+
+#: Profile of publishers of frame data, as camera drivers use it. It matches reliable and best-effort
+#: subscribers.
+DATA = _profile(DATA_DEPTH, QoSDurabilityPolicy.VOLATILE)
+
+#: Profile of subscriptions between nodes of this package. A late node finds only the newest frames in its
+#: queue.
+NEWEST = _profile(3, QoSDurabilityPolicy.VOLATILE)
+
+#: Profile of publishers of messages that are sent once. Nodes that join later get the last message.
+LATCHED = _profile(LATCHED_DEPTH, QoSDurabilityPolicy.TRANSIENT_LOCAL)
+
+#: Topic with liveliness: the motion player learns within half a second that a camera process has died. It
+#: also gives the newest report to a restarted player. Reports on ``frame_done`` do neither, since other nodes
+#: may report there, too.
+CAMERA_ALIVE = "_camera_alive"
+ALIVE = QoSProfile(
+    depth=1,
+    history=QoSHistoryPolicy.KEEP_LAST,
+    reliability=QoSReliabilityPolicy.RELIABLE,
+    durability=QoSDurabilityPolicy.TRANSIENT_LOCAL,
+    liveliness=QoSLivelinessPolicy.AUTOMATIC,
+    liveliness_lease_duration=Duration(seconds=0.5),
+)
+
+#: Topic on which nodes report the frames that they have finished.
+FRAME_DONE = "frame_done"
+#: Publishers of these reports.
+DONE = DATA
+#: Profile of subscriptions to reports. There is one report per camera process and frame. The next report
+#: replaces a lost one.
+REPORTS = _profile(50, QoSDurabilityPolicy.VOLATILE)
+
+
+def offered_profile(topic: Topic[Any]) -> QoSProfile:
+    """Return the profile of the publisher of a topic of the scene."""
+    return LATCHED if topic.latched else DATA
+
+
+#: Most messages that wait until they are recorded. The middleware uses memory only for existing messages.
+RECORDED_DEPTH = 1000
+#: Most messages of a player that wait for slow subscribers.
+PLAYED_DEPTH = 1000
+
+
+def subscription_profile(offers: Sequence[QoSProfile]) -> QoSProfile:
+    """Profile of a subscription that gets the messages of all publishers, with the best quality that all of
+    them offer. ``offers``: profiles of the publishers."""
+    reliable = all(offer.reliability != QoSReliabilityPolicy.BEST_EFFORT for offer in offers)
+    latched = bool(offers) and all(
+        offer.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL for offer in offers
+    )
+    return _profile_of(reliable, latched, RECORDED_DEPTH)
+
+
+def recorded_qos(offers: Sequence[QoSProfile]) -> tuple[Qos, ...]:
+    """Profiles of publishers, for the description of a topic in a bag."""
+    return tuple(
+        Qos(
+            reliable=offer.reliability != QoSReliabilityPolicy.BEST_EFFORT,
+            transient_local=offer.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL,
+            # unknown for publishers of other processes
+            **({"depth": offer.depth} if offer.history == QoSHistoryPolicy.KEEP_LAST and offer.depth else {}),
+            keep_all=offer.history == QoSHistoryPolicy.KEEP_ALL,
+        )
+        for offer in offers
+    )
+
+
+def publisher_profile(recorded: Sequence[Qos]) -> QoSProfile:
+    """Profile of a publisher that matches every subscription that one of the recorded publishers matches."""
+    reliable = not recorded or any(qos.reliable for qos in recorded)
+    latched = any(qos.transient_local for qos in recorded)
+    # late subscribers get the last messages of all publishers, which one publisher replaces
+    depth = sum(max(1, qos.depth) for qos in recorded if qos.transient_local)
+    return _profile_of(reliable, latched, min(depth, RECORDED_DEPTH) if latched else PLAYED_DEPTH)
+
+
+def _profile_of(reliable: bool, latched: bool, depth: int) -> QoSProfile:
+    return QoSProfile(
+        depth=depth,
+        history=QoSHistoryPolicy.KEEP_LAST,
+        reliability=QoSReliabilityPolicy.RELIABLE if reliable else QoSReliabilityPolicy.BEST_EFFORT,
+        durability=QoSDurabilityPolicy.TRANSIENT_LOCAL if latched else QoSDurabilityPolicy.VOLATILE,
+    )

@@ -1,1 +1,0 @@
-"""Lockstep: the next frame is sent when all members have finished the frame before."""

@@ -1,0 +1,1 @@
+from humansim_ros.ros.nodes.in_process import InProcessNodes as InProcessNodes

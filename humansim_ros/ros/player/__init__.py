@@ -1,1 +1,0 @@
-"""The parts that the motion player consists of: real time, motions, services."""

@@ -1,0 +1,1 @@
+"""The motion player: lockstep, real time, services."""

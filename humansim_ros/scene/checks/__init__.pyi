@@ -1,0 +1,1 @@
+from humansim_ros.scene.checks.checks import check_scene as check_scene

@@ -1,0 +1,391 @@
+"""Checks of a scene that loads: what in it is probably a mistake. They report. They change nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from humansim_ros.errors import some_of
+from humansim_ros.files.reading import cores
+from humansim_ros.scene.checks.camera_checks import (
+    check_cameras,
+    check_faults,
+    covered_pixels,
+    cpu_ms,
+    has_gpu,
+)
+from humansim_ros.scene.core.findings import Finding, Obstacle, SceneSamples, motion_key, numbers
+from humansim_ros.scene.core.scene import Scene
+from humansim_ros.scene.features.protocol import features_of
+from humansim_ros.types import Array
+
+#: Seconds between two times, most poses and most humans of a complete check and of a quick one.
+_COMPLETE = (0.1, 6000, 10_000)
+_QUICK = (0.2, 600, 50)
+#: Factor by which an estimate must be above the processor time of the machine to be reported.
+_TOO_MUCH = 1.3
+
+
+def check_scene(scene: Scene, quick: bool = False, processors: int | None = None) -> list[Finding]:
+    """Find probable mistakes in a scene that loads (docs/scene.md, Checks).
+
+    The first minute is checked, or a longer cycle of a motion, up to ten minutes.
+
+    Args:
+        scene: The scene.
+        quick: Check fewer times, the first 50 humans, and not the furniture of the room, as ``humansim run``
+            does.
+        processors: Cores that play the scene, for the estimate of the rate; all of this machine if None,
+            unless it has a GPU.
+
+    Returns:
+        Findings with file and line, errors first; empty for a scene without findings.
+
+    Example:
+        >>> scene = Scene.from_dict(
+        ...     {
+        ...         "humans": {"anna": "adult_woman"},
+        ...         "cameras": {"front": {"position": [9, 0, 1.5], "look_at": [0, 0, 1]}},
+        ...     }
+        ... )
+        >>> for finding in check_scene(scene, quick=True):
+        ...     print(finding.key)
+        cameras.front.position
+    """
+    samples = SceneSamples(scene, *(_QUICK if quick else _COMPLETE), room=not quick)
+    found = [
+        *check_cameras(samples, samples.obstacles),
+        *check_people(samples, samples.obstacles),
+        *(each for feature in features_of(scene.config) for each in feature.check(samples)),
+        *check_faults(samples),
+        *_rate(samples, processors),
+    ]
+    source = scene.source.loading()  # which reads the file once for all lines
+    return sorted((finding.located(source) for finding in found), key=lambda finding: finding.severity)
+
+
+def _rate(samples: SceneSamples, processors: int | None) -> list[Finding]:
+    """Finding about a rate that needs more than the processor time of this machine."""
+    if processors is None and has_gpu():
+        return []
+    scene = samples.scene
+    count, rate = cores() if processors is None else processors, scene.config.rate
+    needed = cpu_ms(scene, {name: covered_pixels(name, samples) for name in scene.scene_cameras})
+    available = count * 1000 / rate
+    if needed < _TOO_MUCH * available:
+        return []
+    slower = available * rate / needed
+    file = "SCENE" if scene.path is None else str(scene.path)
+    have = "core has" if count == 1 else "cores have"
+    text = (
+        f"{rate:g} Hz is too fast: a frame takes about {needed:.0f} ms of processor time, and {count} {have} "
+        f"{available:.3g} ms; this machine may hold {slower:.2g} Hz. Estimated from the numbers of cameras "
+        f"({len(scene.cameras)}), of humans ({len(scene.actors)}) and of the pixels that they cover, for "
+        "rgb, depth, instance and part, without a GPU (docs/performance.md); "
+        f"`humansim bench {file}` measures it. Set a lower rate, or use fewer or smaller cameras"
+    )
+    return [Finding("warning", "rate", text)]
+
+
+# --- people
+
+#: A joint this far beyond a wall is outside, metres; joints are inside the body.
+_BEYOND = 0.02
+#: Farthest plausible position of a human, metres.
+_FARTHEST = 200.0
+#: Bones that nothing may cross, from joint to joint: not hands, forearms and feet, which touch things, nor
+#: the root, which is on the seat of a person who sits.
+_BONES = (
+    ("sacroiliac", "vl5"),
+    ("vl5", "vt3"),
+    ("l_hip", "l_knee"),
+    ("r_hip", "r_knee"),
+    ("l_knee", "l_ankle"),
+    ("r_knee", "r_ankle"),
+    ("l_shoulder", "l_elbow"),
+    ("r_shoulder", "r_elbow"),
+)
+#: Part of these bones that counts: a foot may stand on something.
+_PART = 0.85
+#: Bones that touch what a person sits on: the lowest part of the trunk, and the legs.
+_SEATED = (_BONES[0], *_BONES[2:6])
+#: Metres to which they may be in it: flesh and cushions give way.
+_CONTACT = 0.12
+#: Metres below the hips in which a seat is looked for, and share of the height of the hips of a person who
+#: stands (the length of the legs) up to which it sits.
+_SEAT, _SITS = (0.05, 0.1, 0.15, 0.2, 0.25), 0.75
+#: Joints of the spine, from below.
+_SPINE = ("HumanoidRoot", "sacroiliac", "vl5", "vt3", "vt3_end")
+#: Points of the spine that are compared. Bodies are in each other if their spines are nearer than this share
+#: of the length of both, half of the depth of a trunk.
+_POINTS, _DEPTH = 9, 0.12
+
+
+#: Share of the time in which eyes reach what they look at.
+_SEEN = 0.5
+
+
+def check_people(samples: SceneSamples, obstacles: Sequence[Obstacle]) -> Iterator[Finding]:
+    """Check all humans."""
+    outside: dict[str, NDArray[np.bool_]] = {}
+    for name, joints in samples.joints.items():
+        found = _far(name, joints) or _outside(name, samples)
+        outside[name] = _beyond(samples, joints) > _BEYOND
+        if found:
+            yield Finding("error", motion_key(samples, name), found)
+    for name, joints in samples.joints.items():
+        yield from _in_obstacles(name, joints, outside[name], samples, obstacles)
+    yield from _out_of_sight(samples)
+    yield from _out_of_reach(samples)
+    yield from _in_each_other(samples)
+
+
+def _out_of_sight(samples: SceneSamples) -> Iterator[Finding]:
+    """Findings about gazes at what the eyes do not reach."""
+    for name in samples.joints:
+        actor, config = samples.scene.actors[name], samples.scene.config.humans[name].face
+        if actor.face is None or config is None:
+            continue
+        keys = sorted(
+            (key.time, number, key.gaze) for number, key in enumerate(config.keys) if key.gaze is not None
+        )
+        ends = [*(time for time, *_ in keys), np.inf][1:]
+        for gaze, (time, number, target), end in zip(actor.face.gazes, keys, ends, strict=True):
+            times = samples.times[(samples.times >= time) & (samples.times < end)]
+            if gaze.target is None or not len(times):
+                continue
+            share = float(actor.sees(gaze.target, times).mean())
+            if share < _SEEN:
+                shown = target if isinstance(target, str) else numbers(target)
+                head = (
+                    "even with the head: "
+                    if config.head
+                    else f"and the head does not turn with them: let it turn (humans.{name}.face.head: 1), "
+                )
+                text = (
+                    f"the eyes of {name} reach {shown} in {share:.0%} of the time, {head}"
+                    "turn the human (motion.yaw_deg), or let it look at what is before it"
+                )
+                yield Finding("warning", f"humans.{name}.face.keys.{number}.gaze", text)
+
+
+#: Metres to which a palm must come, times at which it is measured, and the longest contact that is measured.
+_TOUCHES, _MEASURED, _LONGEST = 0.005, 40, 60.0
+
+
+def _out_of_reach(samples: SceneSamples) -> Iterator[Finding]:
+    """Findings about hands that do not come to what they reach for."""
+    for name in samples.joints:
+        actor, configs = samples.scene.actors[name], samples.scene.config.humans[name].reach
+        if actor.reaches is None or actor.others is None:
+            continue
+        for number, (reach, config) in enumerate(zip(actor.reaches.reaches, configs, strict=True)):
+            first = reach.start + reach.blend
+            times = np.linspace(first, min(reach.end - reach.blend, first + _LONGEST), _MEASURED)
+            lacks = np.linalg.norm(
+                actor.palms_at(reach.side, times) - reach.goal(times, actor.others).place, axis=-1
+            )
+            if lacks.max() < _TOUCHES:
+                continue
+            worst, never = int(np.argmax(lacks)), bool(lacks.min() >= _TOUCHES)
+            target = config.to if isinstance(config.to, str) else numbers(config.to)
+            text = (
+                f"the {reach.side} hand of {name} does not reach {target}"
+                f"{' at any time' if never else ''}: it lacks {lacks[worst]:.2g} m at {times[worst]:.1f} s; "
+                "move the human nearer (motion.position), or the place that it touches (at)"
+            )
+            yield Finding("error" if never else "warning", f"humans.{name}.reach.{number}.to", text)
+
+
+def _far(name: str, joints: Array) -> str | None:
+    distance = float(np.linalg.norm(joints.mean(axis=1), axis=1).min())
+    if distance < _FARTHEST:
+        return None
+    return (
+        f"{name} is {distance / 1000:.3g} km from the origin of map: positions are in metres"
+        if distance >= 1000
+        else f"{name} is {distance:.0f} m from the origin of map: positions are in metres"
+    )
+
+
+def _beyond(samples: SceneSamples, joints: Array) -> Array:
+    """Metres (N,) by which a human is beyond the walls of the room; negative inside and without a room."""
+    room = samples.scene.environment.room
+    if room is None:
+        return np.full(len(joints), -np.inf)
+    x, y, z = room.size
+    beyond = np.stack([np.abs(joints[..., 0]) - x / 2, np.abs(joints[..., 1]) - y / 2, joints[..., 2] - z])
+    return beyond.max(axis=(0, 2))
+
+
+def _outside(name: str, samples: SceneSamples) -> str | None:
+    """Finding about a human outside the room."""
+    room, joints = samples.scene.environment.room, samples.joints[name]
+    beyond = _beyond(samples, joints)
+    if room is None or beyond.max() <= _BEYOND:
+        return None
+    first = int(np.argmax(beyond > _BEYOND))
+    size = "{:g} x {:g} x {:g} m".format(*room.size)
+    remedy = "move the human (motion.position, yaw_deg, anchor: center), enlarge room.size, or set room: null"
+    middle = joints[first].mean(axis=0)
+    gone = (np.abs(middle[:2]) > np.array(room.size[:2]) / 2).any()
+    if joints[first, :, 2].max() - room.size[2] == beyond[first]:
+        what = f"{name} reaches through the ceiling"
+    else:
+        what = f"{name} is outside" if gone else f"{name} reaches through a wall of"
+        what += f" the room of {size}"
+    loop = samples.scene.actors[name].motion.loop
+    walks_on = loop == "continue" and first > 0
+    return (
+        f"{what} at {samples.times[first]:.1f} s, by up to {beyond.max():.2g} m in the first "
+        f"{samples.duration:.0f} s: {'its motion goes on (loop: continue): ' if walks_on else ''}{remedy}"
+    )
+
+
+def _in_obstacles(
+    name: str,
+    joints: Array,
+    outside: NDArray[np.bool_],
+    samples: SceneSamples,
+    obstacles: Sequence[Obstacle],
+) -> Iterator[Finding]:
+    """Findings about a human inside things, the first time for each thing. Contact with a seat is meant.
+
+    ``joints``: (N, J, 3). ``outside``: (N,) whether it is outside the room, where it is in the walls as well.
+    """
+    names = samples.joint_names(name)
+    pairs = [(names.index(a), names.index(b)) for a, b in _BONES if a in names and b in names]
+    inside = np.flatnonzero(~outside)
+    if not pairs or not len(inside):
+        return
+    times = samples.times[inside]
+    starts = joints[inside][:, [a for a, _ in pairs]]
+    ends = starts + _PART * (joints[inside][:, [b for _, b in pairs]] - starts)
+    first: dict[str, tuple[float, Obstacle]] = {}
+    for obstacle in obstacles:
+        hits = obstacle.crossed(starts, ends, times) | obstacle.contains(starts[:, 0], times)
+        if hits.any() and _is_seat(obstacle, joints[inside], names, times):
+            soft = np.array([(names[a], names[b]) in _SEATED for a, b in pairs])
+            hits = obstacle.crossed(starts[:, ~soft], ends[:, ~soft], times)
+            hits |= _is_deep(obstacle, starts[:, soft], ends[:, soft], times)
+        if hits.any():
+            time = float(times[np.argmax(hits)])
+            if obstacle.key not in first or time < first[obstacle.key][0]:
+                first[obstacle.key] = time, obstacle
+    for time, obstacle in first.values():
+        yield Finding(
+            "error",
+            motion_key(samples, name),
+            f"{name} is inside {obstacle.name} at {time:.1f} s ({obstacle.key}): move one of them",
+        )
+
+
+def _is_seat(obstacle: Obstacle, joints: Array, names: Sequence[str], times: Array) -> bool:
+    """Whether a human sits on a thing at any time: bent legs, and the thing below the hips only.
+
+    Args:
+        obstacle: The thing.
+        joints: Joints (N, J, 3) in ``map``.
+        names: Names of the joints.
+        times: Seconds (N,).
+    """
+    legs = [name for side in "lr" for name in (f"{side}_hip", f"{side}_knee", f"{side}_ankle")]
+    if not set(legs) <= set(names):
+        return False
+    hips, knees, ankles = (
+        joints[:, [names.index(legs[joint]), names.index(legs[joint + 3])]].mean(axis=1) for joint in range(3)
+    )
+    length = np.linalg.norm(hips - knees, axis=1) + np.linalg.norm(knees - ankles, axis=1)
+    sits = hips[:, 2] - ankles[:, 2] < _SITS * length
+    if not sits.any():
+        return False
+    below = np.zeros(len(times), dtype=bool)
+    for depth in _SEAT:
+        below |= obstacle.contains(hips - np.array([0, 0, depth]), times)
+    above = obstacle.contains(hips + np.array([0, 0, _CONTACT]), times)
+    return bool((sits & below & ~above).any())
+
+
+def _is_deep(obstacle: Obstacle, starts: Array, ends: Array, times: Array) -> NDArray[np.bool_]:
+    """Whether a part (N,) of bones from ``starts`` to ``ends`` (N, S, 3) is deeper in a thing than contact.
+
+    A point is deep if it stays inside when it is moved by ``_CONTACT`` sideways or up.
+    """
+    deep = np.zeros(len(times), dtype=bool)
+    moves = _CONTACT * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1]])
+    for bone in range(starts.shape[1]):
+        for part in np.linspace(0, 1, 6):
+            points = starts[:, bone] + part * (ends[:, bone] - starts[:, bone])
+            inside = obstacle.contains(points, times)
+            for move in moves:
+                if not inside.any():
+                    break
+                inside &= obstacle.contains(points + move, times)
+            deep |= inside
+    return deep
+
+
+def _in_each_other(samples: SceneSamples) -> Iterator[Finding]:
+    """Findings about humans in each other, the first time for each pair."""
+    names, spines, lengths = [], [], []
+    for name, joints in samples.joints.items():
+        known = samples.joint_names(name)
+        spine = joints[:, [known.index(joint) for joint in _SPINE if joint in known]]
+        if spine.shape[1] < 2:
+            continue
+        names.append(name)
+        lengths.append(float(np.linalg.norm(np.diff(spine, axis=1), axis=-1).sum(axis=1).mean()))
+        spines.append(_along(spine, _POINTS))
+    if len(names) < 2:
+        return
+    points, length = np.stack(spines, axis=1), np.array(lengths)  # (N, humans, _POINTS, 3)
+    seen: dict[tuple[int, int], tuple[float, float, Array]] = {}
+    reach = 2 * float(length.max())
+    for number, frame in enumerate(points):
+        pairs = cKDTree(frame[:, 0]).query_pairs(reach, output_type="ndarray")
+        if not len(pairs):
+            continue
+        a, b = frame[pairs[:, 0]], frame[pairs[:, 1]]
+        distance = np.linalg.norm(a[:, :, None] - b[:, None], axis=-1).min(axis=(1, 2))
+        near = distance < _DEPTH * length[pairs].sum(axis=1)
+        for (i, j), apart in zip(pairs[near].tolist(), distance[near].tolist(), strict=True):
+            place = frame[[i, j]].mean(axis=(0, 1))
+            seen.setdefault((i, j), (float(samples.times[number]), apart, place))
+    yield from _pair_findings(samples, names, seen)
+
+
+def _pair_findings(
+    samples: SceneSamples, names: Sequence[str], seen: dict[tuple[int, int], tuple[float, float, Array]]
+) -> Iterator[Finding]:
+    random = samples.scene.random_humans
+    among_random = []
+    for (i, j), (time, apart, place) in sorted(seen.items(), key=lambda pair: pair[0]):
+        one, other = names[i], names[j]
+        if one in random and other in random:
+            among_random.append(f"{one} and {other} at {time:.1f} s")
+            continue
+        named = other if other not in random else one
+        yield Finding(
+            "error",
+            motion_key(samples, named),
+            f"{one} and {other} are inside each other at {time:.1f} s at {numbers(place[:2])}, their spines "
+            f"{apart:.2f} m apart: move one of them (motion.position), or let it start later (motion.offset)",
+        )
+    if among_random:
+        yield Finding(
+            "warning",
+            "variety",
+            f"random people pass through each other: {some_of(among_random)}; give fewer people (count), a "
+            "larger area or spacing, or another seed",
+        )
+
+
+def _along(lines: Array, count: int) -> Array:
+    """``count`` points (N, count, 3) on lines of points (N, P, 3), evenly by number."""
+    place = np.linspace(0, lines.shape[1] - 1, count)
+    before = np.minimum(place.astype(int), lines.shape[1] - 2)
+    share = (place - before)[:, None]
+    return np.asarray((1 - share) * lines[:, before] + share * lines[:, before + 1])

@@ -1,0 +1,162 @@
+"""Layers of a pose: each changes the pose of a human at one stage (docs/data_model.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from importlib import import_module
+from typing import Any, ClassVar, Protocol
+
+from humansim_ros.motion.body import JointPoses, Rated
+from humansim_ros.motion.files import KeyframeSpace
+from humansim_ros.motion.pose import PoseStage, SceneQuery
+from humansim_ros.people.humans import Human
+from humansim_ros.scene.features.face_tracks import Looker
+from humansim_ros.types import Array
+
+#: Features with a layer, in the order of their stages.
+LAYERS = ("reach", "keyframes", "hands", "face", "cloth")
+
+
+class Owner(Looker, Protocol):
+    """The human that a layer belongs to, as far as layers use it."""
+
+    @property
+    def name(self) -> str:
+        """Name in the scene."""
+
+    @property
+    def human(self) -> Human:
+        """The body."""
+
+    @property
+    def offset(self) -> float:
+        """Time that the motion is ahead of the scene, seconds of the scene."""
+
+    @property
+    def ahead(self) -> float:
+        """Time that the motion is ahead after a change while it played, seconds of its file."""
+
+    @property
+    def memory(self) -> dict[str, Any]:
+        """What its layers remember, by their names, until the human changes."""
+
+    def asking(self) -> SceneQuery:
+        """Knows the others of the scene. Raises MotionError if the human is in no scene."""
+
+    def space_at(self, times: Array) -> KeyframeSpace | None:
+        """Space of the motion, as keyframes move it, at scene times (N,); None without keyframes."""
+
+    def bones_at(self, times: Array) -> Array:
+        """Frames (N, B, 4, 4) of the bones, scaled, without reach, at scene times (N,)."""
+
+
+@dataclass
+class BodyPoses:
+    """A body at N times, while its layers pose it.
+
+    Attributes:
+        poses: Joints of the motion.
+        turns: Rotations (N, 4) by bone that replace those of the motion.
+        bones: Frames (N, J, 4, 4) of the joints that the skin follows.
+        joints: The same frames as they are published.
+        sizes: (N,) scale of the body.
+        values: Values (N, ...) next to the joints, after the same values at rest, by topic.
+    """
+
+    poses: JointPoses
+    turns: dict[str, Array] = field(default_factory=dict)
+    bones: Array = field(init=False)
+    joints: Array = field(init=False)
+    sizes: Array = field(init=False)
+    values: dict[str, tuple[Rated, Array]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class PoseLayer:
+    """One layer of the pose of a human. By default it changes nothing.
+
+    The motion player encodes layers into joints at the end of a motion, in the order of their stages. The
+    skinner takes these joints off again, in reverse order. Then it fits the body, and layers change the body.
+    A layer has settings and names, but no other human.
+
+    Attributes:
+        settings: What the layer does over time; None for nothing. A live sender may pose it all the same.
+    """
+
+    name: ClassVar[str]
+    stage: ClassVar[PoseStage]
+    #: Topic of the values next to the joints, and the argument of :meth:`Human.pose` for them; empty without.
+    topic: ClassVar[str] = ""
+
+    settings: Any = None
+
+    @classmethod
+    def of(cls, human: Human) -> PoseLayer | None:
+        """Layer of a body, without settings; None if the body has nothing that it could move."""
+        return cls()
+
+    @property
+    def rest(self) -> Rated | None:
+        """Values at rest that travel next to the joints; None for none."""
+        return None
+
+    # --- in the motion player
+
+    def encode(self, poses: JointPoses, seconds: float, human: Owner) -> JointPoses:
+        """Poses (N = 1) of the motion of a human at a scene time, changed, or with more joints at the end."""
+        return poses
+
+    # --- joints at any times, which others ask for
+
+    def bend(self, poses: JointPoses, times: Array, human: Owner) -> JointPoses:
+        """Poses of the motion at scene times (N,), changed before the fit."""
+        return poses
+
+    def place(self, joints: Array, times: Array, human: Owner) -> Array:
+        """Frames (N, J, 4, 4) of fitted joints at scene times (N,), changed."""
+        return joints
+
+    # --- in the skinner
+
+    def carries(self, joint: str) -> bool:
+        """Whether a joint of a motion is one that :meth:`encode` appends."""
+        return False
+
+    def sent(self, poses: JointPoses, human: Owner) -> tuple[str, ...]:
+        """Names of its joints in a message of any sender, in their order.
+
+        Raises:
+            MotionError: The joints cannot be decoded.
+        """
+        return tuple(name for name in poses.names if self.carries(name))
+
+    def take(self, poses: JointPoses) -> tuple[JointPoses, JointPoses]:
+        """Joint poses without its joints at the end, and poses of these joints."""
+        return poses.split(self.carries)
+
+    def before_fit(self, body: BodyPoses, own: JointPoses) -> Any:
+        """Change a body before the fit by joints of :meth:`take`; returns data for :meth:`after_fit`."""
+
+    def after_fit(self, body: BodyPoses, data: Any) -> None:
+        """Change a fitted body."""
+
+    def skinned(self, human: Human, values: Array) -> Array:
+        """Argument of :meth:`Human.pose` from values next to the joints."""
+        return values
+
+    def moved_bone(self, rated: Rated) -> int:
+        """Number of the bone that values move although the skin does not follow it; -1 for none."""
+        return -1
+
+    def undone(self, bone: Array, values: Array, size: float) -> Array:
+        """Frame (4, 4) of that bone without the motion by some values. ``size``: of the body."""
+        return bone
+
+
+def layers_of(human: Human) -> tuple[PoseLayer, ...]:
+    """Layers of a body, without settings, in the order of their stages."""
+    kinds: Mapping[str, Callable[[Human], PoseLayer | None]] = {
+        name: import_module(f"humansim_ros.scene.features.{name}.layer").LAYER.of for name in LAYERS
+    }
+    return tuple(layer for make in kinds.values() if (layer := make(human)) is not None)

@@ -1,0 +1,13 @@
+from humansim_ros.scene.truth.camera_truth import NOTHING as NOTHING
+from humansim_ros.scene.truth.camera_truth import OCCLUDED as OCCLUDED
+from humansim_ros.scene.truth.camera_truth import OUTSIDE as OUTSIDE
+from humansim_ros.scene.truth.camera_truth import PERSON as PERSON
+from humansim_ros.scene.truth.camera_truth import REQUIRED_CHANNELS as REQUIRED_CHANNELS
+from humansim_ros.scene.truth.camera_truth import SELF as SELF
+from humansim_ros.scene.truth.camera_truth import THING as THING
+from humansim_ros.scene.truth.camera_truth import VISIBLE as VISIBLE
+from humansim_ros.scene.truth.camera_truth import BodyBox as BodyBox
+from humansim_ros.scene.truth.camera_truth import CameraTruth as CameraTruth
+from humansim_ros.scene.truth.camera_truth import JointView as JointView
+from humansim_ros.scene.truth.camera_truth import KeypointView as KeypointView
+from humansim_ros.scene.truth.upright_boxes import UprightBox as UprightBox

@@ -1,0 +1,1 @@
+from humansim_ros.view.app import ViewApp as ViewApp

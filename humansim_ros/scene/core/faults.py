@@ -84,7 +84,7 @@ class FaultSchedule:
         timing: Frames of the scene in which it takes a picture; or the rate of a scene: in each.
 
     Example:
-        >>> from humansim_ros.scene.config.config.camera_config import ClockFault, FaultsConfig
+        >>> from humansim_ros.scene.config.camera_config import ClockFault, FaultsConfig
         >>> schedule = FaultSchedule(FaultsConfig(clock=ClockFault(offset=0.02)), "left", 30.0)
         >>> schedule.at(7).stamp_error
         20000000

@@ -75,8 +75,7 @@ def main() -> None:
     between = house_map.package_arrows()
     print("floor  package      modules    lines")
     for package in reversed(PACKAGES):
-        names = house_map.modules().items()
-        own = [path for name, path in names if house_map.new_name(name).partition("/")[0] == package]
+        own = [path for name, path in house_map.modules().items() if name.partition("/")[0] == package]
         print(f"{PACKAGES[package][0]:5}  {package:11} {len(own):8,} {lines_of(iter(own)):8,}")
     print(f"floors                     {len({floor for floor, _ in PACKAGES.values()}):8,}")
     print(f"imports between packages   {len(between):8,}")

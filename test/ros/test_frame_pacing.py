@@ -301,7 +301,7 @@ import sys
 import rclpy
 from sensor_msgs.msg import TimeReference
 from std_msgs.msg import Header
-from humansim_ros.ros.graph.graph.qos import ALIVE, CAMERA_ALIVE, DATA, SCENE_TIME
+from humansim_ros.ros.graph.qos import ALIVE, CAMERA_ALIVE, DATA, SCENE_TIME
 
 def report(frame):
     node.destroy_subscription(frames)

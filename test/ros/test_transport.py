@@ -38,7 +38,7 @@ SETTINGS = (
 PUBLISHER = """
 import sys, time
 import rclpy
-from humansim_ros.ros.graph.graph.qos import DATA
+from humansim_ros.ros.graph.qos import DATA
 from humansim_ros.ros.processes.runtime import prepare_transport
 from humansim_ros.errors import show_warnings
 from sensor_msgs.msg import Image
@@ -79,8 +79,8 @@ import subprocess, sys, time
 from pathlib import Path
 import rclpy
 from std_msgs.msg import Header
-from humansim_ros.ros.graph.graph.guarded_node import GuardedNode
-from humansim_ros.ros.graph.graph.qos import NEWEST
+from humansim_ros.ros.graph.guarded_node import GuardedNode
+from humansim_ros.ros.graph.qos import NEWEST
 from humansim_ros.ros.processes.runtime import make_executor, prepare_transport
 
 def own():
@@ -214,7 +214,7 @@ def test_fast_dds_accepts_every_profile(
     with_free_memory(monkeypatch, free)
     code = """
 import os, rclpy
-from humansim_ros.ros.graph.graph.transport import owned_names
+from humansim_ros.ros.graph.transport import owned_names
 rclpy.init()
 node = rclpy.create_node("node")
 print(*(os.stat(f"/dev/shm/{name}").st_size for name in owned_names(os.getpid()) if "port" not in name))

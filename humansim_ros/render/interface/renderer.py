@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, NoReturn, Protocol, TypeVar
+from typing import Any, Literal, NoReturn, Protocol, TypeVar, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -134,6 +134,21 @@ class Renderer(ABC):
         raise RenderError(
             "a renderer and its Simulation cannot be copied to another process: make one in each"
         )
+
+    @overload
+    def render(self, request: RenderRequest, /) -> View: ...
+
+    @overload
+    def render(
+        self,
+        bodies: Sequence[Body],
+        camera: Camera,
+        channels: Collection[str] = CHANNELS,
+        moving_camera: bool = False,
+        next_frame: AdjacentFrame | None = None,
+        previous_frame: AdjacentFrame | None = None,
+        backdrop: Backdrop | None = None,
+    ) -> View: ...
 
     def render(self, *request: Any, **fields: Any) -> View:
         """Render one view of a :class:`RenderRequest`.

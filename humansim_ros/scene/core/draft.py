@@ -48,11 +48,10 @@ class Draft:
     actors: dict[str, Actor] = field(default_factory=dict)
     objects: dict[str, SceneObject] = field(default_factory=dict)
     world: World = field(default_factory=World)
+    scanners: dict[str, SceneScanner] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.world.people = self.actors
-
-    scanners: dict[str, SceneScanner] = field(default_factory=dict)
 
     @classmethod
     def begin(cls, config: SceneConfig, source: SceneSource) -> Draft:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
 from typing import Any, ClassVar, Protocol
@@ -156,7 +155,6 @@ class PoseLayer:
 
 def layers_of(human: Human) -> tuple[PoseLayer, ...]:
     """Layers of a body, without settings, in the order of their stages."""
-    kinds: Mapping[str, Callable[[Human], PoseLayer | None]] = {
-        name: import_module(f"humansim_ros.scene.features.{name}.layer").LAYER.of for name in LAYERS
-    }
-    return tuple(layer for make in kinds.values() if (layer := make(human)) is not None)
+    modules = (import_module(f"humansim_ros.scene.features.{name}.layer") for name in LAYERS)
+    made: list[PoseLayer | None] = [module.LAYER.of(human) for module in modules]
+    return tuple(layer for layer in made if layer is not None)

@@ -52,7 +52,7 @@ import pickle_files  # noqa: E402
 
 from humansim_ros.cameras import Camera, read_calibration, write_calibration  # noqa: E402
 from humansim_ros.cameras.camera.placement import read_floor_points  # noqa: E402
-from humansim_ros.cameras.camera.trajectory import End, Trajectory  # noqa: E402
+from humansim_ros.cameras.camera.rigs import End, Trajectory  # noqa: E402
 from humansim_ros.cameras.formats.all_formats import FORMATS  # noqa: E402
 from humansim_ros.cameras.formats.checks import image_size  # noqa: E402
 from humansim_ros.cli.camera import describe_camera  # noqa: E402

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from humansim_ros.cameras import Camera
-from humansim_ros.cameras.camera.trajectory import Trajectory
+from humansim_ros.cameras.camera.rigs import Trajectory
 from humansim_ros.errors import CameraError, HumansimWarning
 
 RNG = np.random.default_rng(7)

@@ -11,7 +11,7 @@ import pytest
 from evaluate_support import NAMES, PERIOD, changed, walking
 
 from humansim_ros import Scene
-from humansim_ros.cameras.camera.trajectory import Trajectory
+from humansim_ros.cameras.camera.rigs import Trajectory
 from humansim_ros.data.bags.chunks import BagMessage, encode_chunk
 from humansim_ros.data.bags.topics import BagTopic, message_types
 from humansim_ros.data.bags.writer import BagWriter

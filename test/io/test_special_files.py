@@ -21,7 +21,7 @@ from waiting import PATIENCE
 
 from humansim_ros.cameras import Camera, read_calibration
 from humansim_ros.cameras.camera.placement import read_floor_points
-from humansim_ros.cameras.camera.trajectory import Trajectory
+from humansim_ros.cameras.camera.rigs import Trajectory
 from humansim_ros.cameras.formats.checks import image_size, size_of_named_image
 from humansim_ros.errors import HumansimError, HumansimWarning
 from humansim_ros.files.mesh.gltf_document import Gltf

@@ -10,9 +10,7 @@ import numpy as np
 import pytest
 
 from humansim_ros.cameras.camera import trajectory
-from humansim_ros.cameras.scanner.models import Layout
-from humansim_ros.cameras.scanner.pattern import Pattern, Rays, spinning
-from humansim_ros.cameras.scanner.returns import Measuring, Returns
+from humansim_ros.cameras.scanner.models import Layout, Measuring, Pattern, Rays, Returns, spinning
 from humansim_ros.data import messages
 from humansim_ros.data.messages.points import point_rows
 from humansim_ros.scene.features.scanners.scanner import SceneScanner

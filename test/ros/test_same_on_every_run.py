@@ -16,7 +16,7 @@ from conftest import ROOT
 from keyframe_text import keyframes
 from ros_support import Client, Lockstep, write_scene
 
-from humansim_ros.cameras.camera.trajectory import Trajectory
+from humansim_ros.cameras.camera.rigs import Trajectory
 from humansim_ros.data import messages
 from humansim_ros.geometry import unit_quaternions
 from humansim_ros.scene import Scene, Simulation

@@ -7,9 +7,8 @@ import pytest
 import trimesh
 from numpy.typing import NDArray
 
-from humansim_ros.cameras.scanner.casting import Hits, MovingTriangles, Poses, Shot
-from humansim_ros.cameras.scanner.pattern import Rays, oscillating, raster, rosette, spinning
-from humansim_ros.cameras.scanner.ray_index import RayIndex
+from humansim_ros.cameras.scanner.casting import Hits, MovingTriangles, Poses, RayIndex, Shot
+from humansim_ros.cameras.scanner.models import Rays, oscillating, raster, rosette, spinning
 from humansim_ros.types import Array
 
 IDENTITY = np.array([[0.0, 0.0, 0.0, 1.0]])

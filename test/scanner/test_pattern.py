@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from humansim_ros.cameras.scanner.models import MODELS
-from humansim_ros.cameras.scanner.pattern import SUBRAYS, rosette, spinning
+from humansim_ros.cameras.scanner.models import MODELS, SUBRAYS, rosette, spinning
 
 #: Elevation in degrees of each ring, as the driver has it: velodyne_pointcloud (vert_correction by rank, in
 #: VLP16db.yaml and 32db.yaml), ouster-ros (ring is the row of beam_altitude_angles; even ones here), nebula

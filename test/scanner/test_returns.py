@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from humansim_ros.cameras.scanner.reflectivities import reflectivity
-from humansim_ros.cameras.scanner.returns import ONLY, STRONGEST_FIRST, WEAK_LAST, Measuring, Returns, measure
+from humansim_ros.cameras.scanner.models import ONLY, STRONGEST_FIRST, WEAK_LAST, Measuring, Returns, measure
+from humansim_ros.cameras.sensor.depth import reflectivity
 from humansim_ros.files.mesh.mesh import Mesh
 
 

@@ -10,8 +10,7 @@ import cv2
 import numpy as np
 from keyframe_text import keyframes
 
-from humansim_ros.cameras.scanner.models import MODELS, Layout
-from humansim_ros.cameras.scanner.returns import IntensityMode
+from humansim_ros.cameras.scanner.models import MODELS, IntensityMode, Layout
 
 #: Side of all images, pixels.
 SIZE = [64, 48]

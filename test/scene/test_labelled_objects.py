@@ -26,7 +26,7 @@ from render_scenes import (
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.cameras import Camera
-from humansim_ros.cameras.camera.trajectory import Trajectory
+from humansim_ros.cameras.camera.rigs import Trajectory
 from humansim_ros.errors import RenderError, SceneError
 from humansim_ros.render import ALL_CHANNELS, CHANNELS, AdjacentFrame, Body, RendererName
 from humansim_ros.scene import Frame, Scene, Simulation

@@ -19,7 +19,7 @@ from opencv_support import opencv_pixels
 from render_scenes import EACH_RENDERER, body, box, quad, renderer_or_skip, walkers
 
 from humansim_ros.cameras import Camera
-from humansim_ros.cameras.camera.trajectory import Trajectory
+from humansim_ros.cameras.camera.rigs import Trajectory
 from humansim_ros.people import KeypointLocator, keypoint_set
 from humansim_ros.people.humans.human import joint_surfaces
 from humansim_ros.render import Body, RendererName, View

@@ -12,7 +12,7 @@ import pytest
 from ros_support import write_scene
 
 from humansim_ros import Scene, Simulation, load_human
-from humansim_ros.cameras.camera.trajectory import Trajectory
+from humansim_ros.cameras.camera.rigs import Trajectory
 from humansim_ros.data.bags.chunks import BagMessage, encode_chunk
 from humansim_ros.data.bags.reader import BagReader
 from humansim_ros.data.bags.topics import BagTopic, Qos

@@ -2,7 +2,6 @@ from humansim_ros.cameras.camera.camera import Camera as Camera
 from humansim_ros.cameras.camera.camera import Region as Region
 from humansim_ros.cameras.camera.camera import look_at_pose as look_at_pose
 from humansim_ros.cameras.camera.camera import pinhole_of_fov as pinhole_of_fov
-from humansim_ros.cameras.camera.coverage import Coverage as Coverage
 from humansim_ros.cameras.camera.ideal import Ideal as Ideal
 from humansim_ros.cameras.camera.ideal import idealize as idealize
 from humansim_ros.cameras.camera.ideal import rectify as rectify
@@ -15,6 +14,7 @@ from humansim_ros.cameras.camera.placement import parse_floor_point as parse_flo
 from humansim_ros.cameras.camera.placement import place_by_floor as place_by_floor
 from humansim_ros.cameras.camera.placement import place_by_level as place_by_level
 from humansim_ros.cameras.camera.placement import read_floor_points as read_floor_points
+from humansim_ros.cameras.camera.rigs import Coverage as Coverage
 from humansim_ros.cameras.camera.rigs import Optics as Optics
+from humansim_ros.cameras.camera.rigs import Trajectory as Trajectory
 from humansim_ros.cameras.camera.rigs import ring as ring
-from humansim_ros.cameras.camera.trajectory import Trajectory as Trajectory

@@ -25,7 +25,7 @@ from humansim_ros.cameras.formats.base import (
     metres_of,
 )
 from humansim_ros.cameras.formats.colmap import COLMAP_MODELS
-from humansim_ros.cameras.formats.texts import BRACKETS, text_document
+from humansim_ros.cameras.formats.syntax import BRACKETS, text_document
 from humansim_ros.errors import CameraError
 from humansim_ros.files.reading import read_table
 from humansim_ros.types import Array, ImageSize

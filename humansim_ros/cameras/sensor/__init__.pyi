@@ -1,9 +1,9 @@
+from humansim_ros.cameras.sensor.config import DepthSensorConfig as DepthSensorConfig
 from humansim_ros.cameras.sensor.config import SensorConfig as SensorConfig
 from humansim_ros.cameras.sensor.depth import DepthSensor as DepthSensor
 from humansim_ros.cameras.sensor.depth import Millimetres as Millimetres
 from humansim_ros.cameras.sensor.depth import aligned as aligned
 from humansim_ros.cameras.sensor.depth import metres as metres
 from humansim_ros.cameras.sensor.depth import points_of as points_of
-from humansim_ros.cameras.sensor.depth_config import DepthSensorConfig as DepthSensorConfig
 from humansim_ros.cameras.sensor.sensor import Sensor as Sensor
 from humansim_ros.cameras.sensor.sensor import generator as generator

@@ -28,8 +28,8 @@ from motion_files import (
 from humansim_ros.cli import main as cli
 from humansim_ros.errors import HumansimError, HumansimWarning, MotionError
 from humansim_ros.motion import Motion, match_motion, read_bvh
-from humansim_ros.motion.matching.joint_match import LOW_CONFIDENCE, MIN_CONFIDENCE
-from humansim_ros.motion.matching.joint_matching import look_at_body
+from humansim_ros.motion.matching.joint_tables import LOW_CONFIDENCE, MIN_CONFIDENCE
+from humansim_ros.motion.matching.person import look_at_body
 from humansim_ros.scene import Scene
 
 #: Name, role, parent and OFFSET (centimetres, y up, facing +z) of a dog that stands; left side.

@@ -25,7 +25,7 @@ from humansim_ros.errors import HumansimError
 from humansim_ros.geometry import WORLD_FROM_BODY, angle_between
 from humansim_ros.motion import hanim_skeleton, read_bvh
 from humansim_ros.motion.matching.file_frame import BodyLines, detect_file_frame
-from humansim_ros.motion.matching.joint_matching import match_motion
+from humansim_ros.motion.matching.person import match_motion
 from humansim_ros.motion.motion.world_motion import WorldMotion
 from humansim_ros.motion.pose.contacts import FootContacts
 from humansim_ros.motion.pose.retarget import Retargeter, RetargetMode

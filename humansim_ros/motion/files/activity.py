@@ -22,7 +22,7 @@ from humansim_ros.files.reading import resource_path
 from humansim_ros.geometry import smooth_step
 from humansim_ros.motion.body.kinematics import Motion
 from humansim_ros.motion.files.bvh import read_bvh
-from humansim_ros.motion.matching.joint_match import opposite_joints
+from humansim_ros.motion.matching.joint_tables import opposite_joints
 from humansim_ros.types import Array
 
 #: Kinds of activity. ``around``: stand, talk, sit, walk on errands; ``desk``: sit, write, eat; ``standing``:

@@ -1,22 +1,28 @@
 """Motions of labelled points in TRC and C3D files. The points are joints, or markers on the skin that give
 the joints.
 
-Hip centres follow the regression of [Harrington 2007]. A knee, an ankle or an elbow is midway between its two
-markers. If there is only the lateral marker, the joint is half its width inwards from it. The shoulder is
-below the acromion. Limbs get the shortest rotation from their parent, and their joints keep their places in
-the file. Arms or a trunk without markers stay at rest.
+Names show which points are joints or markers of a person. Hip centres follow the regression of [Harrington
+2007]. A knee, an ankle or an elbow is midway between its two markers. If there is only the lateral marker,
+the joint is half its width inwards from it. The shoulder is below the acromion. Limbs get the shortest
+rotation from their parent, and their joints keep their places in the file. Arms or a trunk without markers
+stay at rest.
 """
 
 from __future__ import annotations
 
+import functools
 import os
+import re
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import yaml
+from numpy.typing import NDArray
 
 from humansim_ros.errors import MotionError, some_of, unknown, warn_about
+from humansim_ros.files.reading import resource_path
 from humansim_ros.geometry import (
     are_rotations,
     nearest_axis,
@@ -27,9 +33,155 @@ from humansim_ros.geometry import (
     unit_vectors,
 )
 from humansim_ros.motion.body.kinematics import Motion, motion_of_rotations
-from humansim_ros.motion.files.marker_files import MarkerFile, likely_scale, read_c3d_points, read_trc_points
-from humansim_ros.motion.files.marker_names import NEEDED, NEEDED_MARKERS, SIDES, Marks, is_seen, people_of
+from humansim_ros.motion.files.marker_files import (
+    MarkerFile,
+    label_parts,
+    likely_scale,
+    read_c3d_points,
+    read_trc_points,
+)
+from humansim_ros.motion.matching.by_name import loose_keys, loose_table_key
+from humansim_ros.motion.matching.joint_tables import right_name
 from humansim_ros.types import Array, Indices
+
+_SIDES = ("Left", "Right")
+#: A point that is farther from the origin (metres) was not seen.
+_MAX_DISTANCE = 1e4
+#: Shortest and longest distance between the acromions, and from their middle to the middle of both ASIS;
+#: metres.
+_SHOULDER_WIDTH, _TRUNK_LENGTH = (0.2, 0.55), (0.25, 0.75)
+#: Parts that a person needs on both sides.
+_NEEDED = ("Hip", "Knee", "Shoulder", "Elbow")
+_NEEDED_MARKERS = ("ASIS", "KneeLateral", "Acromion", "ElbowLateral")
+#: Letter that Xsens writes before the names of points: ``pLeftASI``.
+_XSENS = re.compile(r"^p(?=(Left|Right|C7|IJ|Sacrum|TopOf|BackOf))")
+#: A side within a name: ``WaistLFront``.
+_INNER_SIDE = re.compile(r"(?<![A-Za-z])([A-Z][a-z]+)([LR])(?=[A-Z][a-z])")
+
+
+@dataclass(frozen=True)
+class _Marks:
+    """Points of a person.
+
+    Attributes:
+        labels: Labels of the file.
+        kind: ``joints`` or ``markers``.
+        numbers: Landmark -> number of its point.
+        missing: Landmarks that a person needs, but that have no point.
+        held: Parts without points. They stay at rest.
+    """
+
+    labels: tuple[str, ...]
+    kind: str
+    numbers: Mapping[str, int]
+    missing: tuple[str, ...]
+    held: tuple[str, ...] = ()
+
+
+def _people_of(file: MarkerFile) -> dict[str, _Marks]:
+    """Find the points of each person in a file, by the name before the labels. Points that are never seen are
+    left out."""
+    groups: dict[str, list[int]] = {}
+    seen = _is_seen(file.points).any(axis=0)
+    for number in np.flatnonzero(seen | ~seen.any()).tolist():
+        groups.setdefault(label_parts(file.labels[number])[0], []).append(number)
+    return {name: _marks(file, numbers) for name, numbers in groups.items()}
+
+
+def _is_seen(points: Array) -> NDArray[np.bool_]:
+    """Whether points (..., 3) were seen. Some files write zeros for points that were not seen."""
+    return np.asarray((np.abs(points) < _MAX_DISTANCE).all(axis=-1) & points.any(axis=-1))
+
+
+def _marks(file: MarkerFile, numbers: Sequence[int]) -> _Marks:
+    labels = [label_parts(file.labels[number])[1] for number in numbers]
+    # A letter counts as a side only if the other side exists. The other side is added here, so that one
+    # missing point does no harm
+    spelt = [_INNER_SIDE.sub(r"\2\1", _XSENS.sub("", label)) for label in labels]
+    keys = loose_keys((*spelt, *_other_sides(spelt)))[: len(labels)]
+    by_key = dict(reversed(list(zip(keys, numbers, strict=True))))  # of equal keys, the first counts
+    markers, joints = _named("markers", by_key), _named("joints", by_key)
+    markers |= _spare(file, markers, by_key)
+    held_markers = _held(markers, ("Acromion", "ElbowLateral", "AnkleLateral"))
+    held_joints = _held(joints, ("Shoulder", "Elbow", "Ankle"))
+    if len(_named("leg_joints", by_key)) < 6:
+        held_joints = ()
+
+    def missing(found: Mapping[str, int], parts: Sequence[str], held: Sequence[str]) -> list[str]:
+        parts = parts[: len(parts) - len(held)]  # parts are removed from the lower end
+        return [side + part for part in parts for side in _SIDES if side + part not in found]
+
+    lacking_markers = missing(markers, _NEEDED_MARKERS, held_markers)
+    if "Sacrum" not in markers and not {"LeftPSIS", "RightPSIS"} <= markers.keys():
+        lacking_markers.append("Sacrum or both PSIS")
+    lacking_joints = missing(joints, _NEEDED, held_joints)
+    # joints that the file itself has computed come first. Markers of the pelvis show the kind of the file
+    has_pelvis = {"LeftASIS", "RightASIS"} <= markers.keys()
+    centres = any(key.endswith("hjc") for key in by_key)
+    if not lacking_joints and (centres or not has_pelvis):
+        return _Marks(tuple(labels), "joints", joints, (), held_joints)
+    if has_pelvis or len(lacking_markers) < len(lacking_joints):
+        return _Marks(tuple(labels), "markers", markers, tuple(lacking_markers), held_markers)
+    return _Marks(tuple(labels), "joints", joints, tuple(lacking_joints), held_joints)
+
+
+def _spare(file: MarkerFile, markers: Mapping[str, int], by_key: Mapping[str, int]) -> dict[str, int]:
+    """Landmarks that ``markers`` lacks, with names in the table of spare markers."""
+    free = {key: number for key, number in by_key.items() if number not in markers.values()}
+    spare = {name: number for name, number in _named("spare_markers", free).items() if name not in markers}
+    if {"LeftPSIS", "RightPSIS"} <= markers.keys():
+        spare.pop("Sacrum", None)
+    ends = [{**markers, **spare}.get(side + part) for part in ("Acromion", "ASIS") for side in _SIDES]
+    if None not in ends:
+        points = file.points[:, [number for number in ends if number is not None]]
+        points = points[_is_seen(points).all(axis=1)]
+        left, right, *hips = np.moveaxis(points, 1, 0)
+        lines = (left - right, _SHOULDER_WIDTH), ((left + right - hips[0] - hips[1]) / 2, _TRUNK_LENGTH)
+        lengths = [(np.linalg.norm(line, axis=-1), limits) for line, limits in lines]
+    if None in ends or not all(len(size) and low < np.median(size) < high for size, (low, high) in lengths):
+        spare = {name: number for name, number in spare.items() if "Acromion" not in name}
+    return spare
+
+
+def _held(found: Mapping[str, int], parts: tuple[str, str, str]) -> tuple[str, ...]:
+    """Parts of the upper body that a file of legs has left out on both sides, the lowest first. ``parts``:
+    names of shoulder, elbow and ankle."""
+    shoulder, elbow, ankle = (sum(side + part in found for side in _SIDES) for part in parts)
+    if ankle < 2 or elbow or shoulder == 1:
+        return ()
+    return ("the arms",) if shoulder else ("trunk, head", "arms")
+
+
+def _other_sides(labels: Sequence[str]) -> list[str]:
+    """Names of the same points on the other side."""
+    others = [right_name(label) for label in labels]
+    for label in labels:
+        for right, left in (("Right", "Left"), ("right", "left"), ("R", "L"), ("r", "l")):
+            other = left + label.removeprefix(right)
+            if label.startswith(right) and right_name(other) == label:
+                others.append(other)
+    return [other for other in others if other is not None and other not in labels]
+
+
+@functools.cache
+def _tables() -> Mapping[str, Mapping[str, Sequence[str]]]:
+    """Tables of names by landmark, from config/marker_names.yaml."""
+    return dict(yaml.safe_load(resource_path("config/marker_names.yaml").read_text(encoding="utf-8")))
+
+
+def _named(table: str, by_key: Mapping[str, int]) -> dict[str, int]:
+    """Number of the point of each landmark of a table. A point can be only one landmark."""
+    found: dict[str, int] = {}
+    for landmark, words in _tables()[table].items():
+        for side in _SIDES if landmark.startswith("Left") else ("",):
+            for word in words:
+                key = loose_table_key(landmark, word)
+                number = by_key.get(key.replace("left", "right", 1) if side == "Right" else key)
+                if number is not None and number not in found.values():
+                    found[side + landmark.removeprefix("Left")] = number
+                    break
+    return found
+
 
 #: Largest file (bytes), and most labels and points of a file.
 _MAX_BYTES, _MAX_LABELS, _MAX_POINTS = 1 << 29, 2000, 50_000_000
@@ -99,10 +251,10 @@ def motion_of_points(path: str | os.PathLike[str], found: MarkerFile, person: st
         raise MotionError(message, path=path)
     if not len(found.points):
         raise MotionError("no frames" if found.labels else "the file has no points", path=path)
-    people = people_of(found)
+    people = _people_of(found)
     if found.segments is not None and all(marks.missing for marks in people.values()):
         found = found.segments
-        people = people_of(found)
+        people = _people_of(found)
     complete = {name: marks for name, marks in people.items() if not marks.missing}
     if person is not None and person not in people:
         raise MotionError(unknown("person", person, people), path=path)
@@ -116,7 +268,7 @@ def motion_of_points(path: str | os.PathLike[str], found: MarkerFile, person: st
     if chosen is None:
         chosen = min(people.values(), key=lambda marks: len(marks.missing))
     if chosen.missing:
-        unseen = np.array(found.labels)[~is_seen(found.points).any(axis=0)]
+        unseen = np.array(found.labels)[~_is_seen(found.points).any(axis=0)]
         raise MotionError(
             f"the points do not make up a person: {', '.join(chosen.missing)} are missing for a set of "
             f"{chosen.kind}; found {some_of(chosen.labels, 8)}"
@@ -161,7 +313,7 @@ def _mirrored_axis(points: Points, kind: str) -> int | None:
         _middle(points, shoulder) if "Left" + shoulder in points else 2 * hips - _middle(points, knee)
     ) - hips
     signs = []  # lines that go up, and lines that go ahead
-    for side in SIDES:
+    for side in _SIDES:
         if {side + ankle, side + "Toe"} <= points.keys():
             shank = points[side + knee] - points[side + ankle]
             signs.append((shank, points[side + "Toe"] - points.get(side + "Heel", points[side + ankle])))
@@ -175,18 +327,18 @@ def _mirrored_axis(points: Points, kind: str) -> int | None:
     return 1 if nearest_axis(trunk.mean(axis=0))[2] else 2
 
 
-def _filled(path: Path, file: MarkerFile, marks: Marks) -> tuple[dict[str, Array], Indices]:
+def _filled(path: Path, file: MarkerFile, marks: _Marks) -> tuple[dict[str, Array], Indices]:
     """Fill the gaps of the landmarks. Returns points (F, 3) by landmark, and the numbers (F) of their
     frames."""
     count = len(file.points)
-    known = {landmark: is_seen(file.points[:, number]) for landmark, number in marks.numbers.items()}
+    known = {landmark: _is_seen(file.points[:, number]) for landmark, number in marks.numbers.items()}
     present = np.flatnonzero(np.mean([*known.values()], axis=0) >= _LEAST_SEEN)
     if not len(present):
         raise MotionError(f"no frame has {_LEAST_SEEN:.0%} of the points of the person", path=path)
     stays = np.split(present, np.flatnonzero(np.diff(present) > _MOST_ABSENT) + 1)
     stay = max(stays, key=np.ptp)
     first, last = int(stay[0]), int(stay[-1]) + 1
-    needed = {*(NEEDED_MARKERS if marks.kind == "markers" else NEEDED)}
+    needed = {*(_NEEDED_MARKERS if marks.kind == "markers" else _NEEDED)}
     if marks.held:
         needed |= {"AnkleLateral", "Ankle"}
     seldom = []
@@ -280,7 +432,7 @@ def _hold(path: Path, joints: Mapping[str, Array], held: Sequence[str]) -> dict[
     """Add the parts in ``held``: a trunk upright over the hips, and arms that hang down."""
     links = [
         float(np.median(np.linalg.norm(joints[side + above] - joints[side + below], axis=1)))
-        for side in SIDES
+        for side in _SIDES
         for above, below in (("Hip", "Knee"), ("Knee", "Ankle"))
     ]
     stature, out = sum(links) / 2 / _LEG, dict(joints)
@@ -404,10 +556,10 @@ def _hinge(lateral: Array, shoulder: Array, wrist: Array, sign: float) -> Array:
 
 
 _HEAD_MARKERS = (
-    *(f"{side}{end}Head" for side in SIDES for end in ("Front", "Back")),
+    *(f"{side}{end}Head" for side in _SIDES for end in ("Front", "Back")),
     *("FrontHead", "RearHead"),
 )
-_ALL_JOINTS = {name.replace("Left", side) for name in _TREE for side in SIDES}
+_ALL_JOINTS = {name.replace("Left", side) for name in _TREE for side in _SIDES}
 
 
 def _motion(path: Path, joints: dict[str, Array], pelvis: Array | None, frame_time: float) -> Motion:
@@ -427,7 +579,7 @@ def _motion(path: Path, joints: dict[str, Array], pelvis: Array | None, frame_ti
         own["Neck"] = own["Head"] = _axes(joints["LeftShoulder"] - joints["RightShoulder"], above)
     done: dict[str, Array] = {}
     for key, (above_key, direction) in _TREE.items():
-        for side in SIDES if key.startswith("Left") else ("Left",):
+        for side in _SIDES if key.startswith("Left") else ("Left",):
             name, parent = key.replace("Left", side), above_key.replace("Left", side)
             if name not in joints or (parent and parent not in done):
                 continue

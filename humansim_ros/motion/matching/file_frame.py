@@ -12,7 +12,7 @@ from humansim_ros.errors import MotionError
 from humansim_ros.geometry import WORLD_FROM_BODY, angle_between, nearest_axis, unit_vectors
 from humansim_ros.motion.body.kinematics import Motion
 from humansim_ros.motion.body.skeleton import Skeleton
-from humansim_ros.motion.matching.joint_match import JointMatch
+from humansim_ros.motion.matching.joint_tables import JointMatch
 from humansim_ros.types import Array
 
 #: Trunk, legs, hips and shoulders count as those of a standing person up to these angles (degrees).

@@ -25,7 +25,7 @@ from humansim_ros.geometry import (
 )
 from humansim_ros.motion.body.kinematics import JointPoses, Motion
 from humansim_ros.motion.matching.file_frame import FileFrame
-from humansim_ros.motion.matching.joint_match import JointMatch, opposite_joints
+from humansim_ros.motion.matching.joint_tables import JointMatch, opposite_joints
 from humansim_ros.motion.motion.pace import pace_warning
 from humansim_ros.types import Array, Indices
 

@@ -20,7 +20,7 @@ from humansim_ros.geometry import (
 from humansim_ros.motion.body.kinematics import JointPoses
 from humansim_ros.motion.body.skeleton import Skeleton
 from humansim_ros.motion.matching.file_frame import BodyLines
-from humansim_ros.motion.matching.joint_match import JointMatch
+from humansim_ros.motion.matching.joint_tables import JointMatch
 from humansim_ros.types import Array, Indices
 
 #: Rotations of pelvis, chest and feet that are computed from positions. In arrays, they come in this order

@@ -32,7 +32,7 @@ from humansim_ros.motion.pose.hand_keys import MAX_SECONDS, HandKey, HandPoseNam
 from humansim_ros.types import Array, Indices
 
 if TYPE_CHECKING:
-    from humansim_ros.motion.matching.joint_match import JointMatch
+    from humansim_ros.motion.matching.joint_tables import JointMatch
     from humansim_ros.motion.motion.world_motion import WorldMotion
 
 #: Angles (15, 3) of each pose, degrees: flexion, spread and twist of the joints. The first finger is the

@@ -19,8 +19,8 @@ from humansim_ros.motion.body.skeleton import Skeleton, hanim_skeleton
 from humansim_ros.motion.files.bvh import PositionChannels
 from humansim_ros.motion.files.files import read_motion
 from humansim_ros.motion.matching.file_frame import axis_vector, detect_file_frame
-from humansim_ros.motion.matching.joint_match import JointMatch
-from humansim_ros.motion.matching.joint_matching import match_motion
+from humansim_ros.motion.matching.joint_tables import JointMatch
+from humansim_ros.motion.matching.person import match_motion
 from humansim_ros.motion.motion.world_motion import (
     WorldMotion,
     floor_height,

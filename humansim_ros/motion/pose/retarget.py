@@ -26,7 +26,7 @@ from humansim_ros.motion.body.hands import FINGER_BONES
 from humansim_ros.motion.body.kinematics import JointPoses
 from humansim_ros.motion.body.skeleton import Skeleton
 from humansim_ros.motion.matching.file_frame import BodyLines
-from humansim_ros.motion.matching.joint_match import JointMatch
+from humansim_ros.motion.matching.joint_tables import JointMatch
 from humansim_ros.motion.motion.world_motion import WorldMotion, floor_height
 from humansim_ros.motion.pose.bone_drivers import (
     LINE_ROTATIONS,

@@ -15,8 +15,7 @@ import numpy as np
 
 from humansim_ros.geometry import unit_vectors
 from humansim_ros.motion.body.kinematics import Motion
-from humansim_ros.motion.matching.joint_match import MIN_CONFIDENCE, JointMatch, match_roles
-from humansim_ros.motion.matching.joint_tables import JointTable
+from humansim_ros.motion.matching.joint_tables import MIN_CONFIDENCE, JointMatch, JointTable, match_roles
 from humansim_ros.types import Array
 
 #: Two branches are a pair if their lengths differ by this share at most.

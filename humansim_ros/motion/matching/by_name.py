@@ -1,17 +1,21 @@
-"""Match the joints of a motion to the bones of a skeleton: by names first, and by shape if names fail.
+"""Match joints to bones by the names of the joints.
 
 Names are compared in a common spelling: without a common prefix, with left and right found from pairs of
-names. Animals on four legs are refused. Because a person may crawl, several signs of an animal must come
-together.
+names. For fingers, one table of words serves the names of all programs: Mixamo and HumanIK
+``LeftHandIndex1``, VRM and Unity ``leftIndexProximal``, Unreal ``index_01_l``, Biped ``L Finger11``, Rigify
+``f_index.01.L``, SMPL-X ``left_index1``, Xsens ``LeftSecondPP``, Rokoko ``LeftFinger2Proximal``, MakeHuman
+``finger2-1.L``, Daz ``lIndex1``, ARKit ``left_handIndex_1_joint``, MikuMikuDance ``左人指１``, H-Anim 2
+``l_carpal_proximal_interphalangeal_2``.
 """
 
 from __future__ import annotations
 
+import itertools
 import os
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -19,175 +23,228 @@ import numpy as np
 
 from humansim_ros.errors import MotionError, unknown
 from humansim_ros.files.reading import exists
-from humansim_ros.geometry import lengths_of, rotate, unit_vectors
+from humansim_ros.geometry import lengths_of, rotate
+from humansim_ros.motion.body.joint_names import DETAIL_BONES, FINGERS, JOINT_NAMES
 from humansim_ros.motion.body.kinematics import Motion, refuse_cycle
-from humansim_ros.motion.matching.detail_joints import detail_joints
-from humansim_ros.motion.matching.joint_match import (
-    ARM_BONES,
-    MIN_CONFIDENCE,
-    REQUIRED_BONES,
-    JointMatch,
-    match_roles,
-)
 from humansim_ros.motion.matching.joint_tables import (
+    ARM_BONES,
+    REQUIRED_BONES,
     REQUIRED_ROLES,
+    JointMatch,
     JointTable,
     built_in_tables,
     comparison_key,
     load_table,
+    match_roles,
     plain_name,
 )
-from humansim_ros.motion.matching.skeleton_matching import match_shape
 from humansim_ros.types import Array, Indices
 
-#: Most frames that are examined, spread over the motion.
-_MAX_SAMPLES = 100
-#: The trunk stands on the legs if the cosine of the angle between two directions (hips to shoulders, hips to
-#: ankles) is at most this value.
-_STANDING = -0.7
-#: A body is on all fours if the trunk is not opposite to the legs, and arms and legs point to the same side.
-#: These are limits of the cosines.
-_TRUNK_TO_LEGS, _ARMS_TO_LEGS = -0.6, 0.3
-#: Legs of an animal are shorter than the first value, as a multiple of the trunk. Its arms are longer than
-#: the second, as a multiple of the legs. People have 1.5 to 2.3 and 0.54 to 0.68; dogs, cats and horses have
-#: 0.7 and 0.9 to 1.0.
-_SHORT_LEGS, _LONG_ARMS = 1.0, 0.8
-#: A body with one sign is an animal if it is on all fours in this share of the frames. A body with two signs
-#: is an animal if the trunk is opposite to the legs in less than the second share.
-_FOURS, _UPRIGHT = 0.9, 0.5
-#: The confidence is multiplied by the first value for an animal, and by the second for a body that may be an
-#: animal.
-_ANIMAL, _DOUBTFUL = 0.05, 0.5
-#: Parts that a body must have on a side to be examined.
-_PARTS = ("Hip", "Knee", "Shoulder", "Elbow")
-_TAIL = re.compile(r"tail(?!or)", re.IGNORECASE)
+#: Words in names that mean a finger.
+_FINGER_WORDS = {
+    "thumb": "thumb",
+    **dict.fromkeys(("index", "pointer"), "index"),
+    **dict.fromkeys(("middle", "mid"), "middle"),
+    "ring": "ring",
+    **dict.fromkeys(("pinky", "pinkie", "little"), "pinky"),
+}
+_ORDINALS = dict(zip(("first", "second", "third", "fourth", "fifth"), FINGERS, strict=True))
+_SIDE_WORDS = {"left": "l", "l": "l", "right": "r", "r": "r"}
+#: Words in names that mean a segment. Metacarpals of fingers are in the palm, so only that of the thumb moves
+#: a bone.
+_SEGMENTS = {
+    **dict.fromkeys(("metacarpal", "mc", "start"), "metacarpal"),
+    **dict.fromkeys(("proximal", "pp"), "proximal"),
+    **dict.fromkeys(("intermediate", "medial", "mp"), "intermediate"),
+    **dict.fromkeys(("distal", "dp"), "distal"),
+    **dict.fromkeys(("tip", "nub", "end"), "tip"),
+}
+#: Joints with these words belong to controls of a rig, not to the hand.
+_OTHER = {"ik", "ctrl", "control", "target", "pole", "twist", "helper", "roll", "in", "carpal", "toe"}
+#: Words that the name of an eye or a jaw may have in addition to its side.
+_FACE_WORDS = {"joint", "bone", "cc", "base", "def", "m", "j", "adj", "face", "smplhf", "lower", "root"}
+_FACE = {"eye": "eyeball_joint", "eyeball": "eyeball_joint", "jaw": "temporomandibular"}
+_WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+")
+#: Words without a separator between them: ``lthumb``, ``lefthandindex``, ``ringfinger``.
+_FUSED = re.compile(rf"(left|right|l|r)?(?:hand)?({'|'.join([*_FINGER_WORDS, 'finger'])})(?:finger)?")
+#: Word of Biped for the end of a finger. Biped counts fingers from 0.
+_NUB = re.compile("nub", re.IGNORECASE)
+_MMD = re.compile(r"([左右])(?:([親人中薬小])差?指([0-3０-３])|(目))$")
+_MMD_FINGERS = dict(zip("親人中薬小", FINGERS, strict=True))
+#: Joints of H-Anim 2 by the finger and its number, and the segments of H-Anim 2 that rotate with these
+#: joints.
+_HANIM = {
+    **{row.hanim2: row.name for row in JOINT_NAMES if row.hanim2 and row.name in DETAIL_BONES},
+    **{
+        f"{side}_{segment}_{number}": f"{side}_{FINGERS[number - 1]}{joint}"
+        for side in "lr"
+        for number in range(1, 6)
+        for joint, segment in enumerate(
+            ("metacarpal", "carpal_proximal_phalanx", "carpal_distal_phalanx")
+            if number == 1
+            else ("carpal_proximal_phalanx", "carpal_middle_phalanx", "carpal_distal_phalanx"),
+            1,
+        )
+    },
+}
+#: Order of the joints of a finger that are named by words.
+_ORDER = ("metacarpal", "proximal", "intermediate", "distal")
 
 
-@dataclass(frozen=True)
-class BodySigns:
-    """Signs of an animal's body.
-
-    Attributes:
-        fours: Share of the frames in which the body is on all fours, 0 to 1.
-        upright: Share of the frames in which the trunk is opposite to the legs, 0 to 1.
-        stands_in_offsets: Whether the OFFSETs are a body that stands upright.
-        tail: Names of the joints of a tail.
-        legs: Length of the legs, as a multiple of the trunk.
-        arms: Length of the arms, as a multiple of the legs.
-    """
-
-    fours: float
-    upright: float
-    stands_in_offsets: bool
-    tail: tuple[str, ...]
-    legs: float
-    arms: float
-
-    @property
-    def has_animal_proportions(self) -> bool:
-        """Whether the legs are as short and the arms as long as those of an animal."""
-        return self.legs < _SHORT_LEGS and self.arms > _LONG_ARMS
-
-    @property
-    def is_animal(self) -> bool:
-        """Whether enough signs of an animal come together."""
-        signs = bool(self.tail) + self.has_animal_proportions
-        moves = (signs == 1 and self.fours >= _FOURS) or (signs == 2 and self.upright < _UPRIGHT)
-        return moves and not self.stands_in_offsets
-
-    @property
-    def plausibility(self) -> float:
-        """Factor of the confidence that this is a person. It is 1, or less if there are signs of an
-        animal."""
-        if self.is_animal:
-            return _ANIMAL
-        crawls = self.fours >= _FOURS and not self.stands_in_offsets
-        return _DOUBTFUL if crawls or self.has_animal_proportions else 1.0
-
-    @property
-    def reasons(self) -> tuple[str, ...]:
-        """The signs of an animal in words. Empty if the body is plausible."""
-        if self.plausibility == 1:
-            return ()
-        reasons = []
-        if self.fours >= _UPRIGHT:
-            reasons.append(f"the body is on all fours in {self.fours:.0%} of the frames")
-        if self.has_animal_proportions:
-            reasons.append(
-                f"the legs are {self.legs:.1f} times as long as the trunk (a person's: 1.5 to 2.3)"
-            )
-            reasons.append(f"the arms {self.arms:.1f} times as long as the legs (a person's: 0.5 to 0.7)")
-        if self.tail:
-            reasons.append(f"it has a tail ({', '.join(self.tail[:2])})")
-        return tuple(reasons)
-
-
-def look_at_body(motion: Motion, roles: Mapping[str, int]) -> BodySigns | None:
-    """Look for signs of an animal in a motion with these joints (role -> joint). None if shoulders or elbows
-    are unknown."""
-    if not all(side + part in roles for side in ("Left", "Right") for part in _PARTS):
+@lru_cache(1 << 13)
+def _finger_joint(name: str) -> tuple[str, str, str | int] | None:
+    """Side, finger and segment of a finger joint. None for other joints. The segment is a word of
+    :data:`_ORDER`, or the number in the name. Numbers start at 1, or at 0 if the thumb starts at 0."""
+    plain = plain_name(name)
+    if plain in DETAIL_BONES and plain[-1].isdigit():
+        return plain[0], plain[2:-1], int(plain[-1])
+    if (bone := _HANIM.get(plain)) is not None and bone[-1].isdigit():
+        return bone[0], bone[2:-1], int(bone[-1])
+    if (match := _MMD.search(plain)) is not None and match[2]:
+        side = "l" if match[1] == "左" else "r"
+        return side, _MMD_FINGERS[match[2]], int(match[3]) + (match[2] == "親")
+    side = finger = segment = ""
+    counted = False
+    numbers: list[str] = []
+    for word in _words(plain):
+        if word in _OTHER:
+            return None
+        side = _SIDE_WORDS.get(word, side)
+        finger = _FINGER_WORDS.get(word) or _ORDINALS.get(word) or finger
+        segment = _SEGMENTS.get(word, segment)
+        counted |= word == "finger"
+        if word.isdigit() and (finger or counted):
+            numbers.append(word)
+    if not side:
         return None
-    points = motion.world_positions(np.unique(np.linspace(0, motion.n_frames - 1, _MAX_SAMPLES).astype(int)))
-    trunk, legs, arms = _directions(points, roles)
-    leg, arm = (
-        _length(points, roles, limb) for limb in (("Hip", "Knee", "Ankle"), ("Shoulder", "Elbow", "Wrist"))
-    )
-    trunk_length = max(float(np.median(np.linalg.norm(trunk, axis=-1))), 1e-9)
-    upright = _cosine(trunk, legs) < _TRUNK_TO_LEGS
-    fours = ~upright & (_cosine(arms, legs) > _ARMS_TO_LEGS)
-    at_rest, legs_at_rest, _ = _directions(motion.rest_positions()[None], roles)
-    return BodySigns(
-        fours=float(fours.mean()),
-        upright=float(upright.mean()),
-        stands_in_offsets=bool(_cosine(at_rest, legs_at_rest)[0] < _STANDING),
-        tail=_tail(motion, roles),
-        legs=leg / trunk_length,
-        arms=arm / max(leg, 1e-9),
-    )
+    if not finger and counted and numbers:
+        first = numbers.pop(0)
+        # Biped counts fingers from 0. Joints after the first have a second digit. Ends have the second digit
+        # of their joint
+        if not numbers and (not segment or len(first) == 2 or _NUB.search(plain)):
+            if not segment:
+                numbers.append(str(int(first[1:] or "0") + 1))
+            first = str(int(first[0]) + 1)
+        finger = FINGERS[int(first) - 1] if 0 < int(first) <= 5 else ""
+    if not finger or len(numbers) > 1 or (not numbers and not segment):
+        return None
+    return side, finger, segment or int(numbers[0])
 
 
-def _directions(points: Array, roles: Mapping[str, int]) -> tuple[Array, Array, Array]:
-    """Vectors (F, 3) of poses (F, J, 3): hips to shoulders, hips to ankles, shoulders to wrists."""
-
-    def middle(*parts: str) -> Array:
-        return np.asarray(sum(points[:, _joint(roles, side, *parts)] for side in ("Left", "Right")) / 2)
-
-    hips, shoulders = middle("Hip"), middle("Shoulder")
-    return shoulders - hips, middle("Ankle", "Knee") - hips, middle("Wrist", "Elbow") - shoulders
-
-
-def _joint(roles: Mapping[str, int], side: str, *parts: str) -> int:
-    """Joint of the first part that is known on a side."""
-    return next(roles[side + part] for part in parts if side + part in roles)
+def _words(name: str) -> list[str]:
+    """Words and numbers of a name in lower case."""
+    words: list[str] = []
+    for part in _WORD.findall(name):
+        word = part.casefold()
+        fused = _FUSED.fullmatch(word)
+        words += [word] if fused is None or word in _SEGMENTS else [each for each in fused.groups() if each]
+    return words
 
 
-def _length(points: Array, roles: Mapping[str, int], limb: tuple[str, str, str]) -> float:
-    """Mean length of a limb over both sides. The median over all poses is taken."""
-    lengths = []
+@lru_cache(1 << 13)
+def _face_bone(name: str) -> str | None:
+    """Bone of the jaw or an eye that a joint with this name drives. None if there is no such bone."""
+    plain = plain_name(name)
+    if plain in DETAIL_BONES:
+        return plain if plain.endswith(("eyeball_joint", "temporomandibular")) else None
+    if (match := _MMD.search(plain)) is not None and match[4]:
+        return f"{'l' if match[1] == '左' else 'r'}_eyeball_joint"
+    sides, parts = set(), set()
+    for part in _WORD.findall(plain):
+        word = part.casefold()
+        if word in _SIDE_WORDS:
+            sides.add(_SIDE_WORDS[word])
+        elif word[1:] == "eye" and word[0] in _SIDE_WORDS:
+            sides.add(word[0])
+            parts.add("eyeball_joint")
+        elif word in _FACE:
+            parts.add(_FACE[word])
+        elif word not in _FACE_WORDS:
+            return None
+    if parts == {"eyeball_joint"} and len(sides) == 1:
+        return f"{sides.pop()}_eyeball_joint"
+    return "temporomandibular" if parts == {"temporomandibular"} and not sides else None
+
+
+def detail_joints(
+    joint_names: Sequence[str], roles: Mapping[str, int], parents: Indices | None = None
+) -> dict[str, tuple[int, int]]:
+    """Find the joints that drive bones of fingers, toes, jaw and eyes.
+
+    A finger must have at least two joints. A finger with one joint only shows the direction of the hand.
+
+    Args:
+        joint_names: Names of J joints.
+        roles: Role -> joint.
+        parents: (J,) parent of each joint, where known. Fingers descend from the wrist, each joint from the
+            joint before it.
+
+    Returns:
+        Bone -> (start joint, end joint) of the link that the bone is parallel to. The same joint twice means
+        that the bone takes the rotation of the joint. This is so for toes, jaw and eyes, and for the last
+        joint of a finger if its end is unknown.
+    """
+    named: dict[tuple[str, str], dict[str | int, int]] = {}
+    face: dict[str, tuple[int, int]] = {}
+    # a name that begins with _ belongs to a helper joint
+    for joint, name in sorted(enumerate(joint_names), key=lambda each: each[1].startswith("_")):
+        if (found := _finger_joint(name)) is not None:
+            named.setdefault(found[:2], {}).setdefault(found[2], joint)
+        elif (bone := _face_bone(name)) is not None:
+            face.setdefault(bone, (joint, joint))
+    out: dict[str, tuple[int, int]] = {}
+    for (side, finger), joints in named.items():
+        chain, tip = _in_order(joints, finger, joint_names)
+        wrist = roles.get(f"{'Left' if side == 'l' else 'Right'}Wrist")
+        above = () if wrist is None else (wrist,)
+        if len(chain) < 2 or (parents is not None and not _is_chain((*above, *chain), parents)):
+            continue
+        if tip is None or (parents is not None and not _is_chain((chain[-1], tip), parents)):
+            tip = _tip(chain[-1], joint_names, parents)
+        for number, (start, end) in enumerate(itertools.pairwise((*chain, tip)), 1):
+            out[f"{side}_{finger}{number}"] = (start, end)
     for side in ("Left", "Right"):
-        joints = [roles[side + part] for part in limb if side + part in roles]
-        links = np.linalg.norm(np.diff(points[:, joints], axis=1), axis=-1)
-        lengths.append(float(np.median(links.sum(1))))
-    return sum(lengths) / 2
+        toe = roles.get(f"{side}Toe")
+        if toe is not None and not joint_names[toe].endswith("_end"):
+            out[f"{side[0].lower()}_metatarsal"] = (toe, toe)
+    out |= face
+    return {bone: out[bone] for bone in DETAIL_BONES if bone in out}
 
 
-def _cosine(a: Array, b: Array) -> Array:
-    """Cosines (F,) of the angles between vectors (F, 3)."""
-    return np.asarray((unit_vectors(a) * unit_vectors(b)).sum(-1))
+def _in_order(
+    joints: Mapping[str | int, int], finger: str, joint_names: Sequence[str]
+) -> tuple[tuple[int, ...], int | None]:
+    """Return at most three joints of a finger, from its base on, and its tip."""
+    numbers = sorted(each for each in joints if isinstance(each, int) and (each or finger == "thumb"))
+    words = [word for word in _ORDER if word in joints and (finger == "thumb" or word != "metacarpal")]
+    chain = [joints[word] for word in words if not numbers or word == "metacarpal"]
+    chain += [joints[number] for number in numbers]
+    tip = joints.get("tip")
+    if tip is not None and chain and joint_names[tip] == f"{joint_names[chain[-1]]}_end":
+        tip = None  # if there is no end site, the last joint may be the tip
+    if len(chain) > 3 and (tip is not None or len(chain) > 4 or 0 in numbers):
+        chain = chain[1:]  # the first joint is in the palm, for example in files of SOMA and Meta Quest
+    return tuple(chain[:3]), chain[3] if len(chain) > 3 else tip
 
 
-def _tail(motion: Motion, roles: Mapping[str, int]) -> tuple[str, ...]:
-    """Names of joints of a tail. Names that mean hair (a ponytail) or a coat above the shoulders do not
-    count."""
-    upper = {roles[role] for role in ("Neck", "Head", "LeftShoulder", "RightShoulder") if role in roles}
-    names = []
-    for joint, name in enumerate(motion.joint_names):
-        above = joint
-        while above >= 0 and above not in upper:
-            above = int(motion.parents[above])
-        if above < 0 and _TAIL.search(name):
-            names.append(name)
-    return tuple(names)
+def _tip(joint: int, joint_names: Sequence[str], parents: Indices | None) -> int:
+    """End of the last joint of a finger. If there is no end, the joint itself."""
+    if (end := f"{joint_names[joint]}_end") in joint_names:
+        return list(joint_names).index(end)
+    below = [] if parents is None else np.flatnonzero(parents == joint).tolist()
+    return int(below[0]) if below else joint
+
+
+def _is_chain(joints: Sequence[int], parents: Indices) -> bool:
+    """Whether each of the joints descends from the joint before it."""
+    for above, joint in itertools.pairwise(joints):
+        for _ in parents:  # no path is longer than the number of joints, and a cycle would not end
+            joint = int(parents[joint])
+            if joint < 0 or joint == above:
+                break
+        if joint != above:
+            return False
+    return True
 
 
 #: Spellings of the sides, at the start or the end of a name.
@@ -268,59 +325,7 @@ _CHAINS = (
 )
 
 
-def match_motion(
-    motion: Motion,
-    table: str | os.PathLike[str] | None = None,
-    min_confidence: float | None = None,
-) -> JointMatch:
-    """Match the joints of a motion to bones.
-
-    If ``table`` is given (name of a built-in table, or a YAML file), this table is used. Otherwise the
-    built-in table is used that best fits names and hierarchy. If none fits, the shape of the skeleton
-    decides. Signs of an animal lower the confidence.
-
-    Raises:
-        MotionError: The table does not fit, or the motion is not that of a person. The second is so if the
-            confidence is below ``min_confidence`` (by default 0.12).
-    """
-    min_confidence = MIN_CONFIDENCE if min_confidence is None else min_confidence
-    try:
-        match = _match_names_in_motion(motion, table)
-    except MotionError as by_names:
-        if table is not None:
-            raise
-        by_shape = match_shape(motion, min_confidence)
-        if by_shape is None:
-            message = f"{by_names.message}. Nor has the skeleton the shape of a person"
-            raise MotionError(message, path=motion.path) from None
-        match = replace(by_shape, details=detail_joints(motion.joint_names, by_shape.roles, motion.parents))
-    signs = look_at_body(motion, match.roles)
-    if signs is not None and signs.plausibility < 1:
-        # a motion is not refused for reasons alone
-        least = 0.0 if signs.is_animal else min(match.confidence, MIN_CONFIDENCE)
-        confidence = max(match.confidence * signs.plausibility, least)
-        match = replace(match, confidence=confidence, reasons=signs.reasons)
-    if match.confidence < min_confidence:
-        raise MotionError(
-            "this is not a person"
-            + (f" but rather an animal: {', '.join(match.reasons)}" if match.reasons else "")
-            + f" (confidence {match.confidence:.1%}, below {min_confidence:.0%}). To play it nevertheless, "
-            "set min_confidence to 0 (--min-confidence 0)",
-            path=motion.path,
-        )
-    return match
-
-
-def is_person(motion: Motion) -> bool:
-    """Whether the joints of a motion are those of a person."""
-    try:
-        match_motion(motion)
-    except MotionError:
-        return False
-    return True
-
-
-def _match_names_in_motion(motion: Motion, table: str | os.PathLike[str] | None) -> JointMatch:
+def match_names_in_motion(motion: Motion, table: str | os.PathLike[str] | None) -> JointMatch:
     """Match joints by their names. In some files, inverse kinematics moves a foot or a hand, so that the
     joint is not below its limb in the hierarchy. Such a joint counts if it is at the end of the limb in all
     frames."""

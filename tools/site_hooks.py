@@ -24,11 +24,8 @@ ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 sys.path.insert(0, str(ROOT))
 
-#: Folders with public names, in the order of docs/api.md.
-FOLDERS = (
-    "", "scene", "camera", "motion", "bags", "apps", "humans", "keypoints", "body", "mesh", "render",
-    "sensor", "truth", "photographs",
-)  # fmt: skip
+#: Packages with public names, as the headings of docs/api.md have them; empty for humansim_ros itself.
+FOLDERS = re.findall(r"(?m)^## humansim_ros\.?(\S*)$", (DOCS / "api.md").read_text(encoding="utf-8"))
 
 #: Target of a link or of an image, outside code.
 _LINK = re.compile(r"(?P<code>```.*?```|`[^`\n]+`)|(?P<before>\]\()(?P<target>[^)\s#]+)", re.DOTALL)

@@ -44,7 +44,7 @@ class Camera(Pictured):
         t: Translation from the world to the optical frame, (3,) metres.
         distortion: Distortion coefficients of ``model``.
         model: One of :data:`humansim_ros.cameras.camera.lens.MODELS`. If None, the number of coefficients
-        decides.
+            decides.
         rectification: R of CameraInfo, (3, 3). None unless a file or a stereo rig defines R.
         rectified: P of CameraInfo, (3, 4). None unless a file or a stereo rig defines P.
 

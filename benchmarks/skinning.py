@@ -219,8 +219,8 @@ def body(path: Path) -> dict[str, NDArray[np.floating]]:
     from humansim_ros.files.mesh.normals import SurfaceNormals
     from humansim_ros.motion import read_bvh
     from humansim_ros.motion.body.skinning import skin
-    from humansim_ros.motion.pose.info import to_world
     from humansim_ros.motion.pose.retarget import Retargeter
+    from humansim_ros.motion.pose.world_motion import to_world
     from humansim_ros.people.loading.loading import load_human
 
     human = load_human(path)

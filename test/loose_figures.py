@@ -9,7 +9,7 @@ import numpy as np
 from conftest import ROOT
 
 from humansim_ros import Human, load_human
-from humansim_ros.motion.body.loose import CLOTH, HAIR, LooseParts
+from humansim_ros.motion.body.offsets import CLOTH, HAIR, LooseParts
 
 
 @cache

@@ -18,7 +18,7 @@ from conftest import ROOT, SHARED_DATA
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.motion.body.joint_names import finger_bones
+from humansim_ros.motion.body.skeleton import finger_bones
 
 Array = NDArray[np.float64]
 

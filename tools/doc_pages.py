@@ -22,7 +22,7 @@ _JOINTS_END = "<!-- end of the joint names -->"
 
 def with_joint_names(page: str) -> str:
     """docs/joints.md with the table of joint names of today."""
-    from humansim_ros.motion.body.joint_names import JOINT_NAMES, SETS, WITHOUT_JOINT
+    from humansim_ros.motion.body.skeleton import JOINT_NAMES, SETS, WITHOUT_JOINT
 
     def row(cells: Iterable[str]) -> str:
         return f"| {' | '.join(cells)} |"

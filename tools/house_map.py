@@ -20,7 +20,7 @@ MOVES = ROOT / "tools" / "moves.txt"
 #: are outside its subpackages come last.
 PACKAGES: Mapping[str, tuple[int, tuple[str, ...]]] = {
     "files": (1, ("reading", "yaml", "mesh")),
-    "motion": (2, ("body", "matching", "files", "motion", "pose")),
+    "motion": (2, ("body", "matching", "files", "pose")),
     "cameras": (2, ("camera", "formats", "sensor", "scanner")),
     "people": (3, ("rigging", "humans", "makehuman", "loading", "keypoints")),
     "render": (3, ("interface", "device", "static", "frame", "pictures")),

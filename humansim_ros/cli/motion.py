@@ -31,7 +31,7 @@ from humansim_ros.motion.files import MOTION_TITLES
 if TYPE_CHECKING:
     from humansim_ros.motion.body import Motion
     from humansim_ros.motion.files import PosedBones
-    from humansim_ros.motion.motion import WorldMotion
+    from humansim_ros.motion.pose import WorldMotion
 
 
 class PositionsChoice(Enum):
@@ -139,8 +139,7 @@ def retarget(
 
     from humansim_ros.motion.body import hanim_skeleton
     from humansim_ros.motion.files import PosedBones, check_suffix, write_bones
-    from humansim_ros.motion.motion import Placement
-    from humansim_ros.motion.pose import FootContacts, Retargeter, load_limits, to_world
+    from humansim_ros.motion.pose import FootContacts, Placement, Retargeter, load_limits, to_world
 
     _check_unit(unit)
     if not np.isfinite([*position, yaw_deg]).all():
@@ -283,7 +282,7 @@ def _read(file: str, positions: PositionsChoice) -> Motion:
 
 
 def _warn_of(world: WorldMotion) -> None:
-    from humansim_ros.motion.motion import playing_warnings
+    from humansim_ros.motion.pose import playing_warnings
 
     for text in playing_warnings(world):
         print_warning(f"{world.motion.path}: {text}")

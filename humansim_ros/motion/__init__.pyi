@@ -1,5 +1,5 @@
 from humansim_ros.geometry import Velocity as Velocity
-from humansim_ros.motion.body.face_actions import expression as expression
+from humansim_ros.motion.body.face import expression as expression
 from humansim_ros.motion.body.kinematics import JointPoses as JointPoses
 from humansim_ros.motion.body.kinematics import Motion as Motion
 from humansim_ros.motion.body.skeleton import Skeleton as Skeleton
@@ -12,10 +12,10 @@ from humansim_ros.motion.files.keyframes import read_keyframes as read_keyframes
 from humansim_ros.motion.matching.joint_tables import JointMatch as JointMatch
 from humansim_ros.motion.matching.joint_tables import JointTable as JointTable
 from humansim_ros.motion.matching.person import match_motion as match_motion
-from humansim_ros.motion.motion.world_motion import Placement as Placement
-from humansim_ros.motion.motion.world_motion import WorldMotion as WorldMotion
-from humansim_ros.motion.pose.info import to_world as to_world
 from humansim_ros.motion.pose.limits import load_limits as load_limits
-from humansim_ros.motion.pose.penetration import fit_capsules as fit_capsules
-from humansim_ros.motion.pose.penetration import report_penetration as report_penetration
+from humansim_ros.motion.pose.reports import fit_capsules as fit_capsules
+from humansim_ros.motion.pose.reports import report_penetration as report_penetration
 from humansim_ros.motion.pose.retarget import Retargeter as Retargeter
+from humansim_ros.motion.pose.world_motion import Placement as Placement
+from humansim_ros.motion.pose.world_motion import WorldMotion as WorldMotion
+from humansim_ros.motion.pose.world_motion import to_world as to_world

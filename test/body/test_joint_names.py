@@ -12,7 +12,7 @@ from conftest import ROOT
 from humansim_ros import load_human
 from humansim_ros.cli.human import joints as print_joints
 from humansim_ros.motion import hanim_skeleton
-from humansim_ros.motion.body.joint_names import (
+from humansim_ros.motion.body.skeleton import (
     BODY_25,
     COCO,
     DETAIL_BONES,
@@ -22,8 +22,8 @@ from humansim_ros.motion.body.joint_names import (
     SMPL,
     SMPL_MODELS,
     WITHOUT_JOINT,
+    side_of,
 )
-from humansim_ros.motion.body.skeleton import side_of
 
 BY_NAME = {row.name: row for row in JOINT_NAMES}
 

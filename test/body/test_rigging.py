@@ -21,8 +21,8 @@ from humansim_ros.motion.body.skeleton import side_of
 from humansim_ros.motion.body.skinning import dominant_bones, triangle_parts, without_details
 from humansim_ros.motion.matching.by_name import match_names
 from humansim_ros.motion.matching.file_frame import detect_file_frame
-from humansim_ros.motion.motion.world_motion import WorldMotion
 from humansim_ros.motion.pose.retarget import Retargeter
+from humansim_ros.motion.pose.world_motion import WorldMotion
 from humansim_ros.people import fit_skeleton, fit_to_skeleton, rig
 from humansim_ros.people.humans.human import Human
 from humansim_ros.people.loading.loading import load_human

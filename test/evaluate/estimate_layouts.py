@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from humansim_ros.motion.body.joint_names import BODY_25, COCO
+from humansim_ros.motion.body.skeleton import BODY_25, COCO
 from humansim_ros.types import Array
 
 FRAMES, RATE, SIZE, FOCAL = 12, 30.0, (320, 240), 270.0

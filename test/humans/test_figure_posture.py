@@ -19,9 +19,8 @@ from humansim_ros.files.mesh.mesh import Mesh, SkinnedMesh, padded
 from humansim_ros.geometry import angle_between, unit_vectors
 from humansim_ros.motion.body.skeleton import Skeleton
 from humansim_ros.motion.matching.by_name import match_names
-from humansim_ros.motion.motion.world_motion import WorldMotion
-from humansim_ros.motion.pose.info import to_world
 from humansim_ros.motion.pose.retarget import Retargeter
+from humansim_ros.motion.pose.world_motion import WorldMotion, to_world
 from humansim_ros.people.humans.human import Human
 from humansim_ros.people.loading.figure import to_body_space
 

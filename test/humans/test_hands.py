@@ -15,8 +15,7 @@ from conftest import ROOT
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.files.reading.assets import built_in_names
-from humansim_ros.motion.body.joint_names import FINGERS, finger_bones
-from humansim_ros.motion.body.skeleton import Skeleton
+from humansim_ros.motion.body.skeleton import FINGERS, Skeleton, finger_bones
 from humansim_ros.motion.body.skinning import dominant_bones
 from humansim_ros.people.humans.human import Human
 from humansim_ros.people.loading.loading import load_human

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from humansim_ros.errors import MeshError
 from humansim_ros.motion import hanim_skeleton
-from humansim_ros.motion.body.joint_names import DETAIL_BONES, FINGERS, finger_bones
+from humansim_ros.motion.body.skeleton import DETAIL_BONES, FINGERS, finger_bones
 from humansim_ros.people.humans.human import Human
 from humansim_ros.people.loading.loading import load_human
 

@@ -19,7 +19,7 @@ from humansim_ros.cameras import Camera
 from humansim_ros.cli.human import built_in_humans
 from humansim_ros.errors import MeshError
 from humansim_ros.geometry import WORLD_FROM_BODY, transform
-from humansim_ros.motion.body.joint_names import DETAIL_BONES, FINGERS
+from humansim_ros.motion.body.skeleton import DETAIL_BONES, FINGERS
 from humansim_ros.people.humans.human import Human
 from humansim_ros.people.loading.description import ParametricHuman, read_description
 from humansim_ros.people.loading.loading import load_human

@@ -19,8 +19,7 @@ from humansim_ros import Scene, Simulation
 from humansim_ros.errors import HumansimWarning, MeshError
 from humansim_ros.files.mesh.materials import MATERIAL_LABELS
 from humansim_ros.files.reading.npz import read_npz, write_npz
-from humansim_ros.motion.body.face_actions import ACTIONS
-from humansim_ros.motion.body.jaw import BONE
+from humansim_ros.motion.body.face import ACTIONS, BONE
 from humansim_ros.people.humans.human import Human, read_human, write_human
 from humansim_ros.people.loading.description import ParametricHuman, read_description
 from humansim_ros.people.loading.loading import load_human

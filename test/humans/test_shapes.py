@@ -14,8 +14,8 @@ from test_makehuman import PEOPLE, needs_makehuman, person
 from humansim_ros.errors import MeshError, MotionError
 from humansim_ros.files.reading.npz import read_npz, write_npz
 from humansim_ros.geometry import rotation_vector_to_quaternion
-from humansim_ros.motion.body.face_actions import ACTIONS, EXPRESSIONS, expression, face_weights
-from humansim_ros.motion.body.shapes import Shapes, read_shapes, shape_arrays
+from humansim_ros.motion.body.face import ACTIONS, EXPRESSIONS, expression, face_weights
+from humansim_ros.motion.body.offsets import Shapes, read_shapes, shape_arrays
 from humansim_ros.people.humans.human import read_human, write_human
 from humansim_ros.people.makehuman.data import find_data
 from humansim_ros.people.makehuman.face import face_offsets

@@ -12,8 +12,7 @@ from scipy.spatial import cKDTree
 
 from humansim_ros import Human, load_human
 from humansim_ros.cli.human import built_in_humans
-from humansim_ros.motion.body.joint_names import finger_bones
-from humansim_ros.motion.body.skeleton import hanim_skeleton
+from humansim_ros.motion.body.skeleton import finger_bones, hanim_skeleton
 from humansim_ros.motion.body.skinning import without_details
 from humansim_ros.people import KEYPOINT_SETS, KeypointLocator, keypoint_set
 from humansim_ros.types import Array

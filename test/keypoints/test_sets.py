@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from humansim_ros.errors import KeypointError
-from humansim_ros.motion.body.joint_names import BODY_25, COCO, JOINT_NAMES, SMPL
-from humansim_ros.motion.body.skeleton import side_of
+from humansim_ros.motion.body.skeleton import BODY_25, COCO, JOINT_NAMES, SMPL, side_of
 from humansim_ros.people import KEYPOINT_SETS, keypoint_set
 from humansim_ros.people.keypoints.sets import KeypointSet
 from humansim_ros.people.keypoints.skin import MIXES, skin_points

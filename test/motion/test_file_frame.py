@@ -18,7 +18,7 @@ from humansim_ros.motion import Motion, read_motion
 from humansim_ros.motion.body.kinematics import motion_of_rotations
 from humansim_ros.motion.matching.file_frame import FileFrame, detect_file_frame
 from humansim_ros.motion.matching.person import match_motion
-from humansim_ros.motion.pose.info import LoadedMotion, describe_motion
+from humansim_ros.motion.pose.reports import LoadedMotion, describe_motion
 from humansim_ros.types import Array
 
 FRAMES = 60

@@ -21,9 +21,9 @@ from humansim_ros.geometry import unit_vectors
 from humansim_ros.motion import Motion, read_motion, to_world, write_bvh
 from humansim_ros.motion.body.skeleton import hanim_skeleton
 from humansim_ros.motion.matching.person import match_motion
-from humansim_ros.motion.motion.world_motion import playing_warnings
-from humansim_ros.motion.pose.info import LoadedMotion, describe_motion
+from humansim_ros.motion.pose.reports import LoadedMotion, describe_motion
 from humansim_ros.motion.pose.retarget import Retargeter
+from humansim_ros.motion.pose.world_motion import playing_warnings
 
 GOOD = """HIERARCHY
 ROOT Hips

@@ -24,7 +24,7 @@ from humansim_ros.files.mesh.load import read_mesh_or_figure
 from humansim_ros.files.mesh.mesh import SkinnedMesh
 from humansim_ros.motion import Motion, match_motion, read_motion, to_world
 from humansim_ros.motion.body.kinematics import motion_of_rotations
-from humansim_ros.motion.pose.info import describe_motion, read_with_warnings
+from humansim_ros.motion.pose.reports import describe_motion, read_with_warnings
 from humansim_ros.people import load_human
 
 PERSON = stand_in("mixamo")

@@ -37,7 +37,7 @@ from humansim_ros.cli.main import main
 from humansim_ros.errors import MotionError
 from humansim_ros.files.reading.pickles import read_pickle
 from humansim_ros.motion import Motion, read_motion, to_world
-from humansim_ros.motion.body.joint_names import SMPL, SMPL_MODELS
+from humansim_ros.motion.body.skeleton import SMPL, SMPL_MODELS
 
 FRAMES = 24
 ROLES = {

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from humansim_ros import Scene
 from humansim_ros.errors import HumansimError, MotionError
-from humansim_ros.motion.body.face_actions import ACTIONS, expression
+from humansim_ros.motion.body.face import ACTIONS, expression
 from humansim_ros.motion.files.files import read_motion
 from humansim_ros.scene.core.actor import Actor
 from humansim_ros.scene.core.live import LiveRetargeter

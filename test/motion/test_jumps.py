@@ -15,15 +15,16 @@ from motion_files import Array, stand_in, turns, walk
 from humansim_ros.cli import main as cli
 from humansim_ros.errors import HumansimWarning
 from humansim_ros.motion import Motion
-from humansim_ros.motion.motion.world_motion import (
+from humansim_ros.motion.pose.reports import LoadedMotion, describe_motion, read_with_warnings
+from humansim_ros.motion.pose.world_motion import (
     Placement,
     WorldMotion,
     find_jumps,
     joint_path,
     leading_rest,
     playing_warnings,
+    to_world,
 )
-from humansim_ros.motion.pose.info import LoadedMotion, describe_motion, read_with_warnings, to_world
 from humansim_ros.scene import Scene
 
 PERSON = stand_in("lafan1")

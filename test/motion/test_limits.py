@@ -18,8 +18,7 @@ from test_retarget import at_frames, in_world, read, some_frames
 
 from humansim_ros.errors import MotionError
 from humansim_ros.motion import Skeleton, hanim_skeleton
-from humansim_ros.motion.body.joint_names import FINGERS
-from humansim_ros.motion.body.skeleton import side_of
+from humansim_ros.motion.body.skeleton import FINGERS, side_of
 from humansim_ros.motion.pose.limits import JointLimits, Limit, load_limits
 from humansim_ros.motion.pose.retarget import Retargeter
 from humansim_ros.people.loading.loading import load_human

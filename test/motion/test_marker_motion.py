@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from humansim_ros.errors import HumansimWarning, MotionError
 from humansim_ros.motion import Motion, read_motion, to_world
 from humansim_ros.motion.body.skeleton import Skeleton
-from humansim_ros.motion.pose.info import describe_motion, read_with_warnings
+from humansim_ros.motion.pose.reports import describe_motion, read_with_warnings
 from humansim_ros.motion.pose.retarget import Retargeter
 from humansim_ros.people import keypoint_set
 from humansim_ros.people.keypoints.locator import KeypointLocator
@@ -162,7 +162,9 @@ def upright(motion: Motion) -> None:
 
 
 LOWER = {
-    "markers": [*"LASI RASI LPSI RPSI LKNE RKNE LANK RANK LHEE RHEE LTOE RTOE".split()],  # noqa: SIM905
+    "markers": [
+        *["LASI", "RASI", "LPSI", "RPSI", "LKNE", "RKNE", "LANK", "RANK", "LHEE", "RHEE", "LTOE", "RTOE"]
+    ],
     "joints": [f"{side}{part}" for side in "LR" for part in ("Hip", "Knee", "Ankle", "BigToe")],
 }
 

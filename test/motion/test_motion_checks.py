@@ -14,7 +14,7 @@ from motion_files import Array as Values
 from motion_files import Rotations, StandIn, arms_down, bow, one_axis, stand_in, turns, walk
 
 from humansim_ros.motion import Motion, read_motion
-from humansim_ros.motion.pose.info import LoadedMotion, describe_motion
+from humansim_ros.motion.pose.reports import LoadedMotion, describe_motion
 
 PERSON = stand_in("lafan1")
 

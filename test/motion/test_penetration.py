@@ -21,7 +21,7 @@ from test_retarget import in_world, read
 from humansim_ros.errors import MeshError
 from humansim_ros.motion import Skeleton, hanim_skeleton
 from humansim_ros.motion.body.skinning import dominant_bones, without_details
-from humansim_ros.motion.pose.penetration import (
+from humansim_ros.motion.pose.reports import (
     Capsules,
     fit_capsules,
     report_penetration,

@@ -19,8 +19,8 @@ from humansim_ros.motion import Motion, hanim_skeleton, read_bvh
 from humansim_ros.motion.body.kinematics import JointPoses
 from humansim_ros.motion.matching.by_name import match_names
 from humansim_ros.motion.matching.file_frame import FileFrame, detect_file_frame
-from humansim_ros.motion.motion.world_motion import MotionLoop, Placement, WorldMotion
 from humansim_ros.motion.pose.retarget import Retargeter, RetargetMode
+from humansim_ros.motion.pose.world_motion import MotionLoop, Placement, WorldMotion
 from humansim_ros.people.loading.loading import load_human
 from humansim_ros.types import Array
 

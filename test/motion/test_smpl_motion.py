@@ -14,7 +14,7 @@ from motion_formats import smpl_poses
 
 from humansim_ros.errors import HumansimWarning, MotionError
 from humansim_ros.motion import Motion, read_motion, to_world
-from humansim_ros.motion.body.joint_names import SMPL_MODELS
+from humansim_ros.motion.body.skeleton import SMPL_MODELS
 from humansim_ros.view.sources.inputs import open_source
 
 #: Parents of SMPL's joints [Loper 2015], and of a hand's below its wrist (SMPL+H, SMPL-X).

@@ -34,9 +34,9 @@ from humansim_ros.motion.body.kinematics import JointPoses
 from humansim_ros.motion.matching.file_frame import detect_file_frame
 from humansim_ros.motion.matching.joint_tables import opposite_joints
 from humansim_ros.motion.matching.person import match_motion
-from humansim_ros.motion.motion.world_motion import Placement, WorldMotion
 from humansim_ros.motion.pose.limits import load_limits
 from humansim_ros.motion.pose.retarget import Retargeter, RetargetMode
+from humansim_ros.motion.pose.world_motion import Placement, WorldMotion
 from humansim_ros.types import Array
 
 LIMBS = [f"{side}_{part}" for side in "lr" for part in ("shoulder", "elbow", "hip", "knee")]

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.cameras import Camera
-from humansim_ros.motion.body.joint_names import body_joints
+from humansim_ros.motion.body.skeleton import body_joints
 from humansim_ros.people import keypoint_set
 from humansim_ros.render import Body, GLRenderer, Lighting
 from humansim_ros.scene import OUTSIDE, Scene, Simulation

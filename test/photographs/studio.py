@@ -21,7 +21,7 @@ from conftest import SHARED_DATA
 from numpy.typing import NDArray
 
 from humansim_ros.cameras import Camera, read_calibration, write_calibration
-from humansim_ros.motion.body.joint_names import body_joints
+from humansim_ros.motion.body.skeleton import body_joints
 from humansim_ros.people import Human, keypoint_set
 from humansim_ros.people.keypoints.sets import KeypointSet
 from humansim_ros.photographs.views import write_points

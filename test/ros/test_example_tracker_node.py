@@ -16,7 +16,7 @@ from sensor_msgs.msg import CameraInfo, Image, MultiDOFJointState
 
 from humansim_ros import Scene
 from humansim_ros.cameras import Trajectory
-from humansim_ros.motion.body.joint_names import DETAIL_BONES
+from humansim_ros.motion.body.skeleton import DETAIL_BONES
 from humansim_ros.ros.nodes.camera_rig import CameraRigNode
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
 from humansim_ros.ros.nodes.skinner import SkinnerNode

@@ -13,7 +13,7 @@ from keyframe_text import keyframes
 from ros_support import write_scene
 
 from humansim_ros.data import messages
-from humansim_ros.motion.body.face_actions import ACTIONS, FACE_AT_REST
+from humansim_ros.motion.body.face import ACTIONS, FACE_AT_REST
 from humansim_ros.people import KEYPOINT_SETS, keypoint_set
 from humansim_ros.scene import Scene, Simulation
 from humansim_ros.scene.truth.camera_truth import OCCLUDED, VISIBLE

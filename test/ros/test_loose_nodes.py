@@ -11,7 +11,7 @@ from ros_support import write_scene
 
 from humansim_ros.data import messages
 from humansim_ros.data.messages.types import Image
-from humansim_ros.motion.body.loose import swing_at_rest
+from humansim_ros.motion.body.offsets import swing_at_rest
 from humansim_ros.people.humans.human import write_human
 from humansim_ros.scene import Scene, Simulation
 from humansim_ros.testing import SceneGraph

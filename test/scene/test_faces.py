@@ -14,8 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from humansim_ros import Scene
 from humansim_ros.errors import HumansimError, HumansimWarning, MotionError
-from humansim_ros.motion.body.eyes import LIMITS, LOOKS, NECK_LIMITS
-from humansim_ros.motion.body.face_actions import ACTIONS, FACE_AT_REST, expression
+from humansim_ros.motion.body.face import ACTIONS, FACE_AT_REST, LIMITS, LOOKS, NECK_LIMITS, expression
 from humansim_ros.motion.body.kinematics import JointPoses
 from humansim_ros.motion.pose.limits import load_limits
 from humansim_ros.scene.checks.checks import check_scene

@@ -18,7 +18,7 @@ from humansim_ros import Human, Scene, Simulation, load_human
 from humansim_ros.data import messages
 from humansim_ros.data.messages.humans import read_joints
 from humansim_ros.errors import MeshError, MotionError, RosError
-from humansim_ros.motion.body.loose import CLOTH, HAIR, swing_at_rest
+from humansim_ros.motion.body.offsets import CLOTH, HAIR, swing_at_rest
 from humansim_ros.people.humans.human import human_from_arrays, write_human
 from humansim_ros.people.makehuman.building import build
 from humansim_ros.people.makehuman.packed import people_data

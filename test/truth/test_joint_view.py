@@ -8,7 +8,7 @@ from conftest import ROOT
 from numpy.typing import NDArray
 
 from humansim_ros.cameras import Camera
-from humansim_ros.motion.body.joint_names import finger_bones
+from humansim_ros.motion.body.skeleton import finger_bones
 from humansim_ros.people.humans.human import Human, joint_surfaces
 from humansim_ros.people.loading.loading import load_human
 from humansim_ros.render import View

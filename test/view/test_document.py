@@ -13,7 +13,7 @@ from conftest import ROOT
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.errors import HumansimError, SceneError
-from humansim_ros.motion.body.joint_names import body_joints
+from humansim_ros.motion.body.skeleton import body_joints
 from humansim_ros.scene import Scene
 from humansim_ros.view.edit.document import NEW_SCENE, SceneDocument
 

@@ -15,7 +15,7 @@ from labs import write_estimate
 from pages import browser, needs_browser, opened_page, pause, running_app, tracks_of, until, wait_for_tracks
 
 from humansim_ros import Scene, Simulation
-from humansim_ros.motion.body.joint_names import body_joints
+from humansim_ros.motion.body.skeleton import body_joints
 
 pytestmark = [needs_browser, pytest.mark.nightly, pytest.mark.slow, pytest.mark.process]
 

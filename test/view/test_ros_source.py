@@ -19,7 +19,7 @@ from waiting import wait_until
 
 from humansim_ros import Scene, Simulation
 from humansim_ros.errors import RosError
-from humansim_ros.motion.body.joint_names import body_joints
+from humansim_ros.motion.body.skeleton import body_joints
 from humansim_ros.scene import Frame
 from humansim_ros.testing import SceneGraph
 from humansim_ros.view.sources.picking import PIXEL_CHANNELS, pixel_info

@@ -24,7 +24,7 @@ from humansim_ros.data.evaluation.readers.estimates import read_estimates
 from humansim_ros.data.evaluation.readers.pose_files import ReadOptions
 from humansim_ros.data.evaluation.truth import bag_truth
 from humansim_ros.data.recording import RecordingPlan, SceneRecording, record
-from humansim_ros.motion.body.joint_names import body_joints
+from humansim_ros.motion.body.skeleton import body_joints
 from humansim_ros.motion.files.keyframes import KeyframeTimeline, KeyframeTrack
 from humansim_ros.view.sources.bag_source import BagViewSource
 from humansim_ros.view.sources.tracks import (

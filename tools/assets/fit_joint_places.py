@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.files.mesh.mesh import Mesh
-from humansim_ros.motion.body.joint_names import DETAIL_BONES
+from humansim_ros.motion.body.skeleton import DETAIL_BONES
 from humansim_ros.people.makehuman.data import Base, MakeHumanData, find_data, read_base
 from humansim_ros.people.makehuman.shape import MakeHumanConfig, target_strengths
 from humansim_ros.people.makehuman.skeleton import Bones, bone_weights, make_bones, t_pose, unskin

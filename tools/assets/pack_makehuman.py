@@ -18,7 +18,7 @@ ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
 from humansim_ros.files.reading.npz import write_npz  # noqa: E402
-from humansim_ros.motion.body.face_actions import ACTIONS  # noqa: E402
+from humansim_ros.motion.body.face import ACTIONS  # noqa: E402
 from humansim_ros.people.makehuman.data import METRES, MakeHumanData  # noqa: E402
 from humansim_ros.people.makehuman.packed import (  # noqa: E402
     ACTION,

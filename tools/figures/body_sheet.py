@@ -19,7 +19,7 @@ sys.path.insert(0, str(ROOT))
 from humansim_ros.cli.human import built_in_humans  # noqa: E402
 from humansim_ros.files.reading.assets import find_asset  # noqa: E402
 from humansim_ros.motion import read_motion  # noqa: E402
-from humansim_ros.motion.pose.info import to_world  # noqa: E402
+from humansim_ros.motion.pose.world_motion import to_world  # noqa: E402
 from humansim_ros.people.loading.loading import load_human  # noqa: E402
 from humansim_ros.scene.pictures.people import HumanArtist, SkinnedArtist  # noqa: E402
 from humansim_ros.types import Image  # noqa: E402

@@ -22,8 +22,8 @@ from scipy.spatial.transform import Rotation
 from humansim_ros.files.mesh.normals import SurfaceNormals
 from humansim_ros.motion.body.skinning import SKINNERS, make_skinner, skin
 from humansim_ros.motion.files.bvh import read_bvh
-from humansim_ros.motion.pose.info import to_world
 from humansim_ros.motion.pose.retarget import Retargeter
+from humansim_ros.motion.pose.world_motion import to_world
 from humansim_ros.people.humans.human import Human
 from humansim_ros.people.loading.loading import load_human
 from humansim_ros.types import Array

@@ -20,7 +20,7 @@ from humansim_ros.cameras import Camera
 from humansim_ros.files.mesh.mesh import Mesh
 from humansim_ros.files.reading.assets import resource_path
 from humansim_ros.geometry import WORLD_FROM_BODY, transform
-from humansim_ros.motion.pose.penetration import Capsules, fit_capsules, self_penetration
+from humansim_ros.motion.pose.reports import Capsules, fit_capsules, self_penetration
 from humansim_ros.people.humans.human import Human
 from humansim_ros.people.loading.loading import load_human
 from humansim_ros.render import Body, GLRenderer

@@ -21,8 +21,12 @@ from humansim_ros.motion import (  # noqa: E402
     hanim_skeleton,
     load_limits,
 )
-from humansim_ros.motion.body.joint_names import JOINT_NAMES, JointName, finger_bones  # noqa: E402
-from humansim_ros.motion.body.skeleton import side_of  # noqa: E402
+from humansim_ros.motion.body.skeleton import (  # noqa: E402
+    JOINT_NAMES,
+    JointName,
+    finger_bones,
+    side_of,
+)
 from humansim_ros.render import Body, GLRenderer, Lighting  # noqa: E402
 from humansim_ros.render.pictures.canvas import (  # noqa: E402
     INK,

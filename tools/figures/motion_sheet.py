@@ -13,7 +13,8 @@ import cv2
 import numpy as np
 
 from humansim_ros.errors import HumansimError
-from humansim_ros.motion.pose.info import read_with_warnings, to_world
+from humansim_ros.motion.pose.reports import read_with_warnings
+from humansim_ros.motion.pose.world_motion import to_world
 from humansim_ros.people.loading.loading import load_human
 from humansim_ros.scene.pictures.people import SkinnedArtist
 

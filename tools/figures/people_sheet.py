@@ -13,8 +13,8 @@ sys.path.insert(0, str(ROOT))
 
 from humansim_ros.cameras import Camera  # noqa: E402
 from humansim_ros.motion import read_motion  # noqa: E402
-from humansim_ros.motion.pose.info import to_world  # noqa: E402
 from humansim_ros.motion.pose.retarget import Retargeter  # noqa: E402
+from humansim_ros.motion.pose.world_motion import to_world  # noqa: E402
 from humansim_ros.people import load_human  # noqa: E402
 from humansim_ros.render import Body, GLRenderer, Lighting  # noqa: E402
 from humansim_ros.types import Image  # noqa: E402

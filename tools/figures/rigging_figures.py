@@ -30,8 +30,8 @@ from humansim_ros.motion import (  # noqa: E402
     read_motion,
 )
 from humansim_ros.motion.body.skinning import LinearBlend, limit_bones  # noqa: E402
-from humansim_ros.motion.pose.info import to_world  # noqa: E402
 from humansim_ros.motion.pose.retarget import Retargeter  # noqa: E402
+from humansim_ros.motion.pose.world_motion import to_world  # noqa: E402
 from humansim_ros.people import fit_skeleton, rig  # noqa: E402
 from humansim_ros.people.humans.human import Human  # noqa: E402
 from humansim_ros.people.loading.loading import load_human  # noqa: E402

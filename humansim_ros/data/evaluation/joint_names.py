@@ -12,7 +12,7 @@ from humansim_ros.files.yaml import read_yaml
 from humansim_ros.motion.body import JOINT_NAMES, SETS
 from humansim_ros.people.keypoints import KEYPOINT_SETS, KeypointSet
 
-#: Further spellings of joints, in addition to those of :mod:`humansim_ros.motion.body.joint_names`.
+#: Further spellings of joints, in addition to those of :mod:`humansim_ros.motion.body.skeleton`.
 _SPELLINGS = {
     "vt3": ("neck", "lower_neck", "upper_neck"),
     "vt3_end": ("head_top", "top_head", "head"),

@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.geometry import multiply_quaternions, rotate, unit_vectors
-from humansim_ros.motion.body.joint_names import FINGERS, finger_bones
-from humansim_ros.motion.body.skeleton import Skeleton
+from humansim_ros.motion.body.skeleton import FINGERS, Skeleton, finger_bones
 from humansim_ros.types import Array, Indices
 
 #: Names of the finger bones of both hands, the left one first.

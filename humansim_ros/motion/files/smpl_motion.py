@@ -20,8 +20,8 @@ from scipy.spatial.transform import Rotation
 from humansim_ros.errors import HumansimError, MotionError, some_of, unknown, warn_about
 from humansim_ros.files.reading import read_npz, read_pickle, read_table
 from humansim_ros.geometry import rotate, rotation_vector_to_matrix
-from humansim_ros.motion.body.joint_names import SMPL, SMPL_MODELS
 from humansim_ros.motion.body.kinematics import Motion, motion_of_rotations
+from humansim_ros.motion.body.skeleton import SMPL, SMPL_MODELS
 from humansim_ros.motion.files.marker_files import MarkerFile
 from humansim_ros.types import Array
 

@@ -24,8 +24,8 @@ import numpy as np
 from humansim_ros.errors import MotionError, unknown
 from humansim_ros.files.reading import exists
 from humansim_ros.geometry import lengths_of, rotate
-from humansim_ros.motion.body.joint_names import DETAIL_BONES, FINGERS, JOINT_NAMES
 from humansim_ros.motion.body.kinematics import Motion, refuse_cycle
+from humansim_ros.motion.body.skeleton import DETAIL_BONES, FINGERS, JOINT_NAMES
 from humansim_ros.motion.matching.joint_tables import (
     ARM_BONES,
     REQUIRED_BONES,

@@ -27,9 +27,9 @@ from humansim_ros.geometry import (
 )
 from humansim_ros.motion.body.kinematics import JointPoses, Motion
 from humansim_ros.motion.body.skeleton import Skeleton
-from humansim_ros.motion.motion.world_motion import PoseCorrection, WorldMotion
 from humansim_ros.motion.pose.retarget import Retargeter
 from humansim_ros.motion.pose.soles import contact_steps, sole_loads, sole_points, standing_feet, true_runs
+from humansim_ros.motion.pose.world_motion import PoseCorrection, WorldMotion
 from humansim_ros.types import Array
 
 #: A correction straightens a leg up to this share of its length. A leg that was straighter before stays so.
@@ -158,7 +158,7 @@ class FootContacts:
         return replace(contacts, shifts=shifts, drops=drops[cycle])
 
     def apply(self, poses: JointPoses, phases: Array, cycle_rotations: Array) -> JointPoses:
-        """Correct poses. See :class:`~humansim_ros.motion.motion.world_motion.PoseCorrection`."""
+        """Correct poses. See :class:`~humansim_ros.motion.pose.world_motion.PoseCorrection`."""
         shift = np.array(
             [[np.interp(phases, self.phases, axis) for axis in foot.T] for foot in self.shifts.swapaxes(0, 1)]
         ).transpose(2, 0, 1)
@@ -312,7 +312,7 @@ class SkinContact:
         return cls(phases, -heights / retargeter.scale, world.correction)
 
     def apply(self, poses: JointPoses, phases: Array, cycle_rotations: Array) -> JointPoses:
-        """Correct poses. See :class:`~humansim_ros.motion.motion.world_motion.PoseCorrection`."""
+        """Correct poses. See :class:`~humansim_ros.motion.pose.world_motion.PoseCorrection`."""
         if self.before is not None:
             poses = self.before.apply(poses, phases, cycle_rotations)
         rises = np.interp(phases, self.phases, self.rises)[:, None, None] * np.array([0.0, 0.0, 1.0])

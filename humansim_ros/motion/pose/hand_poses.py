@@ -25,15 +25,14 @@ from humansim_ros.geometry import (
     smooth_step,
 )
 from humansim_ros.motion.body.hands import FINGER_BONES, PER_HAND, HandAnatomy
-from humansim_ros.motion.body.joint_names import FINGERS
 from humansim_ros.motion.body.kinematics import JointPoses
-from humansim_ros.motion.body.skeleton import Skeleton
+from humansim_ros.motion.body.skeleton import FINGERS, Skeleton
 from humansim_ros.motion.pose.hand_keys import MAX_SECONDS, HandKey, HandPoseName
 from humansim_ros.types import Array, Indices
 
 if TYPE_CHECKING:
     from humansim_ros.motion.matching.joint_tables import JointMatch
-    from humansim_ros.motion.motion.world_motion import WorldMotion
+    from humansim_ros.motion.pose.world_motion import WorldMotion
 
 #: Angles (15, 3) of each pose, degrees: flexion, spread and twist of the joints. The first finger is the
 #: index finger, the fifth is the thumb. The fingers of a fist bend as far as possible without sinking into

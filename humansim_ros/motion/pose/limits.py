@@ -25,8 +25,7 @@ from humansim_ros.errors import MotionError, unknown
 from humansim_ros.files.reading import resource_path
 from humansim_ros.files.yaml import Section, read_yaml, validated
 from humansim_ros.geometry import from_y_axis, matrix_to_quaternion, quaternion_to_matrix
-from humansim_ros.motion.body.joint_names import DETAIL_BONES
-from humansim_ros.motion.body.skeleton import Skeleton, hanim_skeleton, side_of
+from humansim_ros.motion.body.skeleton import DETAIL_BONES, Skeleton, hanim_skeleton, side_of
 from humansim_ros.types import Array
 
 #: Anatomical directions. ``out`` is away from the middle of the body, so that both sides can share a range.

@@ -23,9 +23,9 @@ from humansim_ros.geometry import (
     smooth_step,
 )
 from humansim_ros.motion.body.kinematics import JointPoses
-from humansim_ros.motion.motion.world_motion import Placement, WorldMotion
 from humansim_ros.motion.pose.contacts import Leg, two_bone
 from humansim_ros.motion.pose.soles import true_runs
+from humansim_ros.motion.pose.world_motion import Placement, WorldMotion
 from humansim_ros.types import Array, Indices
 
 #: Number of poses of a gait in one cycle.

@@ -27,7 +27,6 @@ from humansim_ros.motion.body.kinematics import JointPoses
 from humansim_ros.motion.body.skeleton import Skeleton
 from humansim_ros.motion.matching.file_frame import BodyLines
 from humansim_ros.motion.matching.joint_tables import JointMatch
-from humansim_ros.motion.motion.world_motion import WorldMotion, floor_height
 from humansim_ros.motion.pose.bone_drivers import (
     LINE_ROTATIONS,
     SHORTEST_LINK,
@@ -41,6 +40,7 @@ from humansim_ros.motion.pose.bone_drivers import (
 from humansim_ros.motion.pose.hand_poses import FreeFingers
 from humansim_ros.motion.pose.limits import JointLimits, load_limits
 from humansim_ros.motion.pose.soles import sole_heights
+from humansim_ros.motion.pose.world_motion import WorldMotion, floor_height
 from humansim_ros.types import Array, Indices
 
 #: Hands without any pose from keys.

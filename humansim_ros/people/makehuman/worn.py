@@ -43,7 +43,7 @@ PartMaterial = Literal["hair", "top", "bottom", "shoes", "soles"] | WornName
 
 @dataclass(frozen=True)
 class Hanging:
-    """How a part of V vertices hangs. See :class:`~humansim_ros.motion.body.loose.LooseParts`. ``ends`` (K,
+    """How a part of V vertices hangs. See :class:`~humansim_ros.motion.body.offsets.LooseParts`. ``ends`` (K,
     2) and ``outwards`` (K, 3) describe the ends; ``nodes`` (V, 2), ``shares`` (V, 2), ``gather`` (V, 3) and
     ``left`` (V,) all vertices."""
 

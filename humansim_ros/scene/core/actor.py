@@ -27,7 +27,6 @@ from humansim_ros.geometry import (
 from humansim_ros.motion.body import Eyes, JointPoses, Motion, Rated, within_limits
 from humansim_ros.motion.files import KeyframeSpace, KeyframeTrack
 from humansim_ros.motion.matching import detect_file_frame, match_motion
-from humansim_ros.motion.motion import Placement, WorldMotion, playing_warnings
 from humansim_ros.motion.pose import (
     BODY,
     BUILT_IN_HANDS,
@@ -39,12 +38,15 @@ from humansim_ros.motion.pose import (
     HandKeys,
     Palm,
     PathMotion,
+    Placement,
     PoseStage,
     Reaches,
     Retargeter,
     SceneQuery,
     SkinContact,
     WalkPath,
+    WorldMotion,
+    playing_warnings,
     sample_together,
     skin_on_floor,
 )

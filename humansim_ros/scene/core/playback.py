@@ -17,7 +17,7 @@ from humansim_ros.errors import MotionError, SceneError, in_section
 from humansim_ros.files.yaml import validated
 from humansim_ros.geometry import ObjectPose, Velocity, multiply_quaternions, normalised
 from humansim_ros.motion.body import JointPoses
-from humansim_ros.motion.motion import WorldMotion
+from humansim_ros.motion.pose import WorldMotion
 from humansim_ros.scene.config.config import MotionConfig
 from humansim_ros.scene.core.actor import Actor, joint_poses_of
 from humansim_ros.scene.core.camera import CameraPose

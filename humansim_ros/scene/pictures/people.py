@@ -18,8 +18,7 @@ from humansim_ros.errors import HumansimError
 from humansim_ros.geometry import WORLD_FROM_BODY, transform
 from humansim_ros.motion.body import DETAIL_BONES, Motion, side_of
 from humansim_ros.motion.matching import axis_vector
-from humansim_ros.motion.motion import WorldMotion, floor_height
-from humansim_ros.motion.pose import Retargeter, headings, mean_heading
+from humansim_ros.motion.pose import Retargeter, WorldMotion, floor_height, headings, mean_heading
 from humansim_ros.people.humans import Human
 from humansim_ros.render.frame import GLRenderer
 from humansim_ros.render.interface import Body, Lighting

@@ -1,21 +1,103 @@
-"""Eyeballs of a skeleton: directions of gaze, and the actions of the lids that go with them.
-
-Angles are yaw to the person's left and pitch upwards, from the direction at rest, in the axes of the head. An
-action such as ``eyeLookUpLeft`` has the weight 1 where the eye is at its limit. These actions state where the
-eyes look, and move the skin around the eyes, since lids follow the eyes up and down [Leigh 2015].
-"""
+"""Faces: actions with the names of Apple's ARKit, eyes that turn to a point with the head, and the jaw."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal, get_args
 
 import numpy as np
 
-from humansim_ros.geometry import rotate, smooth_step, unit_vectors
-from humansim_ros.motion.body.face_actions import ACTIONS
+from humansim_ros.errors import MotionError, unknown
+from humansim_ros.files.reading import read_table
+from humansim_ros.geometry import fit_similarity, rotate, smooth_step, unit_vectors
+from humansim_ros.motion.body.kinematics import Rated
 from humansim_ros.motion.body.skeleton import Skeleton
 from humansim_ros.types import Array, Indices
+
+_SIDED = "{}Left", "{}Right"
+
+
+def _both(*names: str) -> list[str]:
+    return [side.format(name) for name in names for side in _SIDED]
+
+
+_TABLE = read_table("faces")
+#: Names of the 52 actions [Apple, ARFaceAnchor.BlendShapeLocation], sorted. Weights are from 0 to 1.
+ACTIONS: tuple[str, ...] = tuple(_TABLE["actions"])
+_NUMBERS = {name: number for number, name in enumerate(ACTIONS)}
+
+
+def both_sides(weights: Mapping[str, float]) -> dict[str, float]:
+    """Weights by action. Names without a side stand for both sides.
+
+    Example:
+        >>> both_sides({"mouthSmile": 0.5, "jawOpen": 0.2})
+        {'mouthSmileLeft': 0.5, 'mouthSmileRight': 0.5, 'jawOpen': 0.2}
+    """
+    return {
+        each: weight
+        for name, weight in weights.items()
+        for each in ((name,) if name in _NUMBERS else _both(name))
+    }
+
+
+def face_weights(weights: Mapping[str, float], names: Iterable[str] = ACTIONS) -> Array:
+    """Weights (S,) in the order of ``names``, from weights by name. Actions without a weight get 0.
+
+    Raises:
+        MotionError: There is no such action, or a weight is not from 0 to 1.
+
+    Example:
+        >>> float(face_weights({"jawOpen": 0.5})[ACTIONS.index("jawOpen")])
+        0.5
+    """
+    numbers = _NUMBERS if names is ACTIONS else {name: number for number, name in enumerate(names)}
+    out = np.zeros(len(numbers))
+    for name, weight in weights.items():
+        if name not in numbers:
+            message = unknown("action of the face", name, numbers, most=5)
+            raise MotionError(f"{message} (docs/faces.md)")
+        if not 0 <= weight <= 1:  # refuses NaN too
+            raise MotionError(f"the weight of {name} must be from 0 to 1, not {weight!r}")
+        out[numbers[name]] = weight
+    return out
+
+
+#: Actions for each action unit of FACS [Ekman 1978], without their sides.
+_UNITS: dict[int, str] = {int(unit): action for unit, action in _TABLE["units"].items()}
+ExpressionName = Literal["neutral", "happiness", "sadness", "surprise", "fear", "anger", "disgust"]
+#: Action units of the six basic emotions [Friesen 1983]. The weights look natural on the built-in humans.
+EXPRESSIONS: dict[str, dict[int, float]] = {
+    name: {int(unit): weight for unit, weight in units.items()}
+    for name, units in _TABLE["expressions"].items()
+}
+assert tuple(EXPRESSIONS) == get_args(ExpressionName)
+
+
+def expression(name: str) -> Mapping[str, float]:
+    """Weights by action for an expression at full strength: ``neutral`` or one of the six basic emotions.
+
+    Raises:
+        MotionError: There is no such expression.
+
+    Example:
+        >>> expression("surprise")["jawOpen"]
+        0.4
+    """
+    if name not in EXPRESSIONS:
+        raise MotionError(unknown("expression", name, EXPRESSIONS))
+    return both_sides({_UNITS[unit]: weight for unit, weight in EXPRESSIONS[name].items()})
+
+
+#: Weights of a face at rest.
+FACE_AT_REST = Rated.at_rest(ACTIONS, (len(ACTIONS),), (0.0, 1.0))
+
+
+# Angles of eyes are yaw to the person's left and pitch upwards, from the direction at rest, in the axes of
+# the head. An action such as ``eyeLookUpLeft`` has the weight 1 where the eye is at its limit. It also moves
+# the skin around the eye, since lids follow the eyes up and down [Leigh 2015].
 
 #: The eyes, left first.
 EYE_BONES = ("l_eyeball_joint", "r_eyeball_joint")
@@ -187,3 +269,77 @@ def _turns(angles: Array) -> Array:
     out[..., 1, 1], out[..., 1, 2] = d, b
     out[..., 2, 0], out[..., 2, 1], out[..., 2, 2] = -a, -c * b, c * d
     return out
+
+
+BONE = "temporomandibular"
+#: Actions that move the jaw.
+MOVES = ("jawForward", "jawLeft", "jawOpen", "jawRight")
+
+
+@dataclass(frozen=True, eq=False)
+class Jaw:
+    """The bone of the jaw, and what the actions do to its teeth.
+
+    The actions move the skin themselves, as their artists drew it, so the bone does not move the skin. The
+    bone gets the rigid motion that fits the lower teeth best [Umeyama 1991].
+
+    Attributes:
+        bone: Number of the bone.
+        end: Number of the joint at the chin.
+        rest: Frame (4, 4) of the bone at rest.
+        actions: (A,) numbers of the actions.
+        teeth: (K, 3) vertices of the lower teeth at rest, metres.
+        offsets: (A, K, 3) offsets of the teeth by each action at weight 1.
+    """
+
+    bone: int
+    end: int
+    rest: Array
+    actions: Indices
+    teeth: Array
+    offsets: Array
+
+    @classmethod
+    def of(cls, skeleton: Skeleton, teeth: Array, offsets: Mapping[str, Array]) -> Jaw:
+        """Jaw of a skeleton with the bone. ``teeth``: (K, 3); ``offsets``: (K, 3) by each of the actions."""
+        bone, end = skeleton.bone(BONE), skeleton.joint_names.index(f"{BONE}_end")
+        actions = np.array([ACTIONS.index(name) for name in MOVES])
+        return cls(
+            bone, end, skeleton.rest[bone], actions, teeth, np.array([offsets[name] for name in MOVES])
+        )
+
+    def moves(self, weights: Array) -> bool:
+        """Whether weights (..., 52) of the actions move the jaw."""
+        return bool(weights[..., self.actions].any())
+
+    def motions(self, weights: Array) -> tuple[Array, Array]:
+        """Rotations (N, 3, 3) and shifts (N, 3), metres, of the jaw in the frame of its bone, from weights
+        (N, 52)."""
+        goals = self.teeth + np.einsum("na,aki->nki", weights[:, self.actions], self.offsets)
+        teeth = np.broadcast_to(self.teeth, goals.shape)
+        _, rotations, translations = fit_similarity(teeth, goals, scale=1.0)
+        axes, head = self.rest[:3, :3], self.rest[:3, 3]
+        shifts = rotate(rotations, head) + translations - head
+        return np.asarray(axes.T @ rotations @ axes), shifts @ axes
+
+    def open(self, joints: Array, weights: Array, sizes: Array) -> Array:
+        """Frames (N, J, 4, 4) with the jaw moved by weights (N, 52). ``sizes``: (N,) scale of the body."""
+        if not self.moves(weights):
+            return joints
+        turns, shifts = self.motions(weights)
+        out, both = joints.copy(), [self.bone, self.end]
+        before = joints[:, self.bone, :3, :3]
+        chin = np.swapaxes(before, -1, -2) @ (joints[:, self.end] - joints[:, self.bone])[:, :3, 3:]
+        out[:, both, :3, :3] = (before @ turns)[:, None]
+        out[:, self.bone, :3, 3] += sizes[:, None] * rotate(before, shifts)
+        out[:, self.end, :3, 3] = out[:, self.bone, :3, 3] + rotate(before @ turns, chin[..., 0])
+        return out
+
+    def closed(self, bone: Array, weights: Array, size: float) -> Array:
+        """Frame (4, 4) of the bone as it is without the motion by weights (52,). ``size``: scale of the
+        body."""
+        (turn,), (shift,) = self.motions(weights[None])
+        out = bone.copy()
+        out[:3, :3] = bone[:3, :3] @ turn.T
+        out[:3, 3] -= size * out[:3, :3] @ shift
+        return out

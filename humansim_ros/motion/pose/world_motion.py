@@ -1,11 +1,11 @@
-"""A motion placed in ``map``, in metres. It can be cut, looped and sampled at any time."""
+"""Motions placed in ``map``, in metres: cut, looped and sampled at any time; and warnings about them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 import scipy
@@ -24,9 +24,9 @@ from humansim_ros.geometry import (
     unit_vectors,
 )
 from humansim_ros.motion.body.kinematics import JointPoses, Motion
-from humansim_ros.motion.matching.file_frame import FileFrame
+from humansim_ros.motion.matching.file_frame import FileFrame, detect_file_frame
 from humansim_ros.motion.matching.joint_tables import JointMatch, opposite_joints
-from humansim_ros.motion.motion.pace import pace_warning
+from humansim_ros.motion.matching.person import match_motion
 from humansim_ros.types import Array, Indices
 
 #: A step is a jump if it is faster than the first value (m/s) and longer than the second (metres). The
@@ -69,12 +69,11 @@ def find_jumps(path: Array, frame_time: float) -> tuple[Jump, ...]:
 
 
 def leading_rest(motion: Motion, jumps: Sequence[Jump]) -> int:
-    """Number of frames before the first jump in which a rest pose does not move. 0 if there are no such
-    frames.
+    """Number of frames before the first jump in which a rest pose does not move; 0 if there are none.
 
     Some programs write the rest pose at the origin as the first frame, and the person elsewhere. Frames are a
-    rest pose if all rotations are zero. They are also a rest pose if the root is at the origin of the file or
-    above the origin, but only in fewer than half of the frames.
+    rest pose if all rotations are zero; or if the root is at or above the origin of the file in fewer than
+    half of the frames.
     """
     first = jumps[0].frame if jumps else 0
     before = motion.values[:first]
@@ -156,11 +155,9 @@ class WorldMotion:
         speed: Seconds of the file per second.
         blend: Seconds of the file over which the end of a cycle fades into the start of the next. Each cycle
             is shorter by this time.
-
         mirror: Whether to swap left and right. The motion is reflected in the vertical plane through the
             placement along its heading.
-
-        correction: Correction of each sample, for example feet that stay in place. None if there is none.
+        correction: Correction of each sample, for example feet that stay in place; or None.
 
     Raises:
         MotionError: Start, end, speed and blend contradict each other or the motion.
@@ -418,6 +415,34 @@ class WorldMotion:
         return rotations, fixed - rotations @ fixed
 
 
+def to_world(
+    motion: Motion,
+    table: str | None = None,
+    unit: float | None = None,
+    up: str | None = None,
+    facing: str | None = None,
+    min_confidence: float | None = None,
+    **options: Any,
+) -> WorldMotion:
+    """Place a motion in ``map``. Joints and file frame are detected where they are not given.
+
+    Args:
+        motion: Motion of a person.
+        table: Joint table: name of a built-in table, or YAML file.
+        unit: Metres per file unit.
+        up: File axis that points up.
+        facing: File axis that the person faces at rest.
+        min_confidence: Lowest confidence of the joint match. If None, 0.12.
+        options: Other fields of :class:`WorldMotion`. By default, ``loop`` is ``none``.
+
+    Raises:
+        MotionError: The motion is not that of a person, or a given value does not fit the motion.
+    """
+    match = match_motion(motion, table, min_confidence)
+    frame = detect_file_frame(motion, match, unit, up, facing)
+    return WorldMotion(motion, match, frame, **{"loop": "none", **options})
+
+
 def floor_height(lowest: Array) -> float:
     """Height of the floor under a motion, from the height of its lowest point in each frame (F,). In most
     frames a foot is on the floor. There are only few frames in which toes dip below the floor at push-off, or
@@ -504,3 +529,72 @@ def _in_front(knee: Array, hip: Array, ankle: Array, across: Array) -> Array:
 
 def _metres(distance: float) -> str:
     return f"{distance:.2f} m" if distance < 10 else f"{distance:.4g} m"
+
+
+#: Fewest and most frames that are examined, from the middle of a motion.
+_EXAMINED = 8, 2000
+#: A hand or a foot moves if its spread about its mean place relative to the hips is larger than the first
+#: value (RMS, metres). A person walks if the hips move farther than the second value (metres).
+_MOVES, _WALKS = 0.04, 1.0
+#: Joints that show how a limb moves, the best first.
+_LEG, _ARM = ("Ankle", "Knee"), ("Wrist", "Elbow")
+#: Largest acceleration of hands and feet (RMS, m/s^2). Sprints reach 90, dances 20, walks 5 to 13.
+_MOST_ACCELERATION = 120.0
+#: Lowest plausible frequency (Hz) of the fastest movement, for people who walk and for others. Usual are 1.7
+#: to 3 Hz and 0.4 to 5 Hz.
+_LEAST_FREQUENCY = {True: 0.15, False: 0.03}
+#: Usual frequency (Hz) of the feet of a person who walks, and of the hands and feet of other people.
+_USUAL_FREQUENCY = {True: 1.05, False: 0.45}
+#: Usual frame rates of files.
+_RATES = (24.0, 25.0, 30.0, 50.0, 60.0, 100.0, 120.0, 240.0)
+_OFTEN = (30.0, 60.0, 120.0)
+
+
+def pace_warning(motion: Motion, roles: Mapping[str, int], frame: FileFrame, speed: float) -> str | None:
+    """Warn about a frame rate with which a person is too fast or too slow, and name a likely rate.
+
+    Feet of people who walk go back and forth about once a second, whatever their speed. Rates that are wrong
+    by a factor of less than three or four remain plausible. They give None.
+
+    Args:
+        motion: Motion of a file.
+        roles: Role -> joint.
+        frame: Coordinate frame of the file.
+        speed: Seconds of the file per second.
+    """
+    ends = ([f"{side}{part}" for part in limb] for limb in (_LEG, _ARM) for side in ("Left", "Right"))
+    limbs = [next(role for role in end if role in roles) for end in ends if roles.keys() & {*end}]
+    joints = [roles[role] for role in ("LeftHip", "RightHip", *limbs)]
+    start = max(0, (motion.n_frames - _EXAMINED[1]) // 2)
+    places = frame.unit * motion.world_positions(slice(start, start + _EXAMINED[1]))[:, joints]
+    if len(places) < _EXAMINED[0]:
+        return None
+    hips = places[:, :2].mean(1)
+    beside = places[:, 2:] - hips[:, None]
+    spread = np.sqrt(((beside - beside.mean(0)) ** 2).sum(-1).mean(0))
+    moving = spread > _MOVES
+    if not moving.any():
+        return None
+    rate = speed / motion.frame_time
+    speeds = rate * np.linalg.norm(np.diff(beside[:, moving], axis=0), axis=-1)
+    spread = spread[moving]
+    # single wrong frames must not count
+    usual = np.sqrt((np.minimum(speeds, np.quantile(speeds, 0.95, axis=0)) ** 2).mean(0))
+    turns = 2 * np.pi * spread
+    walks = bool(np.linalg.norm(np.ptp(hips, axis=0)) > _WALKS)
+    feet = np.array([role.endswith(_LEG) for role in limbs])[moving]
+    which = feet if walks and feet.any() else np.ones_like(feet)
+    too_slow = float((np.quantile(speeds, 0.999, axis=0) / turns)[which].max()) < _LEAST_FREQUENCY[walks]
+    if not too_slow and float((usual**2 / spread)[which].min()) < _MOST_ACCELERATION:
+        return None
+    measured = rate * _USUAL_FREQUENCY[walks] / float(np.median((usual / turns)[which]))
+    # some files store the rate instead of the time, or the time in milliseconds
+    stated = (motion.frame_time, 1000 / motion.frame_time)
+    meant = [each for each in _RATES if np.abs(np.divide(stated, each) - 1).min() < 0.01] or _RATES
+    likely = min(meant, key=lambda each: abs(np.log(each / measured)) + 0.15 * (each not in _OFTEN))
+    way = float(np.linalg.norm(np.diff(hips, axis=0), axis=-1).mean()) * rate
+    return (
+        f"the person moves at {way:.3g} m/s, with hands and feet at up to {speeds.max():.3g} m/s: too "
+        f"{'slow' if too_slow else 'fast'}. The frame rate, {rate:.6g} frames per second, is hardly right; "
+        f"{likely:g} are likely (speed: {likely * motion.frame_time:.4g})"
+    )

@@ -72,7 +72,7 @@ def render(folder: Path) -> Points:
 
     from humansim_ros import Scene, Simulation
     from humansim_ros.cli.human import built_in_humans
-    from humansim_ros.render.pictures.canvas import write_png
+    from humansim_ros.render.pictures import write_png
 
     truth: Points = {}
     for body in built_in_humans():

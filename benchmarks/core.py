@@ -34,12 +34,11 @@ from humansim_ros.data.formats.glb import AnimatedHuman, glb_bytes
 from humansim_ros.files import Mesh
 from humansim_ros.geometry import ObjectPose
 from humansim_ros.render import ALL_CHANNELS, CHANNELS, AdjacentFrame, Body, GLRenderer
-from humansim_ros.render.device.contact_shadow import ShadowCaster
 from humansim_ros.render.device.context import OpenGLContext
-from humansim_ros.render.device.mesh_buffers import PosedMesh, Topology
+from humansim_ros.render.device.mesh_buffers import PosedMesh, ShadowCaster, Topology
 from humansim_ros.render.frame.body_buffers import ProjectedPoints, contour
+from humansim_ros.render.frame.edge_antialiasing import edge_crossings
 from humansim_ros.render.frame.pyrender import import_pyrender
-from humansim_ros.render.static.edge_antialiasing import edge_crossings
 from humansim_ros.scene import Scene
 from humansim_ros.scene.core.objects import SHAPES
 from humansim_ros.types import Array

@@ -24,10 +24,10 @@ from core import workbench
 from humansim_ros.cameras import Camera
 from humansim_ros.files.mesh.mesh import Mesh
 from humansim_ros.render import CHANNELS, Body, GLRenderer
-from humansim_ros.render.device.programs import lit_program, set_uniform, use_camera
+from humansim_ros.render.device.context import lit_program, set_uniform, use_camera
 from humansim_ros.render.device.target import Rectangle
 from humansim_ros.render.frame.body_buffers import ProjectedPoints
-from humansim_ros.render.static.light_map import UNIT
+from humansim_ros.render.frame.static_scene import UNIT
 from humansim_ros.scene import Scene
 
 #: Calibrations of real cameras; the fisheye's coefficients are made up.

@@ -98,7 +98,7 @@ def render_humans(folder: Path, options: argparse.Namespace) -> dict[str, list[l
     from humansim_ros.people import draw_person, make_person
     from humansim_ros.people.loading.loading import load_human
     from humansim_ros.render import GLRenderer
-    from humansim_ros.render.pictures.canvas import write_png
+    from humansim_ros.render.pictures import write_png
     from humansim_ros.scene.config.config import MotionConfig
     from humansim_ros.scene.core.actor import Actor
     from humansim_ros.scene.core.source import SceneSource

@@ -25,7 +25,7 @@ from scipy.optimize import nnls
 
 from humansim_ros.cameras import Camera
 from humansim_ros.render import CHANNELS, Body, GLRenderer
-from humansim_ros.render.pictures.canvas import write_png
+from humansim_ros.render.pictures import write_png
 from humansim_ros.scene import Scene
 
 CAMERAS = (1, 2, 4, 8, 12, 16)

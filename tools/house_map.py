@@ -23,7 +23,7 @@ PACKAGES: Mapping[str, tuple[int, tuple[str, ...]]] = {
     "motion": (2, ("body", "matching", "files", "pose")),
     "cameras": (2, ("camera", "formats", "sensor", "scanner")),
     "people": (3, ("rigging", "humans", "makehuman", "loading", "keypoints")),
-    "render": (3, ("interface", "device", "static", "frame", "pictures")),
+    "render": (3, ("interface", "device", "frame", "pictures")),
     "scene": (4, ("truth", "features", "config", "core", "checks", "pictures")),
     "data": (5, ("bags", "messages", "engine", "formats", "datasets", "evaluation")),
     "photographs": (5, ()),

@@ -21,7 +21,7 @@ from waiting import PATIENCE
 from humansim_ros import Camera, HumansimError, write_calibration
 from humansim_ros.cli import main as cli
 from humansim_ros.files.reading.files import atomic_path
-from humansim_ros.render.pictures.canvas import write_gif, write_mp4
+from humansim_ros.render.pictures import write_gif, write_mp4
 
 #: Commands that write a file, which comes last.
 WRITERS = [

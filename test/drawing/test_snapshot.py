@@ -15,7 +15,7 @@ from humansim_ros import Scene, Simulation
 from humansim_ros.cli.main import main
 from humansim_ros.errors import HumansimError, RenderError, SceneError
 from humansim_ros.render import ALL_CHANNELS
-from humansim_ros.render.pictures.canvas import write_png
+from humansim_ros.render.pictures import write_png
 from humansim_ros.scene.pictures.snapshots import MAX_SIDE, _Layout, snapshot
 from humansim_ros.scene.pictures.top_view import top_view
 from humansim_ros.scene.pictures.views import color_channel, color_image

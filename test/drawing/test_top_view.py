@@ -14,7 +14,7 @@ import pytest
 from humansim_ros import Scene
 from humansim_ros.cameras.camera.rigs import Optics, dome, ring
 from humansim_ros.errors import CameraError
-from humansim_ros.render.pictures.canvas import INK, distinct_hues, hsv_colors
+from humansim_ros.render.pictures import INK, distinct_hues, hsv_colors
 from humansim_ros.scene.pictures.rigs import coverage_image, rig_image
 from humansim_ros.scene.pictures.top_view import CHEST, coverage_colors, top_view
 

@@ -370,7 +370,7 @@ def test_every_reader_opens_files_in_one_place() -> None:
         "ros/tools/bench.py",
         "cli/doctor.py",
         "ros/graph/transport.py",
-        "render/device/programs.py",
+        "render/device/context.py",
         "people/rigging/landmarks.py",
     )
     calls = (".read_bytes()", ".read_text(", '.open("rb"', "np.load(path", "cv2.imread(", "np.fromfile(")

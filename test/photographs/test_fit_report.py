@@ -24,7 +24,7 @@ from humansim_ros.photographs.fitting import fit_person
 from humansim_ros.photographs.person_fit import PersonFit
 from humansim_ros.photographs.reports import draw_report, draw_sheet
 from humansim_ros.photographs.texturing import texture_thesis
-from humansim_ros.render.pictures.canvas import PAPER, distinct_hues, hsv_colors
+from humansim_ros.render.pictures import PAPER, distinct_hues, hsv_colors
 from humansim_ros.types import Color, Image
 
 BEFORE, AFTER = (255, 150, 40), (0, 225, 255)

@@ -9,7 +9,7 @@ from render_scenes import quad, renderer_or_skip
 from humansim_ros.cameras import Camera
 from humansim_ros.files.mesh.mesh import Mesh
 from humansim_ros.render import Body, RendererName
-from humansim_ros.render.device.contact_shadow import CELLS, ContactShadow
+from humansim_ros.render.device.mesh_buffers import CELLS, ContactShadow
 
 
 def test_corners_enclose_the_dark_cells_as_they_are_interpolated() -> None:

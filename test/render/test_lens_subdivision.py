@@ -11,8 +11,14 @@ from numpy.typing import NDArray
 from opencv_support import opencv_pixels
 
 from humansim_ros.cameras import Camera
-from humansim_ros.render.device.lens_tessellation import TOLERANCE, VISIBLE, LensView
-from humansim_ros.render.device.subdivision import TriangleEdges, divide_edges, divide_triangles
+from humansim_ros.render.device.lens_tessellation import (
+    TOLERANCE,
+    VISIBLE,
+    LensView,
+    TriangleEdges,
+    divide_edges,
+    divide_triangles,
+)
 
 LENSES = {
     "plumb_bob": ((-0.361976, 0.110510, 0.001014, 0.000505, 0.0), "plumb_bob"),

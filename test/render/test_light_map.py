@@ -15,8 +15,7 @@ from humansim_ros.files.mesh.mesh import Material, Mesh
 from humansim_ros.render import Lighting
 from humansim_ros.render.frame import static_layers
 from humansim_ros.render.frame.static_layers import offsets
-from humansim_ros.render.static.charts import GUTTER, MAX_SIDE, Charts
-from humansim_ros.render.static.light_map import directions
+from humansim_ros.render.frame.static_scene import GUTTER, MAX_SIDE, Charts, directions
 from humansim_ros.scene import Scene
 from humansim_ros.types import Array, Image, Indices
 

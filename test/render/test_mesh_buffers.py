@@ -11,9 +11,9 @@ import pytest
 from render_scenes import EVEN, along_x, renderer_or_skip
 
 from humansim_ros.files.mesh.mesh import Material, Mesh
+from humansim_ros.render.device.context import depth_program
 from humansim_ros.render.device.mesh_buffers import MaterialBuffers
-from humansim_ros.render.device.programs import depth_program
-from humansim_ros.render.static.static_scene import StaticScene
+from humansim_ros.render.frame.static_scene import StaticScene
 from humansim_ros.types import Image
 
 

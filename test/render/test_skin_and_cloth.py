@@ -16,7 +16,7 @@ from humansim_ros.files.mesh.mesh import Mesh
 from humansim_ros.files.reading.assets import resource_path
 from humansim_ros.people.loading.loading import load_human
 from humansim_ros.render import Body, Lighting
-from humansim_ros.render.static.light_map import directions
+from humansim_ros.render.frame.static_scene import directions
 
 BLACK = (0.0, 0.0, 0.0)
 SKIN, CLOTH = 255, 0

@@ -15,7 +15,7 @@ from humansim_ros.cameras import Camera
 from humansim_ros.files.mesh.mesh import Mesh
 from humansim_ros.render import Lighting
 from humansim_ros.render.frame import static_layers
-from humansim_ros.render.static.static_edges import StaticEdges
+from humansim_ros.render.frame.edge_antialiasing import StaticEdges
 from humansim_ros.scene import Scene
 from humansim_ros.types import Image
 

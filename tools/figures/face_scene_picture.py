@@ -14,7 +14,7 @@ import numpy as np
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
-from humansim_ros.render.pictures.canvas import title_bar  # noqa: E402
+from humansim_ros.render.pictures import title_bar  # noqa: E402
 from humansim_ros.scene import Scene, Simulation  # noqa: E402
 
 SCENE = {

@@ -19,7 +19,7 @@ from humansim_ros.geometry import WORLD_FROM_BODY, transform  # noqa: E402
 from humansim_ros.motion.body.face import EXPRESSIONS, expression  # noqa: E402
 from humansim_ros.people.loading.loading import load_human  # noqa: E402
 from humansim_ros.render import Body, GLRenderer, Lighting  # noqa: E402
-from humansim_ros.render.pictures.canvas import title_bar  # noqa: E402
+from humansim_ros.render.pictures import title_bar  # noqa: E402
 from humansim_ros.types import Image  # noqa: E402
 
 SIZE = (260, 310)

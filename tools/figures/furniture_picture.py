@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
 from humansim_ros import Scene, Simulation  # noqa: E402
-from humansim_ros.render.pictures.canvas import INK, draw_text, text_size  # noqa: E402
+from humansim_ros.render.pictures import INK, draw_text, text_size  # noqa: E402
 from humansim_ros.scene.core.objects import FURNITURE, SHAPES  # noqa: E402
 
 #: Positions from left to right as the camera sees them: y in metres.

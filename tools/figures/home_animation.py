@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
 from humansim_ros import Frame, Scene, Simulation  # noqa: E402
-from humansim_ros.render.pictures.canvas import draw_text  # noqa: E402
+from humansim_ros.render.pictures import draw_text  # noqa: E402
 from humansim_ros.scene.pictures.views import color_channel, draw_joints  # noqa: E402
 from humansim_ros.types import Image  # noqa: E402
 

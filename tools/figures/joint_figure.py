@@ -28,7 +28,7 @@ from humansim_ros.motion.body.skeleton import (  # noqa: E402
     side_of,
 )
 from humansim_ros.render import Body, GLRenderer, Lighting  # noqa: E402
-from humansim_ros.render.pictures.canvas import (  # noqa: E402
+from humansim_ros.render.pictures import (  # noqa: E402
     INK,
     PAPER,
     SIDE_COLORS,

@@ -23,7 +23,7 @@ from humansim_ros.files.reading.assets import built_in_names  # noqa: E402
 from humansim_ros.geometry import WORLD_FROM_BODY  # noqa: E402
 from humansim_ros.motion.body.skeleton import side_of  # noqa: E402
 from humansim_ros.people import KEYPOINT_SETS, KeypointLocator, KeypointSet  # noqa: E402
-from humansim_ros.render.pictures.canvas import (  # noqa: E402
+from humansim_ros.render.pictures import (  # noqa: E402
     INK,
     PAPER,
     SIDE_COLORS,

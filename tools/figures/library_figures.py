@@ -25,7 +25,7 @@ from humansim_ros.motion.pose.soles import find_stances, slide_distances, sole_h
 from humansim_ros.motion.pose.world_motion import to_world
 from humansim_ros.people.humans.human import Human
 from humansim_ros.people.loading.loading import load_human
-from humansim_ros.render.pictures.canvas import draw_text
+from humansim_ros.render.pictures import draw_text
 from humansim_ros.scene.pictures.people import SkinnedArtist
 
 ROOT = Path(__file__).resolve().parents[2]

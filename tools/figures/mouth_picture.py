@@ -19,7 +19,7 @@ from humansim_ros.geometry import WORLD_FROM_BODY, transform  # noqa: E402
 from humansim_ros.people.loading.loading import load_human  # noqa: E402
 from humansim_ros.people.makehuman.mouth import with_mouth  # noqa: E402
 from humansim_ros.render import Body, GLRenderer, Lighting  # noqa: E402
-from humansim_ros.render.pictures.canvas import title_bar  # noqa: E402
+from humansim_ros.render.pictures import title_bar  # noqa: E402
 
 SIZE = (260, 260)
 _SMILE = {f"{name}{side}": 0.7 for side in ("Left", "Right") for name in ("mouthSmile", "mouthUpperUp")}

@@ -17,7 +17,7 @@ sys.path.insert(0, str(ROOT))
 from humansim_ros import Scene, Simulation  # noqa: E402
 from humansim_ros.files.reading.assets import resource_path  # noqa: E402
 from humansim_ros.geometry import quaternion_to_matrix  # noqa: E402
-from humansim_ros.render.pictures.canvas import (  # noqa: E402
+from humansim_ros.render.pictures import (  # noqa: E402
     INK,
     distinct_hues,
     draw_disc,

@@ -18,7 +18,7 @@ from humansim_ros import Scene, Simulation  # noqa: E402
 from humansim_ros.data.evaluation.readers.estimates import read_estimates  # noqa: E402
 from humansim_ros.data.evaluation.readers.pose_files import ReadOptions  # noqa: E402
 from humansim_ros.people import keypoint_set  # noqa: E402
-from humansim_ros.render.pictures.canvas import draw_disc, draw_line, draw_text  # noqa: E402
+from humansim_ros.render.pictures import draw_disc, draw_line, draw_text  # noqa: E402
 from humansim_ros.types import Image  # noqa: E402
 
 #: RGB, one for each identity.

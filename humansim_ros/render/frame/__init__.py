@@ -1,4 +1,4 @@
-"""What is drawn in each frame."""
+"""What is drawn: the static scene once, bodies in each frame."""
 
 from humansim_ros.lazy import lazy_exports
 

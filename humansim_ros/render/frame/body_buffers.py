@@ -14,18 +14,19 @@ from numpy.typing import NDArray
 from humansim_ros.cameras.camera import Camera
 from humansim_ros.files.mesh import Mesh, Simplification, compact, padded, split_seams
 from humansim_ros.render.device.caches import LruCache, WeakCache
-from humansim_ros.render.device.contact_shadow import REACH, ShadowCaster
 from humansim_ros.render.device.lens_tessellation import NEAR, TOLERANCE, VISIBLE, LensView, TessellatedMesh
 from humansim_ros.render.device.mesh_buffers import (
+    REACH,
     ExpandedMesh,
     MaterialBuffers,
     PosedMesh,
+    ShadowCaster,
     Topology,
     TriangleBuffers,
 )
 from humansim_ros.render.device.target import Rectangle
+from humansim_ros.render.frame.edge_antialiasing import ImageEdges
 from humansim_ros.render.interface.renderer import Body
-from humansim_ros.render.static.edge_antialiasing import ImageEdges
 from humansim_ros.types import Array, Float32Array, Indices
 
 #: Most poses of a body for which derived arrays are cached: enough for some frames and one exposure.

@@ -25,11 +25,16 @@ from numpy.typing import NDArray
 from humansim_ros.cameras.camera import Camera
 from humansim_ros.files.mesh import Mesh
 from humansim_ros.render.device.caches import LruCache
-from humansim_ros.render.device.contact_shadow import ContactShadow, ContactShadowPass
-from humansim_ros.render.device.context import OpenGLContext, keep_image_blocks
+from humansim_ros.render.device.context import (
+    OpenGLContext,
+    keep_image_blocks,
+    link,
+    lit_program,
+    set_uniform,
+    use_camera,
+)
 from humansim_ros.render.device.lens_tessellation import TessellatedMesh
-from humansim_ros.render.device.mesh_buffers import TriangleBuffers
-from humansim_ros.render.device.programs import link, lit_program, set_uniform, use_camera
+from humansim_ros.render.device.mesh_buffers import ContactShadow, TriangleBuffers
 from humansim_ros.render.device.target import Rectangle, RenderTarget, RenderTargets
 from humansim_ros.render.frame.body_buffers import (
     BodyCache,
@@ -41,6 +46,7 @@ from humansim_ros.render.frame.body_buffers import (
     straight_angle,
 )
 from humansim_ros.render.frame.detail import coarsest, pays
+from humansim_ros.render.frame.edge_antialiasing import edge_crossings
 from humansim_ros.render.frame.rendered_frame import (
     AdjacentFrames,
     Passes,
@@ -49,6 +55,7 @@ from humansim_ros.render.frame.rendered_frame import (
     StaticLayer,
     TriangleIds,
 )
+from humansim_ros.render.frame.shadows import ContactShadowPass
 from humansim_ros.render.frame.static_layers import StaticLayers, camera_key
 from humansim_ros.render.interface.channels import (
     ADJACENT_NAMES,
@@ -59,7 +66,6 @@ from humansim_ros.render.interface.channels import (
 )
 from humansim_ros.render.interface.lighting import Lighting, RendererName
 from humansim_ros.render.interface.renderer import Body, Renderer, RenderRequest, check_bodies
-from humansim_ros.render.static.edge_antialiasing import edge_crossings
 from humansim_ros.types import Float32Array, Indices
 
 if TYPE_CHECKING:

@@ -28,10 +28,10 @@ from humansim_ros.render.device.caches import WeakCache
 from humansim_ros.render.device.context import OpenGLContext
 from humansim_ros.render.device.lens_tessellation import NEAR
 from humansim_ros.render.device.mesh_buffers import ExpandedMesh, PosedMesh, Topology
+from humansim_ros.render.frame.static_scene import FLOOR_SLACK
 from humansim_ros.render.interface.channels import CHANNEL_TABLE, CHANNELS, View
 from humansim_ros.render.interface.lighting import Lighting
 from humansim_ros.render.interface.renderer import Backdrop, Body, Renderer, RenderRequest
-from humansim_ros.render.static.static_scene import FLOOR_SLACK
 from humansim_ros.types import Array, Float32Array, Image
 
 _FAR = 200.0

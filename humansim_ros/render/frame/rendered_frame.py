@@ -17,10 +17,10 @@ from humansim_ros.cameras.camera import Camera
 from humansim_ros.files.mesh import SKIN, Mesh, with_hair
 from humansim_ros.render.device.pixel_geometry import PixelGeometry, VisiblePixels, optical_flow
 from humansim_ros.render.device.target import Rectangle, RenderTarget
-from humansim_ros.render.frame.sun_shadows import ShadowInputs
+from humansim_ros.render.frame.edge_antialiasing import EdgeCrossings, blend
+from humansim_ros.render.frame.shadows import ShadowInputs
 from humansim_ros.render.interface.channels import CHANNEL_TABLE, AdjacentName, View
 from humansim_ros.render.interface.renderer import AdjacentFrame, Backdrop, Body
-from humansim_ros.render.static.edge_antialiasing import EdgeCrossings, blend
 from humansim_ros.types import Float32Array, Indices
 
 #: Adjacent frames with their rendered images. Channels of occlusion need the images.

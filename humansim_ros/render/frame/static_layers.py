@@ -20,16 +20,15 @@ from numpy.typing import NDArray
 from humansim_ros.cameras.camera import Camera
 from humansim_ros.files.mesh import Mesh
 from humansim_ros.render.device.caches import LruCache
+from humansim_ros.render.device.context import lit_program, set_uniform, use_camera
 from humansim_ros.render.device.lens_tessellation import TOLERANCE, VISIBLE, LensView
 from humansim_ros.render.device.pixel_geometry import ray_grid
-from humansim_ros.render.device.programs import lit_program, set_uniform, use_camera
 from humansim_ros.render.device.target import RenderTarget, RenderTargets
 from humansim_ros.render.frame.rendered_frame import StaticLayer
-from humansim_ros.render.frame.sun_shadows import ShadowInputs, SunShadows
+from humansim_ros.render.frame.shadows import ShadowInputs, SunShadows
+from humansim_ros.render.frame.static_scene import UNIT, LightMap, StaticScene, StaticTriangles
 from humansim_ros.render.interface.lighting import Lighting
 from humansim_ros.render.interface.renderer import Backdrop, Body
-from humansim_ros.render.static.light_map import UNIT, LightMap
-from humansim_ros.render.static.static_scene import StaticScene, StaticTriangles
 from humansim_ros.types import Image
 
 #: Number of shifted images that are averaged for a still camera (a Fibonacci number spreads them best).

@@ -17,7 +17,7 @@ from rich.table import Table
 
 from humansim_ros.data.messages import Frames
 from humansim_ros.errors import HumansimError, RosError
-from humansim_ros.render.pictures import canvas
+from humansim_ros.render.pictures import write_mp4, write_png
 from humansim_ros.ros.processes.lockstep_settings import TimeOptions
 from humansim_ros.ros.processes.node_processes import scene_processes
 from humansim_ros.ros.processes.runtime import prepare_transport
@@ -72,9 +72,9 @@ def record_demo(scene_path: Path, output: Path, duration: float, video: str = "w
         return False
     with _progress(console) as progress:
         task = progress.add_task("writing pictures", total=2)
-        canvas.write_png(output / "contact_sheet.png", _contact_sheet(scene, recorder))
+        write_png(output / "contact_sheet.png", _contact_sheet(scene, recorder))
         progress.advance(task)
-        canvas.write_mp4(output / video, _video(scene, recorder), scene.config.rate)
+        write_mp4(output / video, _video(scene, recorder), scene.config.rate)
         progress.advance(task)
     console.print(_topic_table(recorder, seconds))
     complete, total = recorder.complete_stamps()

@@ -347,7 +347,7 @@ def draw_label(
         image: Image that is drawn on.
         text: The text.
         position: x, y of its lower edge in pixels.
-        scale: Size of the font, as in :func:`~humansim_ros.render.pictures.canvas.draw_text`.
+        scale: Size of the font, as in :func:`~humansim_ros.render.pictures.draw_text`.
         color: Colour of the text.
         anchor: Which point of its lower edge is at ``position``.
         boxed: Whether it is drawn on a translucent box.

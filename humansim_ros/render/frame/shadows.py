@@ -1,8 +1,8 @@
-"""Soft shadows of the sun, from shadow maps: depths of the scene from the direction of the sun.
+"""Soft shadows of the sun, and contact shadows.
 
-The map of the static scene is rendered once. The map of the bodies is rendered once per frame, for all
-cameras: it puts shadows on the bodies and on the cached images of the static scene
-(shaders/apply_shadows.frag).
+Soft shadows come from shadow maps: depths of the scene from the direction of the sun. The map of the static
+scene is rendered once. The map of the bodies is rendered once per frame, for all cameras: it puts shadows on
+the bodies and on the cached images of the static scene (shaders/apply_shadows.frag).
 """
 
 from __future__ import annotations
@@ -17,13 +17,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.cameras.camera import Camera
+from humansim_ros.render.device.context import (
+    columns,
+    depth_program,
+    link,
+    set_uniform,
+    shader,
+    unit_square,
+    use_camera,
+)
+from humansim_ros.render.device.mesh_buffers import CELLS, ContactShadow
 from humansim_ros.render.device.pixel_geometry import ray_grid
-from humansim_ros.render.device.programs import columns, depth_program, set_uniform, shader, unit_square
 from humansim_ros.render.device.target import RenderTarget
 from humansim_ros.render.frame.body_buffers import PosedBody
+from humansim_ros.render.frame.static_scene import StaticScene, bounding_box
 from humansim_ros.render.interface.lighting import Lighting
 from humansim_ros.render.interface.renderer import Body
-from humansim_ros.render.static.static_scene import StaticScene, bounding_box
 from humansim_ros.types import Array, Float32Array, Image
 
 #: Largest length of a shadow on the shadow catcher, metres.
@@ -293,3 +302,40 @@ def shadow_ends(points: Float32Array, lighting: Lighting, lowest: float, longest
 def penumbra_slope(lighting: Lighting) -> float:
     """Half width of the penumbra per metre of distance from the occluder."""
     return float(np.tan(np.radians(lighting.sun_size_deg) / 2))
+
+
+#: Cells along a side of a rectangle that a lens may bend.
+_LENS_CELLS = 32
+
+
+class ContactShadowPass:
+    """Draws contact shadows over the colours of the static scene."""
+
+    def __init__(self, ctx: moderngl.Context) -> None:
+        self._ctx = ctx
+        self._program = link(ctx, "contact_shadow.vert", "contact_shadow.frag")
+        self._whole, self._cells = (
+            ctx.vertex_array(self._program, [(ctx.buffer(unit_square(cells)), "2f", "corner")])
+            for cells in (1, _LENS_CELLS)
+        )
+        self._texture = ctx.texture((CELLS, CELLS), 1, alignment=1)
+
+    def draw(self, shadows: Sequence[ContactShadow], camera: Camera) -> None:
+        """Draw shadows into the target in use. Its alpha becomes the share of light that the shadows let
+        through."""
+        if not shadows:
+            return
+        self._ctx.enable_only(moderngl.DEPTH_TEST | moderngl.BLEND)
+        self._ctx.blend_func = (  # type: ignore[assignment]  # four factors are allowed
+            moderngl.SRC_ALPHA,
+            moderngl.ONE_MINUS_SRC_ALPHA,
+            moderngl.ZERO,
+            moderngl.ONE_MINUS_SRC_ALPHA,
+        )
+        use_camera(self._ctx, self._program, camera)
+        rectangle = self._cells if camera.distorted else self._whole
+        for shadow in shadows:
+            self._texture.write(shadow.darkness.tobytes())
+            self._texture.use(0)
+            set_uniform(self._program, "rectangle", (*shadow.corner, shadow.side, shadow.side))
+            rectangle.render(moderngl.TRIANGLES)

@@ -1,5 +1,0 @@
-"""Drawing of lines and text in images."""
-
-from humansim_ros.lazy import lazy_exports
-
-__getattr__, __dir__, __all__ = lazy_exports(__name__, __file__)

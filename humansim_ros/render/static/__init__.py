@@ -1,1 +1,0 @@
-"""What is drawn once: static scenes, charts, light maps."""

@@ -47,7 +47,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, MultiDOFJointSta
 
 from humansim_ros.data.messages import serialised_stamp
 from humansim_ros.files.reading.assets import resource_path
-from humansim_ros.files.reading.machine import cores
+from humansim_ros.files.reading.programs import cores
 from humansim_ros.ros.graph.qos import DATA
 from humansim_ros.ros.processes.node_processes import scene_processes
 from humansim_ros.ros.processes.runtime import make_executor, prepare_transport

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-#: Hides the content of files in messages (a FileQuotes of files/reading/quotes.py). If None, messages quote
+#: Hides the content of files in messages (a FileQuotes of files/reading/assets.py). If None, messages quote
 #: files.
 HIDING: ContextVar[Any] = ContextVar("HIDING", default=None)
 

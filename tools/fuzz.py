@@ -73,8 +73,7 @@ from humansim_ros.motion.matching.person import match_motion  # noqa: E402
 from humansim_ros.motion.pose.limits import load_limits  # noqa: E402
 from humansim_ros.people import keypoint_set  # noqa: E402
 from humansim_ros.people.humans.human import read_human  # noqa: E402
-from humansim_ros.people.loading.description import read_description  # noqa: E402
-from humansim_ros.people.loading.loading import make_human  # noqa: E402
+from humansim_ros.people.loading.loading import make_human, read_description  # noqa: E402
 from humansim_ros.photographs.views import read_points  # noqa: E402
 from humansim_ros.scene import Scene  # noqa: E402
 from humansim_ros.scene.core.environment import load_panorama  # noqa: E402

@@ -107,7 +107,7 @@ def _anchor(heading: str) -> str:
 
 
 def _section(path: str, model: type[Any], others: Sequence[str], first: Mapping[type, str]) -> Iterator[str]:
-    from humansim_ros.files.yaml.schema_messages import allowed
+    from humansim_ros.files.yaml.schema import allowed
 
     level = min(2 + path.replace(".*", "").count("."), 4)
     yield f"{'#' * level} {path or 'The file'}\n"

@@ -10,4 +10,4 @@ from humansim_ros.people.loading.loading import make_person as make_person
 from humansim_ros.people.makehuman.population import draw_person as draw_person
 from humansim_ros.people.rigging.fitting import fit_skeleton as fit_skeleton
 from humansim_ros.people.rigging.fitting import fit_to_skeleton as fit_to_skeleton
-from humansim_ros.people.rigging.rigging import rig as rig
+from humansim_ros.people.rigging.fitting import rig as rig

@@ -27,7 +27,7 @@ from humansim_ros.people import fit_skeleton, fit_to_skeleton, rig
 from humansim_ros.people.humans.human import Human
 from humansim_ros.people.loading.loading import load_human
 from humansim_ros.people.rigging import heat_weights as heat
-from humansim_ros.people.rigging.rigging import RigRule
+from humansim_ros.people.rigging.fitting import RigRule
 from humansim_ros.types import Array
 
 SKELETON = hanim_skeleton()

@@ -13,8 +13,7 @@ from humansim_ros.errors import HumansimWarning, MeshError
 from humansim_ros.files.mesh.mesh import Mesh, padded
 from humansim_ros.motion.body.skinning import dominant_bones, without_details
 from humansim_ros.people.humans.human import Human
-from humansim_ros.people.rigging.fitting import fit_skeleton
-from humansim_ros.people.rigging.rigging import rig
+from humansim_ros.people.rigging.fitting import fit_skeleton, rig
 
 Array = NDArray[np.float64]
 ARM = ("shoulder", "elbow", "wrist")

@@ -19,7 +19,7 @@ from waiting import PATIENCE
 
 from humansim_ros.cli import doctor as checks
 from humansim_ros.cli.doctor import Diagnosis
-from humansim_ros.files.reading import converters
+from humansim_ros.files.reading import programs
 
 
 def command(*arguments: str, **variables: str) -> subprocess.CompletedProcess[str]:
@@ -132,7 +132,7 @@ def extras_of_setup() -> dict[str, list[str]]:
 def test_the_converter_of_fbx_files_is_named_or_how_to_get_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(converters.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(programs.importlib.util, "find_spec", lambda name: None)
     monkeypatch.delenv("HUMANSIM_FBX", raising=False)
     monkeypatch.setenv("PATH", str(tmp_path))
     none = checks.check_fbx()

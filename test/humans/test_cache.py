@@ -20,8 +20,7 @@ from conftest import ROOT
 from humansim_ros.errors import HumansimWarning
 from humansim_ros.files.mesh.mesh import Mesh
 from humansim_ros.people.humans.human import Human
-from humansim_ros.people.loading.description import MeshHuman
-from humansim_ros.people.loading.loading import CACHE_VERSION, load_human, make_human
+from humansim_ros.people.loading.loading import CACHE_VERSION, MeshHuman, load_human, make_human
 
 pytestmark = pytest.mark.usefixtures("cache")
 

@@ -16,9 +16,9 @@ from test_makehuman import PEOPLE, needs_makehuman, person
 from humansim_ros import Scene
 from humansim_ros.geometry import transform
 from humansim_ros.motion.body.face import BONE, face_weights
-from humansim_ros.people.loading.description import ParametricHuman, read_description
+from humansim_ros.people.loading.loading import ParametricHuman, read_description
 from humansim_ros.people.makehuman.data import METRES, find_data, read_base
-from humansim_ros.people.makehuman.mouth import jaw_of
+from humansim_ros.people.makehuman.face import jaw_of
 from humansim_ros.people.makehuman.shape import target_strengths, with_stature
 from humansim_ros.scene.core.actor import Actor
 from humansim_ros.scene.core.live import LiveRetargeter

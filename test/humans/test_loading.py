@@ -17,10 +17,10 @@ from conftest import ROOT
 
 from humansim_ros.errors import HumansimWarning, MeshError
 from humansim_ros.files.mesh.load import read_mesh
-from humansim_ros.files.reading.npz import read_npz
+from humansim_ros.files.reading.arrays import read_npz
 from humansim_ros.people.humans.human import read_human, write_human
+from humansim_ros.people.loading.figure import read_smpl
 from humansim_ros.people.loading.loading import load_human
-from humansim_ros.people.loading.smpl import read_smpl
 
 pytestmark = pytest.mark.usefixtures("cache")
 
@@ -108,7 +108,7 @@ def test_a_broken_model_is_refused(
 def test_an_archive_with_too_large_content_is_refused_before_unpacking(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("humansim_ros.files.reading.npz.MAX_BYTES", 10 << 20)
+    monkeypatch.setattr("humansim_ros.files.reading.arrays.MAX_BYTES", 10 << 20)
     path = tmp_path / "bomb.npz"
     np.savez_compressed(path, a=np.zeros(9 << 20, np.uint8), b=np.zeros(2 << 20, np.uint8))
     assert path.stat().st_size < 1 << 20

@@ -21,8 +21,7 @@ from humansim_ros.errors import MeshError
 from humansim_ros.geometry import WORLD_FROM_BODY, transform
 from humansim_ros.motion.body.skeleton import DETAIL_BONES, FINGERS
 from humansim_ros.people.humans.human import Human
-from humansim_ros.people.loading.description import ParametricHuman, read_description
-from humansim_ros.people.loading.loading import load_human
+from humansim_ros.people.loading.loading import ParametricHuman, load_human, read_description
 from humansim_ros.people.makehuman.building import build, build_unpainted
 from humansim_ros.people.makehuman.data import MakeHumanData, find_data, read_base
 from humansim_ros.people.makehuman.shape import MakeHumanConfig, Outfit, target_strengths, with_stature

@@ -17,15 +17,13 @@ from test_shapes import ANNY, resting
 
 from humansim_ros import Scene, Simulation
 from humansim_ros.errors import HumansimWarning, MeshError
-from humansim_ros.files.mesh.materials import MATERIAL_LABELS
-from humansim_ros.files.reading.npz import read_npz, write_npz
+from humansim_ros.files.mesh.mesh import MATERIAL_LABELS
+from humansim_ros.files.reading.arrays import read_npz, write_npz
 from humansim_ros.motion.body.face import ACTIONS, BONE
 from humansim_ros.people.humans.human import Human, read_human, write_human
-from humansim_ros.people.loading.description import ParametricHuman, read_description
-from humansim_ros.people.loading.loading import load_human
-from humansim_ros.people.makehuman.data import find_data, read_base
-from humansim_ros.people.makehuman.mouth import has_mouth, with_mouth
-from humansim_ros.people.makehuman.packed import people_data
+from humansim_ros.people.loading.loading import ParametricHuman, load_human, read_description
+from humansim_ros.people.makehuman.data import find_data, people_data, read_base
+from humansim_ros.people.makehuman.face import has_mouth, with_mouth
 from humansim_ros.people.makehuman.shape import target_strengths, with_stature
 from humansim_ros.scene.core.live import LiveRetargeter
 from humansim_ros.types import Array

@@ -18,8 +18,7 @@ from humansim_ros.errors import MeshError
 from humansim_ros.geometry import WORLD_FROM_BODY, transform
 from humansim_ros.people.makehuman.building import Choice, PersonTopology, build
 from humansim_ros.people.makehuman.clothes import Dress
-from humansim_ros.people.makehuman.data import MakeHumanData, installed_data, read_base
-from humansim_ros.people.makehuman.packed import people_data
+from humansim_ros.people.makehuman.data import MakeHumanData, installed_data, people_data, read_base
 from humansim_ros.people.makehuman.population import (
     BMIS,
     DENSITY,

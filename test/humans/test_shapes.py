@@ -12,7 +12,7 @@ from conftest import ROOT
 from test_makehuman import PEOPLE, needs_makehuman, person
 
 from humansim_ros.errors import MeshError, MotionError
-from humansim_ros.files.reading.npz import read_npz, write_npz
+from humansim_ros.files.reading.arrays import read_npz, write_npz
 from humansim_ros.geometry import rotation_vector_to_quaternion
 from humansim_ros.motion.body.face import ACTIONS, EXPRESSIONS, expression, face_weights
 from humansim_ros.motion.body.offsets import Shapes, read_shapes, shape_arrays

@@ -12,7 +12,7 @@ from conftest import ROOT
 
 from humansim_ros import load_human
 from humansim_ros.errors import HumansimError, MeshError
-from humansim_ros.files.yaml.schema_messages import validated
+from humansim_ros.files.yaml.schema import validated
 from humansim_ros.people import Human
 from humansim_ros.people.makehuman.clothes import BodyRegions, Dress
 from humansim_ros.people.makehuman.population import draw_person

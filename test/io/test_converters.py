@@ -16,8 +16,8 @@ from waiting import has_ended, wait_until
 from humansim_ros import read_motion
 from humansim_ros.errors import HumansimError, MeshError, MotionError
 from humansim_ros.files.mesh.load import read_mesh, read_mesh_or_figure
-from humansim_ros.files.reading import converters
-from humansim_ros.files.reading.converters import converted_fbx, is_fbx, run_limited
+from humansim_ros.files.reading import programs
+from humansim_ros.files.reading.programs import converted_fbx, is_fbx, run_limited
 from humansim_ros.people.loading.loading import load_human
 
 FBX = b"Kaydara FBX Binary  \x00\x1a\x00" + bytes(100)
@@ -38,7 +38,7 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Install:
     monkeypatch.setenv("HUMANSIM_CACHE", str(tmp_path / "cache"))
     monkeypatch.setenv("PATH", str(tmp_path / "bin"))
     monkeypatch.delenv("HUMANSIM_FBX", raising=False)
-    monkeypatch.setattr(converters.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(programs.importlib.util, "find_spec", lambda name: None)
     (tmp_path / "bin").mkdir()
 
     def install(name: str = "blender", code: str = COPIES, *, on_path: bool = True) -> Path:
@@ -159,7 +159,7 @@ def test_a_converter_that_fails_is_told_with_its_reason(
 def test_a_converter_that_hangs_ends_with_its_children(
     file: Path, install: Install, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(converters, "_SECONDS", 0.5)
+    monkeypatch.setattr(programs, "_SECONDS", 0.5)
     pid = file.with_name("pid")
     child = f"open({str(pid)!r}, 'w').write(str(os.getpid())); time.sleep(600)"
     install(code=f"import os, time\nos.fork()\n{child}")

@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from humansim_ros.errors import MeshError
-from humansim_ros.files.reading.npz import MAX_BYTES, read_npz
+from humansim_ros.files.reading.arrays import MAX_BYTES, read_npz
 
 
 def archive(path: Path, header: bytes) -> Path:

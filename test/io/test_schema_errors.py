@@ -14,12 +14,11 @@ from pydantic import BaseModel, Field, ValidationError
 from humansim_ros.cameras import SensorConfig
 from humansim_ros.cameras.camera.placement import _File as FloorPoints
 from humansim_ros.errors import HumansimError
-from humansim_ros.files.mesh.gltf_schema import Document
-from humansim_ros.files.yaml.schema import Axis, Section
-from humansim_ros.files.yaml.schema_messages import schema_error, show_value
+from humansim_ros.files.mesh.gltf_format import Document
+from humansim_ros.files.yaml.schema import Axis, Section, schema_error, show_value
 from humansim_ros.motion.matching.joint_tables import JointTable
 from humansim_ros.motion.pose.limits import LimitTable
-from humansim_ros.people.loading.description import MeshHuman, ParametricHuman
+from humansim_ros.people.loading.loading import MeshHuman, ParametricHuman
 from humansim_ros.scene.config.config import SceneConfig
 
 #: Wrong values of all types that YAML has.

@@ -32,9 +32,8 @@ from humansim_ros.motion.matching.joint_tables import load_table
 from humansim_ros.motion.pose.limits import load_limits
 from humansim_ros.people import keypoint_set
 from humansim_ros.people.humans.human import read_human
-from humansim_ros.people.loading.description import read_description
-from humansim_ros.people.loading.loading import load_human
-from humansim_ros.people.loading.smpl import read_smpl
+from humansim_ros.people.loading.figure import read_smpl
+from humansim_ros.people.loading.loading import load_human, read_description
 from humansim_ros.people.makehuman.data import find_data
 from humansim_ros.photographs import Photo, read_views
 from humansim_ros.photographs.views import read_points
@@ -359,11 +358,11 @@ def test_every_reader_opens_files_in_one_place() -> None:
         "files/reading/files.py",
         "ros/challenge/run.py",  # output that the challenge itself has redirected
         "data/engine/workers.py",  # processes in /proc
-        "files/reading/converters.py",  # what the project has converted, in its cache
+        "files/reading/programs.py",  # what the project has converted, in its cache
         "view/edit/person_draft.py",  # regular files that the page has written beside the scene
         "view/server/uploads.py",
         "files/reading/assets.py",
-        "files/reading/quotes.py",  # sources of the package
+        "files/reading/assets.py",  # sources of the package
         "ros/nodes/__main__.py",  # its own page of help
         "data/bags/topics.py",
         "ros/processes/lockstep_rules.py",

@@ -13,7 +13,7 @@ from humansim_ros.errors import HumansimError
 from humansim_ros.files.yaml.yaml import parse_yaml
 from humansim_ros.motion.matching.joint_tables import load_table
 from humansim_ros.motion.pose.limits import load_limits
-from humansim_ros.people.loading.description import read_description
+from humansim_ros.people.loading.loading import read_description
 from humansim_ros.ros.processes.node_processes import scene_processes
 from humansim_ros.scene.config.config import load_config
 

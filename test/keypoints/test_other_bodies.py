@@ -13,7 +13,7 @@ from mesh_files import mesh_path
 
 from humansim_ros import Human, load_human
 from humansim_ros.people import KeypointLocator, keypoint_set
-from humansim_ros.people.keypoints.skin import place_on_skin, skin_points
+from humansim_ros.people.keypoints.locator import place_on_skin, skin_points
 from humansim_ros.types import Array
 
 NAMES = tuple(skin_points())

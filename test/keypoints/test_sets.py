@@ -10,8 +10,8 @@ import pytest
 from humansim_ros.errors import KeypointError
 from humansim_ros.motion.body.skeleton import BODY_25, COCO, JOINT_NAMES, SMPL, side_of
 from humansim_ros.people import KEYPOINT_SETS, keypoint_set
+from humansim_ros.people.keypoints.locator import MIXES, skin_points
 from humansim_ros.people.keypoints.sets import KeypointSet
-from humansim_ros.people.keypoints.skin import MIXES, skin_points
 
 #: Numbers of some keypoints in the publications of each set, far apart in its order.
 PUBLISHED = {

@@ -22,7 +22,7 @@ from scipy.spatial import cKDTree
 
 from humansim_ros.errors import MeshError
 from humansim_ros.files import read_mesh
-from humansim_ros.files.mesh.meshopt import decode
+from humansim_ros.files.mesh.gltf_compression import decode_stream
 from humansim_ros.motion import read_motion
 from humansim_ros.people.loading.loading import load_human
 
@@ -226,7 +226,7 @@ STREAMS: list[dict[str, Any]] = json.loads((ROOT / "test" / "data" / "meshopt.js
 
 
 def decoded(stream: dict[str, Any], data: bytes) -> np.ndarray[Any, np.dtype[np.uint8]]:
-    return decode(data, stream["mode"], stream["filter"], stream["count"], stream["stride"])
+    return decode_stream(data, stream["mode"], stream["filter"], stream["count"], stream["stride"])
 
 
 @pytest.mark.parametrize("stream", STREAMS, ids=lambda stream: f"{stream['name']} {stream['stride']}")

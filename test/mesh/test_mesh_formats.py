@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.errors import HumansimWarning, MeshError
 from humansim_ros.files import read_mesh
-from humansim_ros.files.mesh import trimesh_files
+from humansim_ros.files.mesh import load
 from humansim_ros.files.mesh.load import read_materials_z_up, read_mesh_z_up
 from humansim_ros.files.mesh.mesh import Mesh
 
@@ -58,7 +58,7 @@ EXPECTED = corners(Mesh(POINTS, np.column_stack([FACES, np.full(len(FACES), -1)]
 @pytest.fixture
 def in_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """COLLADA and 3MF files are parsed here, without the start of another process."""
-    monkeypatch.setattr(trimesh_files, "_parse_in_process", trimesh_files.parse)
+    monkeypatch.setattr(load, "_parse_in_process", load.parse)
 
 
 @pytest.mark.daily("stl")
@@ -258,7 +258,7 @@ def test_a_wrong_or_malicious_file_is_refused_with_the_reason(tmp_path: Path, na
 @pytest.mark.nightly
 @pytest.mark.slow
 def test_instances_of_instances_end_at_the_limits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(trimesh_files, "_CPU_SECONDS", 2)
+    monkeypatch.setattr(load, "_CPU_SECONDS", 2)
     path = tmp_path / "bomb.dae"
     path.write_text(instance_bomb(path))
     with pytest.raises(MeshError, match="more than 4 GB of memory or 2 s"):
@@ -269,7 +269,7 @@ def test_instances_of_instances_end_at_the_limits(tmp_path: Path, monkeypatch: p
 def test_components_of_components_are_read_within_limits(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(trimesh_files, "_CPU_SECONDS", 4)
+    monkeypatch.setattr(load, "_CPU_SECONDS", 4)
     path = tmp_path / "bomb.3mf"
     path.write_bytes(component_bomb())
     assert len(read_mesh(path).vertices) < 1_000_000  # trimesh follows a limited number of components
@@ -279,4 +279,4 @@ def test_a_missing_package_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     path = written(tmp_path / "wedge.dae")
     monkeypatch.setitem(sys.modules, "collada", None)
     with pytest.raises(MeshError, match="pip install pycollada"):
-        trimesh_files.parse("dae", path.read_bytes())
+        load.parse("dae", path.read_bytes())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
-from humansim_ros.files.mesh.texels import rasterise_uv, subdivide
+from humansim_ros.files.mesh.normals import rasterise_uv, subdivide
 from humansim_ros.people import load_human
 
 

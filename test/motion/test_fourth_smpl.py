@@ -35,7 +35,7 @@ from scipy.spatial.transform import Rotation
 
 from humansim_ros.cli.main import main
 from humansim_ros.errors import MotionError
-from humansim_ros.files.reading.pickles import read_pickle
+from humansim_ros.files.reading.arrays import read_pickle
 from humansim_ros.motion import Motion, read_motion, to_world
 from humansim_ros.motion.body.skeleton import SMPL, SMPL_MODELS
 

@@ -13,7 +13,7 @@ from photographs.studio import make_studio, studio_cameras
 from photographs.texture_scenes import photograph, texture_views, undressed
 
 from humansim_ros.cameras import Camera
-from humansim_ros.files.mesh.texels import rasterise_uv
+from humansim_ros.files.mesh.normals import rasterise_uv
 from humansim_ros.people import Human, load_human
 from humansim_ros.photographs.atlas_texture import texture_atlas
 from humansim_ros.photographs.fitting import fit_person

@@ -13,7 +13,7 @@ from photographs.studio import make_studio
 from scipy.spatial import cKDTree
 
 from humansim_ros.people import Human, load_human
-from humansim_ros.people.loading.smpl import count_betas
+from humansim_ros.people.loading.figure import count_betas
 from humansim_ros.photographs import fit_person, read_fit, read_views, write_fit
 from humansim_ros.photographs.person_fit import Proportions, can_be_shaped, fit_shape, shaped_human
 

@@ -265,7 +265,7 @@ def test_a_hidden_part_takes_the_view_of_its_neighbours(woman: Human, views: lis
 def test_large_photographs_become_smaller_in_the_texture(
     woman: Human, views: list[TextureView], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("humansim_ros.files.mesh.texels._MAX_SIDE", 256)
+    monkeypatch.setattr("humansim_ros.files.mesh.normals._MAX_SIDE", 256)
     person = texture_thesis(woman, views).human
     assert person.mesh.texture is not None
     assert 128 < max(person.mesh.texture.shape) <= 256

@@ -14,12 +14,11 @@ from scipy.sparse.csgraph import connected_components
 
 from humansim_ros import Camera, Human, load_human
 from humansim_ros.errors import MeshError, RenderError
-from humansim_ros.files.mesh.materials import MATERIAL_LABELS
-from humansim_ros.files.mesh.mesh import Mesh
+from humansim_ros.files.mesh.mesh import MATERIAL_LABELS, Mesh
 from humansim_ros.people.humans.human import human_from_arrays, read_human, write_human
 from humansim_ros.people.loading.levels import levels_of
 from humansim_ros.people.makehuman.building import build
-from humansim_ros.people.makehuman.packed import people_data
+from humansim_ros.people.makehuman.data import people_data
 from humansim_ros.people.makehuman.shape import MakeHumanConfig, Outfit
 from humansim_ros.render import CHANNELS, Body, GLRenderer, View
 

@@ -19,7 +19,7 @@ from humansim_ros.files.mesh.simplification import bounded_errors, compact, patc
 from humansim_ros.people.humans.human import human_from_arrays
 from humansim_ros.people.loading.levels import levels_of, levels_of_person, make_levels
 from humansim_ros.people.makehuman.building import build_unpainted
-from humansim_ros.people.makehuman.packed import people_data
+from humansim_ros.people.makehuman.data import people_data
 from humansim_ros.people.makehuman.population import draw_person, model_of, person_config
 from humansim_ros.render.frame.detail import LARGEST_ERROR, coarsest, pixels_per_metre
 from humansim_ros.types import Array, Indices

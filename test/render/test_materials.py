@@ -13,10 +13,10 @@ from scipy.ndimage import binary_erosion
 
 from humansim_ros import Camera, Human, load_human
 from humansim_ros.errors import MeshError
-from humansim_ros.files.mesh.materials import MATERIAL_LABELS, MATERIALS
+from humansim_ros.files.mesh.mesh import MATERIAL_LABELS, MATERIALS
 from humansim_ros.people.humans.human import human_from_arrays, read_human, write_human
 from humansim_ros.people.makehuman.building import build
-from humansim_ros.people.makehuman.packed import people_data
+from humansim_ros.people.makehuman.data import people_data
 from humansim_ros.people.makehuman.shape import MakeHumanConfig, Outfit
 from humansim_ros.people.makehuman.wardrobe import WORN
 from humansim_ros.render import Body, View

@@ -21,7 +21,7 @@ from humansim_ros.errors import MeshError, MotionError, RosError
 from humansim_ros.motion.body.offsets import CLOTH, HAIR, swing_at_rest
 from humansim_ros.people.humans.human import human_from_arrays, write_human
 from humansim_ros.people.makehuman.building import build
-from humansim_ros.people.makehuman.packed import people_data
+from humansim_ros.people.makehuman.data import people_data
 from humansim_ros.people.makehuman.shape import MakeHumanConfig, Outfit
 from humansim_ros.scene.core.actor import Actor
 from humansim_ros.scene.core.live import JointSource, LiveRetargeter

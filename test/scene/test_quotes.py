@@ -14,8 +14,8 @@ import pytest
 from test_scene_errors import FILE_KEYS, changed, folder, write  # noqa: F401  # folder is a fixture
 
 from humansim_ros.errors import HumansimError, HumansimWarning
+from humansim_ros.files.reading.assets import hiding_quotes
 from humansim_ros.files.reading.files import open_file
-from humansim_ros.files.reading.quotes import hiding_quotes
 from humansim_ros.motion import read_motion
 from humansim_ros.scene import Scene
 

@@ -21,8 +21,8 @@ import numpy as np
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
-from humansim_ros.files.reading.npz import write_npz  # noqa: E402
-from humansim_ros.people.loading.description import ParametricHuman, read_description  # noqa: E402
+from humansim_ros.files.reading.arrays import write_npz  # noqa: E402
+from humansim_ros.people.loading.loading import ParametricHuman, read_description  # noqa: E402
 from humansim_ros.people.makehuman.building import build  # noqa: E402
 from humansim_ros.people.makehuman.data import MakeHumanData  # noqa: E402
 

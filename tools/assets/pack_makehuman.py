@@ -17,16 +17,17 @@ from numpy.typing import NDArray
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
-from humansim_ros.files.reading.npz import write_npz  # noqa: E402
+from humansim_ros.files.reading.arrays import write_npz  # noqa: E402
 from humansim_ros.motion.body.face import ACTIONS  # noqa: E402
-from humansim_ros.people.makehuman.data import METRES, MakeHumanData  # noqa: E402
-from humansim_ros.people.makehuman.packed import (  # noqa: E402
+from humansim_ros.people.makehuman.data import (  # noqa: E402  # noqa: E402
     ACTION,
     COMPONENT_STEPS,
     MASKS,
+    METRES,
     SPARSE_STEPS,
     UV_STEPS,
     VERTEX_STEPS,
+    MakeHumanData,
     PackedData,
     differences,
 )

@@ -17,7 +17,7 @@ sys.path.insert(0, str(ROOT))
 from humansim_ros.cameras import Camera  # noqa: E402
 from humansim_ros.geometry import WORLD_FROM_BODY, transform  # noqa: E402
 from humansim_ros.people.loading.loading import load_human  # noqa: E402
-from humansim_ros.people.makehuman.mouth import with_mouth  # noqa: E402
+from humansim_ros.people.makehuman.face import with_mouth  # noqa: E402
 from humansim_ros.render import Body, GLRenderer, Lighting  # noqa: E402
 from humansim_ros.render.pictures import title_bar  # noqa: E402
 

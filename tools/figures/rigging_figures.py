@@ -35,7 +35,7 @@ from humansim_ros.motion.pose.world_motion import to_world  # noqa: E402
 from humansim_ros.people import fit_skeleton, rig  # noqa: E402
 from humansim_ros.people.humans.human import Human  # noqa: E402
 from humansim_ros.people.loading.loading import load_human  # noqa: E402
-from humansim_ros.people.rigging.rigging import RigRule  # noqa: E402
+from humansim_ros.people.rigging.fitting import RigRule  # noqa: E402
 from humansim_ros.scene.pictures.people import HumanArtist, SkinnedArtist  # noqa: E402
 from humansim_ros.types import Array, Image  # noqa: E402
 

@@ -23,7 +23,7 @@ from defusedxml.common import DefusedXmlException
 from numpy.typing import NDArray
 
 from humansim_ros.errors import MeshError, located, printable, some_of, warn_about
-from humansim_ros.files.mesh.glb import GlbBuilder
+from humansim_ros.files.mesh.gltf_format import GlbBuilder
 from humansim_ros.files.reading.files import read_bytes, resolve_inside
 from humansim_ros.files.reading.images import MAX_IMAGE_BYTES, declared_size, decode_srgb
 from humansim_ros.geometry import (

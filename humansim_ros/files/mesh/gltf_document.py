@@ -34,7 +34,7 @@ from humansim_ros.files.mesh.gltf_compression import (
     draco_primitive,
     meshopt_view,
 )
-from humansim_ros.files.mesh.gltf_schema import (
+from humansim_ros.files.mesh.gltf_format import (
     Animation,
     Document,
     GltfMaterial,
@@ -43,10 +43,10 @@ from humansim_ros.files.mesh.gltf_schema import (
     Primitive,
     Skin,
 )
-from humansim_ros.files.reading.converters import converted_fbx, is_collada, is_fbx
 from humansim_ros.files.reading.files import parse_json, read_bytes, resolve_inside
 from humansim_ros.files.reading.images import MAX_IMAGE_BYTES, DecodedImages
-from humansim_ros.files.yaml.schema_messages import schema_error
+from humansim_ros.files.reading.programs import converted_fbx, is_collada, is_fbx
+from humansim_ros.files.yaml.schema import schema_error
 from humansim_ros.geometry import find_cycle, levels, quaternion_to_matrix
 from humansim_ros.types import Array
 

@@ -12,13 +12,12 @@ from scipy.sparse import block_diag, csr_matrix, vstack
 
 from humansim_ros.errors import MeshError, in_section, located, warn_about
 from humansim_ros.files.mesh.gltf_document import Gltf
-from humansim_ros.files.mesh.gltf_schema import GltfMaterial, Primitive, TextureInfo, TextureTransform
+from humansim_ros.files.mesh.gltf_format import GltfMaterial, Primitive, TextureInfo, TextureTransform
 from humansim_ros.files.mesh.gltf_skeleton import GltfSkeleton
 from humansim_ros.files.mesh.mesh import FaceIndices, Material, Mesh, SkinnedMesh, normalise_weights, padded
-from humansim_ros.files.mesh.normals import shading_weights
-from humansim_ros.files.mesh.texels import PLAIN, atlas_mesh, plain_tile
+from humansim_ros.files.mesh.normals import PLAIN, atlas_mesh, plain_tile, shading_weights
 from humansim_ros.files.reading.images import encode_srgb
-from humansim_ros.files.yaml.schema_messages import validated
+from humansim_ros.files.yaml.schema import validated
 from humansim_ros.geometry import unit_vectors
 from humansim_ros.types import Array, Image
 

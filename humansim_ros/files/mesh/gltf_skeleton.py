@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.errors import MeshError, printable, some_of, warn_about
 from humansim_ros.files.mesh.gltf_document import Gltf
-from humansim_ros.files.mesh.gltf_schema import Animation
+from humansim_ros.files.mesh.gltf_format import Animation
 from humansim_ros.types import Array
 
 #: Chains of human bones of VRM. In each chain, a bone is below the previous one [VRM 1.0].

@@ -1,4 +1,4 @@
-"""Surface mesh: vertices, faces, texture coordinates, colours, material, and joints with weights."""
+"""Surface mesh: vertices, faces, texture coordinates, colours, materials, and joints with weights."""
 
 from __future__ import annotations
 
@@ -10,17 +10,69 @@ import zipfile
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_matrix
 
 from humansim_ros.errors import MeshError, warn_about
-from humansim_ros.files.mesh.materials import UNKNOWN
-from humansim_ros.files.reading.converters import converted_fbx, is_collada, is_fbx
 from humansim_ros.files.reading.files import read_bytes
+from humansim_ros.files.reading.programs import converted_fbx, is_collada, is_fbx
 from humansim_ros.types import Array, Image
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_matrix
+
+#: Things that people wear in addition to clothes.
+WornName = Literal[
+    "glasses",
+    "sunglasses",
+    "mask",
+    "cap",
+    "beanie",
+    "hard_hat",
+    "sun_hat",
+    "turban",
+    "hijab",
+    "backpack",
+    "bag",
+]
+#: Names of the labels, counted from 1. 0 is no human. Numbers never change: new names come last, also those
+#: of worn things.
+MATERIALS = (
+    "unknown",
+    "skin",
+    "eyes",
+    "hair",
+    "top",
+    "bottom",
+    "shoes",
+    *get_args(WornName),
+    "teeth",
+    "tongue",
+)
+#: Label by name.
+MATERIAL_LABELS = {name: label for label, name in enumerate(MATERIALS, 1)}
+#: Label of a human's surface if its mesh has no labels.
+UNKNOWN = MATERIAL_LABELS["unknown"]
+#: Labels of skin and of hair. The texels decide between them.
+SKIN, HAIR = MATERIAL_LABELS["skin"], MATERIAL_LABELS["hair"]
+
+
+def with_hair(
+    labels: NDArray[np.uint8], uv: NDArray[np.floating], hair: NDArray[np.uint8]
+) -> NDArray[np.uint8]:
+    """Change the label of points on a texel of hair from skin to hair.
+
+    Args:
+        labels: Labels (N,) of the triangles at the points.
+        uv: (N, 2) texture coordinates of the points, v up.
+        hair: (H, W) share of hair in each texel of the skin, 255 is all of it.
+    """
+    height, width = hair.shape
+    column = np.clip((uv[:, 0] * width).astype(np.intp), 0, width - 1)
+    row = np.clip(((1 - uv[:, 1]) * height).astype(np.intp), 0, height - 1)
+    return np.where((labels == SKIN) & (hair[row, column] >= 128), np.uint8(HAIR), labels)
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +145,7 @@ class Mesh:
     coordinates, v up, or None; ``uv_faces``: (F, 4) indices into them. ``colors``: (V, 3) uint8 sRGB or None.
     ``texture``: (H, W, 3) uint8 sRGB, first row on top, or None. ``skin``: (H, W) uint8, share of skin in
     each texel (the rest is cloth and hair), or None. ``materials``: (F,) uint8, label of each face of a human
-    (:data:`humansim_ros.files.mesh.materials.MATERIALS`), or None. ``hair``: (H, W) uint8, share of hair in
+    (:data:`humansim_ros.files.mesh.mesh.MATERIALS`), or None. ``hair``: (H, W) uint8, share of hair in
     each texel of skin; if None, everything that is not ``skin``. ``off_body``: (F,) bool, whether each face
     belongs to an off-body surface: one away from the body, such as a skirt, a hat or long hair. None if no
     face does. ``material``: reflection of static meshes; if None, matt. ``shading``: (V, N) weights of the
@@ -246,6 +298,8 @@ class SkinnedMesh:
 def normalise_weights(weights: csr_matrix) -> csr_matrix:
     """Scale weights (V, B) so that rows sum to one. Raises MeshError, which names the vertex, if a weight is
     negative or not finite, or a row sums to zero."""
+    from scipy.sparse import csr_matrix  # imported here, since light modules import this one
+
     scaled = csr_matrix(weights, dtype=np.float64, copy=True)
     counts = np.diff(scaled.indptr)
     rows = np.repeat(np.arange(len(counts)), counts)

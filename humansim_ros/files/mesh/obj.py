@@ -18,8 +18,7 @@ from humansim_ros.files.mesh.mesh import (
     height_to_normal_map,
     without_maps,
 )
-from humansim_ros.files.mesh.normals import shading_weights
-from humansim_ros.files.mesh.texels import PLAIN, atlas_mesh, plain_tile
+from humansim_ros.files.mesh.normals import PLAIN, atlas_mesh, plain_tile, shading_weights
 from humansim_ros.files.reading.files import (
     decode_text,
     exists,

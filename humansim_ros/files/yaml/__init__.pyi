@@ -1,5 +1,6 @@
 from humansim_ros.files.yaml.schema import Axis as Axis
 from humansim_ros.files.yaml.schema import ByteColor as ByteColor
+from humansim_ros.files.yaml.schema import Expected as Expected
 from humansim_ros.files.yaml.schema import FileName as FileName
 from humansim_ros.files.yaml.schema import NamedFile as NamedFile
 from humansim_ros.files.yaml.schema import SceneName as SceneName
@@ -8,14 +9,13 @@ from humansim_ros.files.yaml.schema import Share as Share
 from humansim_ros.files.yaml.schema import ShortSection as ShortSection
 from humansim_ros.files.yaml.schema import TopicName as TopicName
 from humansim_ros.files.yaml.schema import alone_in_list as alone_in_list
+from humansim_ros.files.yaml.schema import needed as needed
 from humansim_ros.files.yaml.schema import one_or_more as one_or_more
-from humansim_ros.files.yaml.schema_messages import Expected as Expected
-from humansim_ros.files.yaml.schema_messages import needed as needed
-from humansim_ros.files.yaml.schema_messages import schema_error as schema_error
-from humansim_ros.files.yaml.schema_messages import schema_errors as schema_errors
-from humansim_ros.files.yaml.schema_messages import show_value as show_value
-from humansim_ros.files.yaml.schema_messages import unknown_key as unknown_key
-from humansim_ros.files.yaml.schema_messages import validated as validated
+from humansim_ros.files.yaml.schema import schema_error as schema_error
+from humansim_ros.files.yaml.schema import schema_errors as schema_errors
+from humansim_ros.files.yaml.schema import show_value as show_value
+from humansim_ros.files.yaml.schema import unknown_key as unknown_key
+from humansim_ros.files.yaml.schema import validated as validated
 from humansim_ros.files.yaml.yaml import MAX_BYTES as MAX_BYTES
 from humansim_ros.files.yaml.yaml import Loader as Loader
 from humansim_ros.files.yaml.yaml import has_key as has_key

@@ -51,7 +51,7 @@ class Human(Pictured):
     or vertex colours (V, 3) uint8 sRGB. ``outfit``: name of the outfit of ``mesh``. ``notes``: ``license``
     and ``source``. ``shapes``: actions of the face (docs/faces.md); None for a stiff face. ``loose``: cloth
     and hair that swing, or None. ``mouth``: (M, 3) positions of teeth and tongue in the rest pose, or None.
-    The mesh does not show them (``people/makehuman/mouth.py``).
+    The mesh does not show them (``people/makehuman/face.py``).
     """
 
     name: str

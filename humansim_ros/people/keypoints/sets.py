@@ -33,7 +33,7 @@ class KeypointSet:
         title: Name for people.
         names: K names, in the order of the detector's output.
         points: Anatomical point of each keypoint: a joint of the skeleton, or a name of
-            :mod:`humansim_ros.people.keypoints.skin`.
+            :mod:`humansim_ros.people.keypoints.locator`.
         edges: Pairs of keypoints to connect by lines.
         sigmas: K constants of the object keypoint similarity (OKS); None if none are published.
         source: Citation with URL.

@@ -32,7 +32,7 @@ from humansim_ros.files.mesh import (
 from humansim_ros.files.reading import cache_folder, read_npz, resource_root, write_npz
 from humansim_ros.people.humans.human import Human, human_from_arrays
 from humansim_ros.people.loading.loading import content_key
-from humansim_ros.people.makehuman.packed import people_data
+from humansim_ros.people.makehuman.data import people_data
 from humansim_ros.people.makehuman.population import (
     Person,
     cut_model_of,

@@ -1,6 +1,6 @@
-from humansim_ros.people.makehuman.mouth import has_mouth as has_mouth
-from humansim_ros.people.makehuman.mouth import jaw_of as jaw_of
-from humansim_ros.people.makehuman.mouth import with_mouth as with_mouth
+from humansim_ros.people.makehuman.face import has_mouth as has_mouth
+from humansim_ros.people.makehuman.face import jaw_of as jaw_of
+from humansim_ros.people.makehuman.face import with_mouth as with_mouth
 from humansim_ros.people.makehuman.population import AGES as AGES
 from humansim_ros.people.makehuman.population import BMIS as BMIS
 from humansim_ros.people.makehuman.population import MONK_TONES as MONK_TONES

@@ -38,8 +38,7 @@ from humansim_ros.people.makehuman.data import (
     VertexMask,
     read_base,
 )
-from humansim_ros.people.makehuman.face import face_offsets, unskin_offsets
-from humansim_ros.people.makehuman.mouth import mouth_places
+from humansim_ros.people.makehuman.face import face_offsets, mouth_places, unskin_offsets
 from humansim_ros.people.makehuman.paint import (
     AO_DIRECTIONS,
     TEXTURE_SIZE,

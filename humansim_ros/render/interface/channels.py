@@ -131,7 +131,7 @@ class View(Pictured):
         body_part: Like ``part``, but without the off-body surfaces of humans (:attr:`Mesh.off_body`): skirts,
             hats, bags, long hair.
         material: (H, W) uint8 label of skin, eyes, hair, a garment or a worn thing
-            (:data:`humansim_ros.files.mesh.materials.MATERIALS`); 0 where no human is.
+            (:data:`humansim_ros.files.mesh.mesh.MATERIALS`); 0 where no human is.
         face: (H, W) int32, 1 + index of the triangle in the body's mesh, 0 where no labelled body is.
         normal: (H, W, 3) float32, outward unit normal of the triangle in ``face``, in the optical frame; 0
             where no body is.

@@ -1,7 +1,7 @@
 from humansim_ros.cameras.camera.camera import Camera as Camera
 from humansim_ros.cameras.camera.ideal import idealize as idealize
 from humansim_ros.cameras.formats.calibration import read_calibration as read_calibration
-from humansim_ros.cameras.formats.calibration import write_calibration as write_calibration
+from humansim_ros.cameras.formats.writing import write_calibration as write_calibration
 from humansim_ros.data.api import evaluate as evaluate
 from humansim_ros.data.api import export as export
 from humansim_ros.data.api import record as record

@@ -53,8 +53,8 @@ import pickle_files  # noqa: E402
 from humansim_ros.cameras import Camera, read_calibration, write_calibration  # noqa: E402
 from humansim_ros.cameras.camera.placement import read_floor_points  # noqa: E402
 from humansim_ros.cameras.camera.rigs import End, Trajectory  # noqa: E402
-from humansim_ros.cameras.formats.all_formats import FORMATS  # noqa: E402
 from humansim_ros.cameras.formats.checks import image_size  # noqa: E402
+from humansim_ros.cameras.formats.writing import FORMATS  # noqa: E402
 from humansim_ros.cli.camera import describe_camera  # noqa: E402
 from humansim_ros.cli.output import to_json  # noqa: E402
 from humansim_ros.data.datasets.recipe import Recipe  # noqa: E402

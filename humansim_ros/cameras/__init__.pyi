@@ -10,7 +10,7 @@ from humansim_ros.cameras.formats.calibration import Calibration as Calibration
 from humansim_ros.cameras.formats.calibration import load_calibration as load_calibration
 from humansim_ros.cameras.formats.calibration import read_calibration as read_calibration
 from humansim_ros.cameras.formats.calibration import resolve_url as resolve_url
-from humansim_ros.cameras.formats.calibration import write_calibration as write_calibration
+from humansim_ros.cameras.formats.writing import write_calibration as write_calibration
 from humansim_ros.cameras.sensor.config import ChromaticAberration as ChromaticAberration
 from humansim_ros.cameras.sensor.config import DepthSensorConfig as DepthSensorConfig
 from humansim_ros.cameras.sensor.config import Noise as Noise

@@ -16,7 +16,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.cameras import Camera, read_calibration, resolve_url
-from humansim_ros.cameras.formats.calibration import Z_UP_FROM_FILE, load_calibration
+from humansim_ros.cameras.formats import Z_UP_FROM_FILE, load_calibration
 from humansim_ros.errors import CameraError, HumansimWarning
 from humansim_ros.types import Array
 

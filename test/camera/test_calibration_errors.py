@@ -12,7 +12,7 @@ import pytest
 from calibration_files import assert_refused, assert_refused_within, changed
 
 from humansim_ros.cameras import Camera, read_calibration, write_calibration
-from humansim_ros.cameras.formats.all_formats import FORMATS
+from humansim_ros.cameras.formats.writing import FORMATS
 from humansim_ros.errors import CameraError, HumansimWarning
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*image size is not in the file")

@@ -13,8 +13,8 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.cameras import Camera, read_calibration, write_calibration
-from humansim_ros.cameras.formats.all_formats import FORMATS
 from humansim_ros.cameras.formats.table import CalibrationFormat
+from humansim_ros.cameras.formats.writing import FORMATS
 from humansim_ros.errors import CameraError, HumansimWarning
 
 LENSES = {

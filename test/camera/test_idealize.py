@@ -19,9 +19,8 @@ from opencv_support import opencv_pixels
 from scipy.linalg import rq
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.cameras import Camera
+from humansim_ros.cameras import Camera, read_calibration, write_calibration
 from humansim_ros.cameras.camera.ideal import Fit, Ideal, idealize, rectify
-from humansim_ros.cameras.formats.calibration import read_calibration, write_calibration
 from humansim_ros.errors import CameraError, RenderError
 from humansim_ros.render import GLRenderer
 from humansim_ros.scene.features.room import furnished_room

@@ -18,8 +18,8 @@ from conftest import if_shared
 from numpy.testing import assert_allclose
 
 from humansim_ros.cameras import Camera, read_calibration, write_calibration
-from humansim_ros.cameras.formats.all_formats import FORMATS
 from humansim_ros.cameras.formats.checks import check_camera, check_rig, field_of_view
+from humansim_ros.cameras.formats.writing import FORMATS
 from humansim_ros.cli.camera import describe_camera
 from humansim_ros.cli.main import main
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from render_scenes import renderer_or_skip
 
-from humansim_ros.cameras.formats.calibration import write_calibration
+from humansim_ros.cameras import write_calibration
 from humansim_ros.errors import SceneError
 from humansim_ros.scene import Scene, Simulation
 from humansim_ros.scene.config.camera_config import FaultsConfig

@@ -1,4 +1,4 @@
-"""Calibration formats, one module per family; ``all_formats.py`` has the table."""
+"""Calibration formats, one module per family; ``writing.py`` has the table."""
 
 from humansim_ros.lazy import lazy_exports
 

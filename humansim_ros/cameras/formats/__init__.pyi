@@ -1,4 +1,3 @@
-from humansim_ros.cameras.formats.calibration import Z_UP_FROM_FILE as Z_UP_FROM_FILE
 from humansim_ros.cameras.formats.calibration import Calibration as Calibration
 from humansim_ros.cameras.formats.calibration import has_only_extrinsics as has_only_extrinsics
 from humansim_ros.cameras.formats.calibration import join_calibrations as join_calibrations
@@ -6,7 +5,6 @@ from humansim_ros.cameras.formats.calibration import load_calibration as load_ca
 from humansim_ros.cameras.formats.calibration import paired as paired
 from humansim_ros.cameras.formats.calibration import read_calibration as read_calibration
 from humansim_ros.cameras.formats.calibration import resolve_url as resolve_url
-from humansim_ros.cameras.formats.calibration import write_calibration as write_calibration
 from humansim_ros.cameras.formats.checks import baseline as baseline
 from humansim_ros.cameras.formats.checks import check_camera as check_camera
 from humansim_ros.cameras.formats.checks import check_image_size as check_image_size
@@ -16,6 +14,8 @@ from humansim_ros.cameras.formats.checks import image_size as image_size
 from humansim_ros.cameras.formats.checks import note_principal_points as note_principal_points
 from humansim_ros.cameras.formats.datasets import H36M as H36M
 from humansim_ros.cameras.formats.datasets import PANOPTIC as PANOPTIC
-from humansim_ros.cameras.formats.scene import SCENE as SCENE
 from humansim_ros.cameras.formats.table import CalibrationFormat as CalibrationFormat
+from humansim_ros.cameras.formats.thesis_cam import SCENE as SCENE
 from humansim_ros.cameras.formats.thesis_cam import cam_of as cam_of
+from humansim_ros.cameras.formats.writing import Z_UP_FROM_FILE as Z_UP_FROM_FILE
+from humansim_ros.cameras.formats.writing import write_calibration as write_calibration

@@ -7,7 +7,6 @@ conversion.
 
 from __future__ import annotations
 
-import json
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -16,19 +15,22 @@ from functools import cached_property
 from itertools import count, islice
 from pathlib import Path
 from typing import Any
-from xml.etree.ElementTree import Element, indent, tostring
 
 import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.cameras.camera.lens import MODELS, Lens, fit_lens
-from humansim_ros.errors import CameraError, warn_about
+from humansim_ros.cameras.camera.camera import Camera, pinhole
+from humansim_ros.errors import CameraError
 from humansim_ros.files.yaml import line_of
 from humansim_ros.geometry import quaternion_to_matrix
 from humansim_ros.types import Array, ImageSize
 
 Key = str | int
+Keys = tuple[Key, ...]
+#: Place of a value below a camera: a key, or a key path. The last key may be several keys with blanks between
+#: them. Then each of these keys has one number of the value.
+Place = str | Keys
 
 #: Largest magnitude of a number. Cameras have smaller numbers, and the cubes of larger numbers overflow.
 LARGEST = 1e15
@@ -42,10 +44,14 @@ FLIP = OPENGL[:3, :3]
 _LENGTH_SLACK = 1e-2
 #: Most cameras of a file.
 MAX_CAMERAS = 10_000
+#: Fields of a pose, and names of other locations.
+_POSE, _SHOWN = ("R", "rvec", "t", "center"), {"rvec": "R", "center": "t"}
+#: Shapes of the fields of a camera.
+_SHAPES = {"K": (3, 3), "R": (3, 3), "t": (3,), "center": (3,)}
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _NOT_FINITE = re.compile(r"[+-]?\.?(?:nan|inf|infinity)", re.IGNORECASE)
-#: Suffixes of images, for formats that name cameras after their images.
-_IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp")
+#: End of the name of an image. Some formats name cameras after their images.
+_IMAGE_SUFFIX = re.compile(r"(?<=.)\.(?:png|jpe?g|bmp|tiff?|pgm|ppm|webp)\Z", re.IGNORECASE | re.DOTALL)
 
 
 @dataclass(frozen=True)
@@ -130,6 +136,14 @@ class CalibrationFile:
                 return None
         return value
 
+    def has(self, *keys: Key) -> bool:
+        """Whether there is a value at a key path."""
+        return self.get(*keys) is not None
+
+    def first(self, at: Keys, *keys: str) -> str | None:
+        """The first of these keys with a value below a key path; None if there is no value."""
+        return next((key for key in keys if self.has(*at, key)), None)
+
     def need(self, *keys: Key) -> Any:
         """Value at a key path that must be present."""
         value = self.get(*keys)
@@ -150,6 +164,17 @@ class CalibrationFile:
         if not isinstance(value, list | None):
             raise self.error("needs a list", *keys)
         return value or []
+
+    def paths(self, *keys: Key) -> list[Keys]:
+        """Key paths of the items of the list at a key path."""
+        return [(*keys, index) for index, _ in enumerate(self.items(*keys))]
+
+    def elements(self, at: Keys, *tags: str) -> list[Keys]:
+        """Key paths of the elements of XML below a key path: of all lists with the first tag, and so on."""
+        found = [at]
+        for tag in tags:
+            found = [path for one in found for path in self.paths(*one, tag)]
+        return found
 
     def numbers(self, shape: tuple[int, ...], *keys: Key) -> Array:
         """Array of a shape from numbers in row order. The nesting of their lists is ignored."""
@@ -180,13 +205,31 @@ class CalibrationFile:
         location = self.location(*keys)
         return np.array(self.row(words, location.line or 0, location.key))
 
-    def unit_rotation(self, xyzw: Array, *keys: Key, line: int | None = None) -> Array:
-        """Rotation (3, 3) of a quaternion (4,) from a key path or a line. Its length must be about 1."""
+    def unit_rotation(
+        self, xyzw: Array, *keys: Key, line: int | None = None, slack: float = _LENGTH_SLACK
+    ) -> Array:
+        """Rotation (3, 3) of a quaternion (4,) from a key path or a line. Its length is 1 up to ``slack``."""
         length = float(np.linalg.norm(xyzw))
-        if abs(length - 1) > _LENGTH_SLACK:
+        if abs(length - 1) > slack:
             message = f"the quaternion is not a rotation: its length is {length:g}, not 1"
             raise self.error(message, *keys, line=line)
         return quaternion_to_matrix(xyzw / length)
+
+    def rotation(self, *keys: Key) -> Array:
+        """Matrix (3, 3) from 9 numbers in row order, or from a rotation vector of 3 numbers, radians."""
+        values = self.some_numbers(*keys)
+        if len(values) == 3:
+            return np.asarray(Rotation.from_rotvec(values).as_matrix(), dtype=float)
+        return self.numbers((3, 3), *keys)
+
+    def check_count(self, model: str, distortion: Array, keys: Keys) -> None:
+        """Raise CameraError if the number of coefficients (N,) at a key path does not fit the model."""
+        counts = _FILE_COUNTS[model]
+        used = len(np.trim_zeros(distortion, "b"))
+        if used and (used > max(counts) or len(distortion) < min(counts)):
+            count = " or ".join(map(str, counts))
+            hint = "; thin prism and tilted sensor models are not supported" if len(distortion) > 8 else ""
+            raise self.error(f"{model} has {count} coefficients, not {len(distortion)}{hint}", *keys)
 
     def optional_numbers(self, *keys: Key) -> Array:
         """All numbers (N,) of a value in row order. Empty, (0,), if the key is absent or the list is
@@ -200,9 +243,8 @@ class CalibrationFile:
             raise self.error("needs 0 0 0 1 as the last row of its 4 x 4 numbers", *keys)
         return matrix
 
-    def locations(self, at: Sequence[Key], **parts: str | Sequence[Key]) -> dict[str, SourceLocation]:
-        """Locations of a camera and of its values. ``parts``: keys of the values, or key paths below that of
-        the camera."""
+    def locations(self, at: Keys, **parts: str | Keys) -> dict[str, SourceLocation]:
+        """Locations of a camera and of its values. ``parts``: keys or key paths of the values below it."""
         paths = {part: (key,) if isinstance(key, str) else key for part, key in parts.items()}
         return {"": self.location(*at), **{part: self.location(*at, *keys) for part, keys in paths.items()}}
 
@@ -212,9 +254,10 @@ class CalibrationFile:
 
     def pair_size(self, *keys: Key) -> ImageSize | None:
         """Image size from a list of width and height; None if the key is absent."""
-        if self.get(*keys) is None:
-            return None
-        values = self.numbers((2,), *keys)
+        return self.size_of(self.numbers((2,), *keys), *keys) if self.has(*keys) else None
+
+    def size_of(self, values: Array, *keys: Key) -> ImageSize:
+        """Image size from two numbers of a key path."""
         if any(value != int(value) or value <= 0 for value in values):
             raise self.error("needs width and height, whole numbers above zero", *keys)
         return int(values[0]), int(values[1])
@@ -225,6 +268,16 @@ class CalibrationFile:
         if value != int(value) or value <= 0:
             raise self.error(f"needs a whole number above zero, not {value:g}", *keys)
         return int(value)
+
+    def projection(self, p: Array, where: SourceLocation, size: ImageSize | None = None) -> RawCamera:
+        """Camera of a projection matrix (3, 4) at a location."""
+        try:
+            # any size is good enough here, since the decomposition of P does not depend on it
+            camera = Camera.from_projection_matrix(p, (1, 1))
+        except CameraError as error:
+            path = where.path or self.path
+            raise CameraError(error.message, path=path, line=where.line, key=where.key) from None
+        return RawCamera(camera.K, camera.R, camera.t, size=size, locations={"": where})
 
     def row(self, words: Iterable[str], line: int, key: str | None = None) -> list[float]:
         """Convert the words of a line of plain text to numbers."""
@@ -326,76 +379,9 @@ def _flat(value: Any, most: int, depth: int = 4) -> list[Any]:
     return flat
 
 
-def number(value: float) -> str:
-    """Shortest text that reads back as the same number."""
-    return repr(float(value) + 0.0)  # adding 0.0 turns -0.0 into 0.0
-
-
-def row(values: Iterable[float], between: str = " ") -> str:
-    """Numbers on one line."""
-    return between.join(number(v) for v in values)
-
-
-def nested(matrix: Array | Sequence[float]) -> list[Any]:
-    """Nested lists of a matrix for JSON. -0.0 becomes 0.0."""
-    return (np.asarray(matrix, dtype=float) + 0.0).tolist()
-
-
-def json_file(content: Any) -> dict[str, str]:
-    """Texts by file name, for a format that consists of one JSON file."""
-    return {"": json.dumps(content, indent=1) + "\n"}
-
-
-def xml_file(content: Mapping[str, Any]) -> dict[str, str]:
-    """Texts by file name, for a format that consists of one XML file. ``content`` is what readers see:
-    attributes, and lists of elements by tag."""
-
-    def element(tag: str, content: Mapping[str, Any]) -> Element:
-        below = {k: v for k, v in content.items() if isinstance(v, list) and isinstance(v[0], dict)}
-        texts = {key: text_of(value) for key, value in content.items() if key not in below}
-        one = Element(tag)
-        one.text = texts.pop("text", None)
-        one.attrib.update(texts)
-        one.extend(element(key, item) for key, items in below.items() for item in items)
-        return one
-
-    ((tag, inside),) = content.items()
-    root = element(tag, inside)
-    indent(root)
-    return {"": f'<?xml version="1.0" encoding="UTF-8"?>\n{tostring(root, "unicode")}\n'}
-
-
-def text_of(value: Any) -> str:
-    """Convert to text: a number, or a list of numbers with blanks between them. A text is unchanged."""
-    if isinstance(value, list):
-        return " ".join(map(text_of, value))
-    return number(value) if isinstance(value, float) else str(value)
-
-
 def without_suffix(name: str) -> str:
     """Name of a camera, made from the name of its image."""
-    for suffix in _IMAGE_SUFFIXES:
-        if name.lower().endswith(suffix) and len(name) > len(suffix):
-            return name[: -len(suffix)]
-    return name
-
-
-def check_names(names: Iterable[str], words: bool = False) -> None:
-    """Raise CameraError unless all names are printable. ``words``: they must be single words, for columns
-    with blanks between."""
-    for name in names:
-        if words and (not name.isprintable() or name.split() != [name] or name[0] in "#;%/"):
-            message = "this format needs a name without blanks that does not begin with # ; % or /"
-            raise CameraError(message, key=name)
-        if not name.isprintable() or name != name.strip() or not name:
-            raise CameraError("this format needs a name without control characters", key=name)
-
-
-def image_names(cameras: Iterable[str]) -> dict[str, str]:
-    """Image names of cameras, for formats that name cameras after their images."""
-    names = list(cameras)
-    check_names(names, words=True)
-    return {name: f"{name}.png" for name in names}
+    return _IMAGE_SUFFIX.sub("", name)
 
 
 #: Most keys above the cameras of a file.
@@ -403,25 +389,7 @@ _DEPTH = 3
 #: Keys with the name of a camera, in order of precedence.
 _NAMES = ("name", "camera_name", "camera", "cam_name", "id", "camera_id", "cam_id", "serial", "serial_number")
 
-Keys = tuple[Key, ...]
 Predicate = Callable[[Any], bool]
-
-
-def fitted_lens(file: CalibrationFile, what: str, ideal: Array, distorted: Array, focal: float) -> Lens:
-    """Fit a lens to a lens model that cameras do not have. A warning states the error.
-
-    Args:
-        file: File that is being read.
-        what: The lens, for the warning.
-        ideal: Points (N, 2) of the normalised image plane, over the image.
-        distorted: The same points (N, 2) after distortion.
-        focal: Focal length, pixels.
-    """
-    lens, error = fit_lens(ideal, distorted)
-    warn_about(
-        file.path, f"{what} is written as {lens.model}, which differs by {error * focal:.2g} pixels (RMS)"
-    )
-    return lens
 
 
 def find_cameras(file: CalibrationFile, is_camera: Predicate, is_part: Predicate) -> list[tuple[str, Keys]]:
@@ -507,8 +475,6 @@ _NAMES_OF_MODELS = {
         kb4""",
 }
 _ALIASES = {name: model for model, names in _NAMES_OF_MODELS.items() for name in names.split()}
-_NONE = ("", "none", "null", "no", "pinhole")
-_KNOWN = ", ".join(MODELS)
 
 
 def model_of(name: str) -> str | None:
@@ -517,91 +483,9 @@ def model_of(name: str) -> str | None:
     return _ALIASES.get(re.sub("[^a-z0-9]", "", name.lower()))
 
 
-def find_model(
-    file: CalibrationFile,
-    name: Any,
-    distortion: Array,
-    name_keys: tuple[Key, ...],
-    distortion_keys: tuple[Key, ...],
-) -> str | None:
-    """Find the distortion model of a file, and check its number of coefficients.
-
-    Args:
-        file: File that is being read.
-        name: Name of the model in the file, or None.
-        distortion: Coefficients, (N,).
-        name_keys: Key path of the name.
-        distortion_keys: Key path of the coefficients.
-
-    Returns:
-        Name of the model in :data:`humansim_ros.cameras.camera.lens.MODELS`, or None for a lens without
-        distortion. If the file has no name, the number of coefficients decides if it is unique.
-
-    Raises:
-        CameraError: The model is unknown, or its number of coefficients is wrong.
-    """
-    word = "" if name is None else str(name).strip().lower()
-    if word in _NONE:
-        return _model_without_name(file, word, distortion, name_keys)
-    model = model_of(word)
-    if model is None:
-        raise file.error(f"unknown distortion model {name!r}; known are {_KNOWN}", *name_keys)
-    check_count(file, model, distortion, distortion_keys)
-    return model
-
-
-def check_count(
-    file: CalibrationFile, model: str, distortion: Array, distortion_keys: tuple[Key, ...]
-) -> None:
-    """Raise CameraError if the number of coefficients does not fit the model.
-
-    Args:
-        file: File that is being read.
-        model: Name of the distortion model.
-        distortion: Coefficients, (N,).
-        distortion_keys: Key path of the coefficients.
-    """
-    counts = _FILE_COUNTS[model]
-    used = len(np.trim_zeros(distortion, "b"))
-    if used and (used > max(counts) or len(distortion) < min(counts)):
-        count = " or ".join(map(str, counts))
-        hint = "; thin prism and tilted sensor models are not supported" if len(distortion) > 8 else ""
-        raise file.error(f"{model} has {count} coefficients, not {len(distortion)}{hint}", *distortion_keys)
-
-
 def opencv_model(distortion: Array) -> str:
-    """Model of OpenCV by the number of coefficients (N,) that are used. OpenCV files do not name the
-    model."""
+    """Model of OpenCV by the number of coefficients (N,) that are used."""
     return "plumb_bob" if len(np.trim_zeros(distortion, "b")) <= 5 else "rational_polynomial"
-
-
-def _model_without_name(
-    file: CalibrationFile, word: str, distortion: Array, name_keys: tuple[Key, ...]
-) -> str | None:
-    if not distortion.any():
-        return None
-    if word:
-        raise file.error(
-            f"is {word!r}, but there are distortion coefficients: name one of {_KNOWN}", *name_keys
-        )
-    count = len(distortion)
-    model = {5: "plumb_bob", 8: "rational_polynomial"}.get(count)
-    if model is None:
-        raise file.error(
-            f"is missing, and {count} coefficients do not determine it: add one of {_KNOWN}",
-            *name_keys,
-        )
-    key = ".".join(map(str, name_keys))
-    warn_about(file.path, f"{key} is missing; {count} coefficients are taken for {model}")
-    return model
-
-
-def rotation_of(file: CalibrationFile, *keys: Key) -> Array:
-    """Matrix (3, 3) from 9 numbers in row order, or from a rotation vector of 3 numbers, radians."""
-    values = file.some_numbers(*keys)
-    if len(values) == 3:
-        return np.asarray(Rotation.from_rotvec(values).as_matrix(), dtype=float)
-    return file.numbers((3, 3), *keys)
 
 
 def vector_of(rotation: Array) -> Array:
@@ -609,58 +493,64 @@ def vector_of(rotation: Array) -> Array:
     return np.asarray(Rotation.from_matrix(rotation).as_rotvec(), dtype=float)
 
 
+def camera_at(file: CalibrationFile, at: Keys, places: Mapping[str, Place], **own: Any) -> RawCamera:
+    """Read a camera.
+
+    Args:
+        file: File that is being read.
+        at: Key path of the camera.
+        places: Places of its values, by field of :class:`RawCamera`. K is a matrix, or four numbers. ``rvec``
+            is R, as a matrix or a rotation vector. A camera without R, t and center has no pose.
+        own: Values that are not read from ``places``. Without a model, the number of coefficients decides.
+    """
+    paths: dict[str, list[Keys]] = {}
+    for part, place in places.items():
+        *above, last = (place,) if isinstance(place, str) else place
+        names: list[Key] = [*last.split(" ")] if isinstance(last, str) else [last]
+        paths[part] = [(*at, *above, name) for name in names]
+    # the key, or the mapping above several keys
+    shown = {part: keys[0] if len(keys) == 1 else keys[0][:-1] for part, keys in paths.items()}
+    posed = any(file.has(*shown[part]) for part in _POSE if part in shown)
+    values: dict[str, Any] = {}
+    for part, keys in paths.items():
+        name = "R" if part == "rvec" else part
+        if name not in own and (posed or part not in _POSE):
+            values[name] = _value(file, part, keys)
+    values |= own
+    if "distortion" in values and "model" not in values:
+        values["model"] = opencv_model(values["distortion"])
+    if "distortion" in paths and "distortion" not in own:
+        file.check_count(values["model"], values["distortion"], paths["distortion"][0])
+    values["distortion"] = tuple(values.get("distortion", ()))
+    locations = {"": file.location(*at)}
+    for part, keys in paths.items():
+        at_key = keys[0] if shown[part] == at else shown[part]
+        locations[_SHOWN.get(part, part)] = file.location(*at_key)
+    return RawCamera(**values, locations=locations)
+
+
+def _value(file: CalibrationFile, part: str, keys: list[Keys]) -> Any:
+    """Value of a camera at the key paths of :func:`camera_at`."""
+    if part == "distortion":
+        if len(keys) == 1:
+            return file.optional_numbers(*keys[0])
+        return np.array([file.number(*key, otherwise=0.0) for key in keys])
+    if part == "size":
+        return file.pair_size(*keys[0]) if len(keys) == 1 else file.size(keys[0], keys[1])
+    if part == "rvec":
+        return file.rotation(*keys[0])
+    if len(keys) == 1:
+        return file.numbers(_SHAPES[part], *keys[0])
+    numbers = np.array([file.number(*key) for key in keys])
+    return pinhole(*numbers) if part == "K" else numbers.reshape(_SHAPES[part])
+
+
 #: Names of units in a file, and metres per unit.
-_UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 _LONG_UNITS = {"metre": "m", "centimetre": "cm", "millimetre": "mm"}
-#: Key paths of the unit.
-_UNIT_KEYS = tuple(
-    (*table, key)
-    for table in ((), ("metadata",), ("info",), ("CameraParameters1",))
-    for key in ("unit", "units", "WorldUnits", "world_units", "length_unit", "translation_unit")
-)
-#: If the extent of a rig exceeds this number of units, the unit is millimetres. It lies between a room of 30
-#: m and 10 cm.
-_MILLIMETRES = 50.0
 
 
 def metres_of(name: str) -> float | None:
     """Metres of a unit: m, cm or mm, or a long name in any spelling. Returns None for an unknown unit."""
     long = name.strip().lower().removesuffix("s").replace("meter", "metre")
-    return _UNITS.get(_LONG_UNITS.get(long, name.strip()))
-
-
-def stated_unit(file: CalibrationFile) -> float | None:
-    """Metres per unit of a file with a key such as ``unit``; None if no key states it. Raises CameraError for
-    an unknown unit."""
-    for keys in _UNIT_KEYS:
-        value = file.get(*keys)
-        if value is not None:
-            unit = metres_of(str(value))
-            if unit is None:
-                raise file.error(f"is {str(value)[:30]!r}: use {', '.join(_UNITS)}", *keys)
-            return unit
-    return None
-
-
-def find_unit(file: CalibrationFile, cameras: Mapping[str, RawCamera]) -> float:
-    """Metres per unit of a file. Its key ``unit`` decides, or else the extent of the rig: metres or
-    millimetres. If the unit is guessed, a HumansimWarning says so. Raises CameraError for an unknown unit."""
-    stated = stated_unit(file)
-    if stated is not None:
-        return stated
-    positions = np.array([camera.position for camera in cameras.values() if camera.R is not None])
-    if not len(positions):
-        return 1.0
-    # the origin counts too, since it is the first camera or the board
-    extent = float(np.linalg.norm(np.ptp(np.vstack([positions, np.zeros(3)]), axis=0)))
-    if extent == 0:
-        return 1.0
-    name = "mm" if extent > _MILLIMETRES else "m"
-    others = ", ".join(f"{extent * m:.5g} m with {u}" for u, m in sorted(_UNITS.items()) if u != name)
-    warn_about(
-        file.path,
-        f"the unit is not in the file; {name} is assumed, because the cameras are then "
-        f"{extent * _UNITS[name]:.3g} m apart ({others}); to state it, "
-        f'set unit, or add unit = "{name}" to the file',
-    )
-    return _UNITS[name]
+    return UNITS.get(_LONG_UNITS.get(long, name.strip()))

@@ -1,7 +1,7 @@
-"""Read and write calibration files. Cameras have x_cam = R x_world + t in metres and ``map``.
+"""Read calibration files. Cameras have x_cam = R x_world + t in metres and ``map``.
 
 The content of a file decides its format, not its name. docs/cameras.md lists the formats and their
-conventions. The readers and writers of the formats are in ``camera/formats/``.
+conventions. The other modules of this folder read and write the formats.
 """
 
 from __future__ import annotations
@@ -10,26 +10,21 @@ import os
 import re
 import warnings
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from humansim_ros.cameras.camera.camera import MAX_SIZE, Camera
-from humansim_ros.cameras.formats.all_formats import FORMATS, READ_FORMATS
 from humansim_ros.cameras.formats.base import CalibrationFile, RawCamera, SourceLocation
 from humansim_ros.cameras.formats.checks import (
     check_focal_length,
     check_image_size,
     guess_image_size,
-    has_pose,
     image_size,
 )
-from humansim_ros.cameras.formats.colmap import CAMERAS, IMAGES
-from humansim_ros.cameras.formats.colmap import MAX_BYTES as MAX_BYTES_COLMAP
-from humansim_ros.cameras.formats.lens_keys import check_unread, other_lens
+from humansim_ros.cameras.formats.conventions import check_unread, other_lens
 from humansim_ros.cameras.formats.matrices import (
     MATRICES,
     MATRICES_NPZ,
@@ -38,24 +33,18 @@ from humansim_ros.cameras.formats.matrices import (
     read_matrices,
     read_poses,
 )
-from humansim_ros.cameras.formats.scene import SCENE
+from humansim_ros.cameras.formats.plain_text import CAMERAS, IMAGES
+from humansim_ros.cameras.formats.plain_text import MAX_BYTES as MAX_BYTES_COLMAP
 from humansim_ros.cameras.formats.spellings import INTRINSIC, POSE, find_parameters, numbers_found, plain
 from humansim_ros.cameras.formats.syntax import name_of_half, other_half, read_document
 from humansim_ros.cameras.formats.table import CalibrationFormat
-from humansim_ros.errors import CameraError, HumansimWarning, located, some_of, unknown, warn_about
-from humansim_ros.files.reading import atomic_path, exists, resource_root
+from humansim_ros.cameras.formats.thesis_cam import SCENE
+from humansim_ros.cameras.formats.writing import FORMATS, READ_FORMATS, Z_UP_FROM_FILE
+from humansim_ros.errors import CameraError, HumansimWarning, located, some_of, warn_about
+from humansim_ros.files.reading import exists, resource_root
 from humansim_ros.geometry import nearest_rotations
 from humansim_ros.types import Array, ImageSize
 
-#: By the up axis of a file: the smallest rotation that turns the world of the file to z up.
-Z_UP_FROM_FILE: Mapping[str, Array] = {
-    "z": np.eye(3),
-    "-z": np.diag([1.0, -1.0, -1.0]),
-    "y": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]),
-    "-y": np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]),
-    "x": np.array([[0.0, 0, -1], [0, 1, 0], [1, 0, 0]]),
-    "-x": np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]),
-}
 _MAX_BYTES = 8 << 20
 #: Suffixes of calibration files in a folder.
 _SUFFIXES = (
@@ -66,13 +55,10 @@ _SUFFIXES = (
 _TAKEN, _UNDISTORTED = "intrinsic_original", "intrinsic_zero"
 #: A folder with more files than this in its folders holds frames, not cameras.
 _MOST_BELOW = 200
-#: Formats by the usual ends of their file names, where the suffix does not decide.
-_USUAL_NAMES = {"par.txt": "middlebury", ".qca.txt": "qualisys", "transforms.json": "transforms", ".txt": "p"}
 #: Images are taken to be of equal size if their principal points are at most this fraction from their median.
 _SAME_IMAGE = 0.25
 #: Smallest image side that is guessed, pixels.
 _SMALLEST_GUESS = 16
-_SKEW_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -540,130 +526,3 @@ def _share_folder(package: str, url: str) -> Path:
             return resource_root()
     where = ", ".join(prefixes) if prefixes else "AMENT_PREFIX_PATH, which is empty: source your workspace"
     raise CameraError(f"no package {package}; looked in {where}", key=url)
-
-
-# -- writing
-
-
-def write_calibration(
-    path: str | os.PathLike[str], cameras: Mapping[str, Camera], format: str | None = None
-) -> list[Path]:
-    """Write a calibration file. If writing fails, no partial file is left.
-
-    ``path`` is a file. It is a folder for COLMAP, and also, without a suffix, for formats with one camera per
-    file. ``format`` is the name of a format (docs/cameras.md). If None, the suffix of ``path`` decides. A
-    HumansimWarning reports values that the format cannot store.
-
-    Returns:
-        The files that were written.
-
-    Raises:
-        CameraError: The format is unknown, it cannot store a lens or skew, or a file cannot be written.
-    """
-    target = Path(path)
-    chosen = _format_of(target, format, len(cameras))
-    if not cameras:
-        raise CameraError("there is no camera to write", path=target)
-    supported = {name: _with_supported_lens(target, name, camera, chosen) for name, camera in cameras.items()}
-    rotation = Z_UP_FROM_FILE[chosen.up]
-    in_file = {n: replace(c, R=c.R @ rotation, t=c.t / chosen.unit) for n, c in supported.items()}
-    texts = _texts(target, in_file, chosen)
-    for message in _losses(cameras, chosen):
-        warn_about(target, message)
-    for file in texts:
-        if file.is_dir():
-            raise CameraError("cannot be written: this is a folder", path=file)
-    try:
-        if len(texts) > 1 or next(iter(texts)).parent == target:
-            target.mkdir(exist_ok=True)
-        with located(CameraError), ExitStack() as stack:
-            for file, text in texts.items():
-                content = text if isinstance(text, bytes) else text.encode()
-                stack.enter_context(atomic_path(file)).write_bytes(content)
-    except OSError as reason:  # the folder cannot be created
-        raise CameraError(f"cannot be written: {reason.strerror or reason}", path=target) from None
-    except UnicodeEncodeError:
-        raise CameraError("cannot be written: a name has an incomplete character", path=target) from None
-    return list(texts)
-
-
-def _format_of(target: Path, name: str | None, count: int) -> CalibrationFormat:
-    names = {format.name: format for format in FORMATS}
-    if name is not None:
-        if name not in names:
-            raise CameraError(unknown("calibration format", name, names), path=target)
-        return names[name]
-    suffix = target.suffix.lower()
-    for ending, usual in _USUAL_NAMES.items():
-        if target.name.lower().endswith(ending):
-            return names[usual]
-    matches = [format for format in FORMATS if format.suffix == suffix and suffix]
-    if suffix in (".yaml", ".txt", ".yml") and matches and (count == 1 or matches[0].multiple):
-        return matches[0]
-    if len(matches) != 1:
-        choices = [format.name for format in matches or FORMATS if format.multiple or count == 1]
-        raise CameraError(f"choose the format to write: {', '.join(choices)}", path=target)
-    return matches[0]
-
-
-def _with_supported_lens(path: Path, name: str, camera: Camera, format: CalibrationFormat) -> Camera:
-    """Return the same camera with a lens model that the format has. Raises CameraError if there is none."""
-    if not format.holds_skew and abs(camera.K[0, 1]) > _SKEW_TOLERANCE * camera.K[0, 0]:
-        raise _unsupported(path, name, format, "skew")
-    counts = dict(format.lenses)
-    model, d = str(camera.model), camera.distortion
-    if not camera.distorted:
-        return camera if model in counts else replace(camera, distortion=(), model="plumb_bob")
-    if model == "rational_polynomial" and model not in counts and not any(d[5:]):
-        model, d = "plumb_bob", d[:5]
-    if model not in counts:
-        raise _unsupported(path, name, format, f"{model} distortion")
-    if any(d[counts[model] :]):
-        raise _unsupported(
-            path, name, format, f"{model} distortion with more than {counts[model]} coefficients"
-        )
-    return replace(camera, distortion=d, model=model)
-
-
-def _unsupported(path: Path, name: str, format: CalibrationFormat, value: str) -> CameraError:
-    hint = "idealize the camera first (humansim camera idealize), or choose another format"
-    return CameraError(f"{format.title} cannot store {value}: {hint}", path=path, key=name)
-
-
-def _losses(cameras: Mapping[str, Camera], format: CalibrationFormat) -> Iterator[str]:
-    """Yield messages about values that the format cannot store."""
-    if not format.holds_pose:
-        posed = [name for name, camera in cameras.items() if has_pose(camera)]
-        if posed:
-            yield f"{format.title} does not store camera poses: R and t of {some_of(posed, 4)} are left out"
-    if not format.holds_size:
-        sizes = sorted({"{}x{}".format(*camera.size) for camera in cameras.values()})
-        yield f"{format.title} does not store the image size: give {some_of(sizes, 4)} when it is read"
-    if not format.holds_rectified:
-        stereo = [n for n, c in cameras.items() if c.rectification is not None or c.rectified is not None]
-        if stereo:
-            yield f"{format.title} does not store R and P of rectified images: {some_of(stereo, 4)} lose them"
-
-
-def _texts(target: Path, cameras: Mapping[str, Camera], format: CalibrationFormat) -> dict[Path, str | bytes]:
-    """Content of each file, by path."""
-    with located(path=target):
-        if format.multiple or (len(cameras) == 1 and target.suffix and not target.is_dir()):
-            texts = format.write(cameras)
-            if "" in texts:
-                file = target / f"cameras{format.suffix}" if target.is_dir() else target
-                return {file: texts[""]}
-            if target.exists() and not target.is_dir():
-                raise CameraError(f"{format.title} needs a folder, and this is a file", path=target)
-            # an empty file only satisfies readers, so it must not replace an existing file
-            return {target / n: text for n, text in texts.items() if text or not (target / n).exists()}
-        if target.suffix and not target.is_dir():
-            message = f"{format.title} has one file per camera: give a folder for {len(cameras)} cameras"
-            raise CameraError(message, path=target)
-        files: dict[Path, str | bytes] = {}
-        for name, camera in cameras.items():
-            file = target / f"{re.sub(r'[^A-Za-z0-9_.-]', '_', name).lstrip('.') or '_'}{format.suffix}"
-            if file in files:
-                raise CameraError(f"two cameras would be written to {file.name}", path=target, key=name)
-            files[file] = format.write({name: camera})[""]
-        return files

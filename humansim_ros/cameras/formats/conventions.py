@@ -10,14 +10,31 @@ readings. ``benchmarks/conventions.py`` measures how many readings of random rig
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from itertools import islice
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from humansim_ros.cameras.formats.base import FLIP, CalibrationFile, RawCamera, SourceLocation
-from humansim_ros.errors import warn_about
+from humansim_ros.cameras.camera.lens import MODELS, Lens, fit_lens
+from humansim_ros.cameras.formats.base import (
+    FLIP,
+    UNITS,
+    CalibrationFile,
+    Key,
+    Keys,
+    RawCamera,
+    SourceLocation,
+    is_number,
+    metres_of,
+    model_of,
+)
+from humansim_ros.cameras.formats.spellings import leaves_of, plain, shape_of
+from humansim_ros.errors import CameraError, some_of, warn_about
 from humansim_ros.types import Array
 
 #: The cameras of a rig look at a common place if they miss it by at most this fraction of their distance.
@@ -200,3 +217,231 @@ def _roll(r: Array) -> float:
         roll = float(np.sqrt(((r[:, side] @ vertical) ** 2).mean()) + (up < -_STEEP).mean())
         rolls.append(max(roll, _STEEP_ROLL) if np.abs(up).mean() < _STEEP else roll)
     return min(rolls)
+
+
+# -- lenses
+
+#: Largest p1 and p2 of plumb_bob, and smallest k3 and k4 of a fisheye, as fractions of k1 and k2.
+_TANGENTIAL, _RADIAL = 0.05, 0.1
+#: An angle of view is wide for plumb_bob if its tangent at the corner of the image is above this.
+_WIDE = 0.9
+#: A lens with at least this evidence for a fisheye causes no warning.
+_CERTAIN = 3
+_MOST_VALUES = 20_000
+#: Words of keys for lists of numbers of a lens; keys of its single numbers; keys of lenses that cameras do
+#: not have.
+_LISTS = re.compile(r"dist(?!ance)\w*|disto\w*|coeff?s?|coefficients|radial\w*|tangential\w*|poly\w*|lens")
+_NUMBERS = re.compile(
+    r"(?:cam)?[kpd][0-9]|xi|alpha|beta|omega|kappa\w*|(?:radial|tangential)\w+|\w*distortion"
+)
+_NEVER = ("xi", "beta", "omega")
+#: Pattern of keys that name a lens, and names that a camera without distortion does not have.
+_KIND = re.compile("type|model|lens|projection|camera")
+_NAMED = re.compile(
+    r"fish[-_]?eye\d*|equi(?:distant)?|kannala.*|kb[48]|omni.*|mei|ds|e?ucm|fov|ocam.*|scaramuzza|atan|double.*"
+)
+
+
+def model_of_four(
+    file: CalibrationFile, keys: Keys, values: Array, k: Array, stated: bool | None = None
+) -> str:
+    """Model of four coefficients of OpenCV: equidistant or plumb_bob. Warns if this is not certain.
+
+    These facts are evidence for a fisheye: the shape 4 x 1 that ``cv2.fisheye`` returns, a skew, ``DIM``,
+    "fisheye" in the name of the file or of a key, and a third and fourth number too large for p1 and p2 of a
+    wide lens.
+
+    Args:
+        file: File that is being read.
+        keys: Key path of the coefficients.
+        values: Coefficients (4,).
+        k: K (3, 3).
+        stated: Whether the file says that the camera is a fisheye; None if the file does not say so.
+    """
+    if stated is not None or not values.any():
+        return "equidistant" if stated else "plumb_bob"
+    stored = file.get(*keys[:-1], "rows") is not None  # as in a matrix of OpenCV
+    shape = tuple(str(file.get(*keys[:-1], key)) for key in ("rows", "cols"))  # XML has numbers as texts
+    shape = shape if stored else tuple(map(str, shape_of(file.get(*keys)) or ()))
+    own = file.get(*keys[: -2 if stored else -1])
+    named = re.search("fish[-_]?eye", " ".join(map(str, (*keys, Path(file.path).stem))), re.IGNORECASE)
+    high, low = np.abs(values[2:]).max(), max(np.abs(values[:2]).max(), 1e-12)
+    wide = np.hypot(k[0, 2], k[1, 2]) > _WIDE * k[0, 0]
+    evidence = (
+        2 * (shape == ("4", "1"))
+        + (shape == ("1", "4"))
+        + 2 * bool(k[0, 1])
+        + 3 * (named is not None or (isinstance(own, Mapping) and "DIM" in own))
+        + (-2 if 0 < high <= _TANGENTIAL * low else 1 if wide and high > _RADIAL * low else -1)
+    )
+    model = "equidistant" if evidence > 0 else "plumb_bob"
+    if 0 <= evidence < _CERTAIN or (evidence < 0 and stored):
+        other = "plumb_bob" if evidence > 0 else "equidistant (cv2.fisheye)"
+        what = f"{'.'.join(map(str, keys)).removesuffix('.data')}: 4 coefficients are assumed to be {model}"
+        warn_about(file.path, f"{what}; if they are {other}, add distortion_model: {other.split()[0]}")
+    return model
+
+
+def other_lens(file: CalibrationFile) -> str:
+    """Sentence that names a lens which cameras do not have, if a document has one; else empty."""
+    named = (
+        f" Its lens {shape[:40]!r} is not supported; known are {', '.join(MODELS)}."
+        for keys, shape in islice(leaves_of(file), _MOST_VALUES)
+        if isinstance(shape, str) and _KIND.search(str(keys[-1:]).lower())
+        if _NAMED.fullmatch(shape.strip().lower()) and model_of(shape) is None
+    )
+    return next(named, "")
+
+
+def check_unread(file: CalibrationFile, cameras: Mapping[str, RawCamera]) -> None:
+    """Warn if a document has lens values that are not used, and a camera has no distortion. A parameter of a
+    lens that no camera can have, such as xi, is enough for a warning."""
+    fisheyes = any(c.model == "equidistant" for c in cameras.values())
+    straight = any(not any(c.distortion) and c.model != "equidistant" for c in cameras.values())
+    read = {float(v) for c in cameras.values() for v in (0.0, *c.distortion, *c.K.ravel(), *(c.size or ()))}
+    file, unread = plain(file), []
+    for keys, shape in islice(leaves_of(file), _MOST_VALUES):
+        key = next((key.lower() for key in reversed(keys) if isinstance(key, str) and key != "data"), "")
+        words = [word for word in re.split(r"[\W_]+", key) if word]
+        if isinstance(shape, str) and not is_number(shape):
+            if straight and not fisheyes and _KIND.search(key) and _NAMED.fullmatch(shape.strip().lower()):
+                unread.append(f"{'.'.join(map(str, keys))} {shape[:40]!r}")
+        elif words and (straight or words[-1] in _NEVER):
+            count = 1 if isinstance(shape, str) else int(np.prod(shape))
+            single = _NUMBERS.fullmatch("".join(words)) or _NUMBERS.fullmatch(words[-1])
+            if single if count == 1 else count <= 14 and any(map(_LISTS.fullmatch, words)):
+                with suppress(CameraError):
+                    unread += [".".join(map(str, keys))] * (not {*file.some_numbers(*keys)} <= read)
+    if unread:
+        state = "give the coefficients as dist or k1, k2, p1, p2, k3, and distortion_model"
+        shown = "cameras are shown without distortion" if straight else "the lens is another one"
+        warn_about(file.path, f"{some_of(unread, 4)}: looks like a lens and is not read, {shown}: {state}")
+
+
+def fitted_lens(file: CalibrationFile, what: str, ideal: Array, distorted: Array, focal: float) -> Lens:
+    """Fit a lens to a lens model that cameras do not have. A warning states the error.
+
+    Args:
+        file: File that is being read.
+        what: The lens, for the warning.
+        ideal: Points (N, 2) of the normalised image plane, over the image.
+        distorted: The same points (N, 2) after distortion.
+        focal: Focal length, pixels.
+    """
+    lens, error = fit_lens(ideal, distorted)
+    warn_about(
+        file.path, f"{what} is written as {lens.model}, which differs by {error * focal:.2g} pixels (RMS)"
+    )
+    return lens
+
+
+_NONE = ("", "none", "null", "no", "pinhole")
+
+
+_KNOWN = ", ".join(MODELS)
+
+
+def find_model(
+    file: CalibrationFile,
+    name: Any,
+    distortion: Array,
+    name_keys: tuple[Key, ...],
+    distortion_keys: tuple[Key, ...],
+) -> str | None:
+    """Find the distortion model of a file, and check its number of coefficients.
+
+    Args:
+        file: File that is being read.
+        name: Name of the model in the file, or None.
+        distortion: Coefficients, (N,).
+        name_keys: Key path of the name.
+        distortion_keys: Key path of the coefficients.
+
+    Returns:
+        Name of the model in :data:`humansim_ros.cameras.camera.lens.MODELS`, or None for a lens without
+        distortion. If the file has no name, the number of coefficients decides if it is unique.
+
+    Raises:
+        CameraError: The model is unknown, or its number of coefficients is wrong.
+    """
+    word = "" if name is None else str(name).strip().lower()
+    if word in _NONE:
+        return _model_without_name(file, word, distortion, name_keys)
+    model = model_of(word)
+    if model is None:
+        raise file.error(f"unknown distortion model {name!r}; known are {_KNOWN}", *name_keys)
+    file.check_count(model, distortion, distortion_keys)
+    return model
+
+
+def _model_without_name(
+    file: CalibrationFile, word: str, distortion: Array, name_keys: tuple[Key, ...]
+) -> str | None:
+    if not distortion.any():
+        return None
+    if word:
+        raise file.error(
+            f"is {word!r}, but there are distortion coefficients: name one of {_KNOWN}", *name_keys
+        )
+    count = len(distortion)
+    model = {5: "plumb_bob", 8: "rational_polynomial"}.get(count)
+    if model is None:
+        raise file.error(
+            f"is missing, and {count} coefficients do not determine it: add one of {_KNOWN}",
+            *name_keys,
+        )
+    key = ".".join(map(str, name_keys))
+    warn_about(file.path, f"{key} is missing; {count} coefficients are taken for {model}")
+    return model
+
+
+# -- units
+
+#: Key paths of the unit.
+_UNIT_KEYS = tuple(
+    (*table, key)
+    for table in ((), ("metadata",), ("info",), ("CameraParameters1",))
+    for key in ("unit", "units", "WorldUnits", "world_units", "length_unit", "translation_unit")
+)
+
+
+#: If the extent of a rig exceeds this number of units, the unit is millimetres. It lies between a room of 30
+#: m and 10 cm.
+_MILLIMETRES = 50.0
+
+
+def stated_unit(file: CalibrationFile) -> float | None:
+    """Metres per unit of a file with a key such as ``unit``; None if no key states it. Raises CameraError for
+    an unknown unit."""
+    for keys in _UNIT_KEYS:
+        value = file.get(*keys)
+        if value is not None:
+            unit = metres_of(str(value))
+            if unit is None:
+                raise file.error(f"is {str(value)[:30]!r}: use {', '.join(UNITS)}", *keys)
+            return unit
+    return None
+
+
+def find_unit(file: CalibrationFile, cameras: Mapping[str, RawCamera]) -> float:
+    """Metres per unit of a file. Its key ``unit`` decides, or else the extent of the rig: metres or
+    millimetres. If the unit is guessed, a HumansimWarning says so. Raises CameraError for an unknown unit."""
+    stated = stated_unit(file)
+    if stated is not None:
+        return stated
+    positions = np.array([camera.position for camera in cameras.values() if camera.R is not None])
+    if not len(positions):
+        return 1.0
+    # the origin counts too, since it is the first camera or the board
+    extent = float(np.linalg.norm(np.ptp(np.vstack([positions, np.zeros(3)]), axis=0)))
+    if extent == 0:
+        return 1.0
+    name = "mm" if extent > _MILLIMETRES else "m"
+    others = ", ".join(f"{extent * m:.5g} m with {u}" for u, m in sorted(UNITS.items()) if u != name)
+    warn_about(
+        file.path,
+        f"the unit is not in the file; {name} is assumed, because the cameras are then "
+        f"{extent * UNITS[name]:.3g} m apart ({others}); to state it, "
+        f'set unit, or add unit = "{name}" to the file',
+    )
+    return UNITS[name]

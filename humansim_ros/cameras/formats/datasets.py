@@ -1,4 +1,4 @@
-"""Files of public data sets and of motion capture without markers.
+"""Files of public data sets, of motion capture without markers, and of Blender.
 
 - JSON of Human3.6M, Shelf and Campus (in the format of VoxelPose), and CMU Panoptic.
 - TOML of Anipose, which FreeMoCap, Caliscope and Pose2Sim write too: x_cam = R x + t. The file does not name
@@ -6,6 +6,13 @@
   https://anipose.readthedocs.io/en/latest/aniposelib-tutorial.html
 - JSON of 4DAssociation and related programs: K, RT (3x4) or R and T, distCoeff, imgSize; x = R X + t; metres,
   z up. The world of the Shelf data in this format is the floor. https://github.com/zhangyux15/4d_association
+- transforms.json of NeRF, Instant-NGP and Nerfstudio. transform_matrix is the pose of a camera in the world,
+  with the camera axes of OpenGL (x right, y up, z backward). The centre of the first pixel is (0.5, 0.5), as
+  in COLMAP. The world has z up and any unit.
+  https://github.com/NVlabs/instant-ngp/blob/master/docs/nerf_dataset_tips.md
+- JSON of Blender with the names of bpy: matrix_world (or location with rotation_euler or rotation_quaternion)
+  with the same camera axes, lens and sensor_width in mm (or angle), shift_x and shift_y, resolution_x and
+  resolution_y. https://docs.blender.org/api/current/bpy.types.Camera.html
 """
 
 from __future__ import annotations
@@ -16,57 +23,30 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from humansim_ros.cameras.camera.camera import Camera, pinhole
+from humansim_ros.cameras.camera.lens import MODELS
 from humansim_ros.cameras.formats.base import (
-    LARGEST,
+    FLIP,
     CalibrationFile,
-    Key,
     Keys,
+    Place,
     RawCamera,
-    check_count,
+    camera_at,
     find_cameras,
-    find_unit,
     has_keys,
-    json_file,
-    nested,
     opencv_model,
     reader_of,
-    rotation_of,
-    row,
-    stated_unit,
     vector_of,
+    without_suffix,
 )
-from humansim_ros.cameras.formats.checks import IMAGE_SIZES
-from humansim_ros.cameras.formats.conventions import FilePose, resolved
+from humansim_ros.cameras.formats.checks import IMAGE_SIZES, size_of_named_image
+from humansim_ros.cameras.formats.conventions import FilePose, find_unit, resolved, stated_unit
 from humansim_ros.cameras.formats.spellings import role_of
-from humansim_ros.cameras.formats.table import Values, calibration_format
-from humansim_ros.cameras.formats.thesis_cam import cam_of, camera_of, format_cam, parse_cam
-from humansim_ros.errors import CameraError
+from humansim_ros.cameras.formats.table import Values, calibration_format, json_file, nested, row
+from humansim_ros.errors import CameraError, warn_about
 from humansim_ros.types import Array, ImageSize
-
-_LINE = re.compile(r"(C|f|R|k|size|format)\s*=.*")
-
-
-def _is_cam(file: CalibrationFile) -> bool:
-    return bool(file.head) and _LINE.fullmatch(file.head[0]) is not None
-
-
-def _read(file: CalibrationFile) -> dict[str, RawCamera]:
-    cam = parse_cam(file.text, file.path)
-    if max(map(abs, (*cam.center, cam.focal, *cam.euler_deg, *cam.aspect))) > LARGEST:
-        raise CameraError(f"a number is above {LARGEST:g}: too large for a camera", path=file.path)
-    camera = camera_of(cam)
-    return {Path(file.path).stem: RawCamera(camera.K, camera.R, camera.t, size=camera.size)}
-
-
-def _write(cameras: Mapping[str, Camera]) -> dict[str, str]:
-    (camera,) = cameras.values()
-    return {"": format_cam(cam_of(camera))}
-
-
-CAM = calibration_format("cam", _is_cam, _read, _write)
-
 
 # -- Human3.6M: x = R X + t in millimetres, z up; 4 cameras, with a pose for each of 11 subjects
 
@@ -91,31 +71,17 @@ def _read_h36m(file: CalibrationFile) -> dict[str, RawCamera]:
         for name in file.mapping("extrinsics", subject):
             if name not in file.mapping("intrinsics"):
                 raise file.error("has no intrinsics", "extrinsics", subject, name)
-            camera = _h36m_camera(file, ("intrinsics", name), ("extrinsics", subject, name))
+            inner, outer = ("intrinsics", name), ("extrinsics", subject, name)
+            for keys in ((*inner, "distortion"), (*outer, "R")):
+                file.need(*keys)
+            places: dict[str, Place] = {
+                "K": (*inner, "calibration_matrix"),
+                "distortion": (*inner, "distortion"),
+            }
+            places |= {"R": (*outer, "R"), "t": (*outer, "t")}
+            camera = camera_at(file, (), places, size=_H36M_SIZES.get(str(name)), model="plumb_bob")
             file.add(cameras, name if len(subjects) == 1 else f"{subject}_{name}", camera)
     return cameras
-
-
-def _h36m_camera(
-    file: CalibrationFile, intrinsics: tuple[Key, ...], extrinsics: tuple[Key, ...]
-) -> RawCamera:
-    keys = {
-        "K": (*intrinsics, "calibration_matrix"),
-        "distortion": (*intrinsics, "distortion"),
-        "R": (*extrinsics, "R"),
-        "t": (*extrinsics, "t"),
-    }
-    distortion = file.some_numbers(*keys["distortion"])
-    check_count(file, "plumb_bob", distortion, keys["distortion"])
-    return RawCamera(
-        file.numbers((3, 3), *keys["K"]),
-        file.numbers((3, 3), *keys["R"]),
-        file.numbers((3,), *keys["t"]),
-        size=_H36M_SIZES.get(str(intrinsics[-1])),
-        distortion=tuple(distortion),
-        model="plumb_bob",
-        locations={part: file.location(*path) for part, path in keys.items()},
-    )
 
 
 def _write_h36m(cameras: Mapping[str, Camera]) -> dict[str, str]:
@@ -146,29 +112,19 @@ def _shelf_cameras(file: CalibrationFile) -> list[tuple[str, Keys]]:
 
 
 def _shelf_camera(file: CalibrationFile, at: Keys) -> RawCamera:
-    if file.get(*at, "f") is not None and file.get(*at, "fx") is None:  # arrays as VoxelPose writes them
-        fx, fy, cx, cy = (*file.numbers((2,), *at, "f"), *file.numbers((2,), *at, "c"))
-    else:
-        fx, fy, cx, cy = (file.number(*at, key) for key in ("fx", "fy", "cx", "cy"))
-    radial: Array = np.zeros(3)
-    tangential: Array = np.zeros(2)
-    if file.get(*at, "k") is not None:
-        radial = file.numbers((3,), *at, "k")
-    if file.get(*at, "p") is not None:
-        tangential = file.numbers((2,), *at, "p")
-    posed = file.get(*at, "R") is not None or file.get(*at, "T") is not None
+    own: dict[str, Any] = {}
+    if file.has(*at, "f") and not file.has(*at, "fx"):  # arrays as VoxelPose writes them
+        own["K"] = pinhole(*file.numbers((2,), *at, "f"), *file.numbers((2,), *at, "c"))
     size = file.pair_size(*at, "imgSize")
-    if size is None and file.get(*at, "width") is not None and file.get(*at, "height") is not None:
-        size = file.positive_integer(*at, "width"), file.positive_integer(*at, "height")
-    return RawCamera(
-        pinhole(fx, fy, cx, cy),
-        file.numbers((3, 3), *at, "R") if posed else None,
-        center=file.numbers((3,), *at, "T") if posed else None,
-        size=size,
-        distortion=(*radial[:2], *tangential, radial[2]),
-        model="plumb_bob",
-        locations=file.locations(at, K="fx", R="R", t="T", distortion="k"),
+    if size is None and file.has(*at, "width") and file.has(*at, "height"):
+        size = file.size((*at, "width"), (*at, "height"))
+    radial, tangential = (
+        file.numbers((count,), *at, key) if file.has(*at, key) else np.zeros(count)
+        for key, count in (("k", 3), ("p", 2))
     )
+    places = {"K": "fx fy cx cy", "R": "R", "center": "T", "distortion": "k"}
+    lens = (*radial[:2], *tangential, radial[2])
+    return camera_at(file, at, places, **own, size=size, distortion=lens, model="plumb_bob")
 
 
 _is_shelf, _read_as_shelf = reader_of(_shelf_cameras, _shelf_camera)
@@ -200,20 +156,9 @@ def _is_panoptic(file: CalibrationFile) -> bool:
 
 def _read_panoptic(file: CalibrationFile) -> dict[str, RawCamera]:
     cameras: dict[str, RawCamera] = {}
-    for index in range(len(file.need("cameras"))):
-        at: tuple[Key, ...] = ("cameras", index)
-        distortion = file.optional_numbers(*at, "distCoef")
-        check_count(file, "plumb_bob", distortion, (*at, "distCoef"))
-        posed = file.get(*at, "R") is not None or file.get(*at, "t") is not None
-        camera = RawCamera(
-            file.numbers((3, 3), *at, "K"),
-            file.numbers((3, 3), *at, "R") if posed else None,
-            file.numbers((3,), *at, "t") if posed else np.zeros(3),
-            size=file.pair_size(*at, "resolution"),
-            distortion=tuple(distortion),
-            model="plumb_bob",
-            locations=file.locations(at, K="K", R="R", t="t", distortion="distCoef", size="resolution"),
-        )
+    places = {"K": "K", "R": "R", "t": "t", "distortion": "distCoef", "size": "resolution"}
+    for at in file.paths("cameras"):
+        camera = camera_at(file, at, places, model="plumb_bob")
         file.add(cameras, str(file.need(*at, "name")), camera, *at)
     return cameras
 
@@ -241,33 +186,27 @@ def _cameras_anipose(file: CalibrationFile) -> list[tuple[str, Keys]]:
 
 
 def _camera_anipose(file: CalibrationFile, at: Keys) -> RawCamera:
-    matrix = file.numbers((3, 3), *at, "matrix")
-    distortion = file.optional_numbers(*at, "distortions")
-    model = _model(file, at, distortion)
-    rotation, t = file.get(*at, "rotation"), file.get(*at, "translation")
-    if (rotation is None) != (t is None):
-        present, missing = ("rotation", "translation") if t is None else ("translation", "rotation")
-        raise file.error(f"needs {missing} as well", *at, present)
-    return RawCamera(
-        matrix,
-        None if rotation is None else rotation_of(file, *at, "rotation"),
-        np.zeros(3) if t is None else file.numbers((3,), *at, "translation"),
-        size=file.pair_size(*at, "size"),
-        distortion=tuple(distortion),
-        model=model,
-        locations=file.locations(
-            at, K="matrix", distortion="distortions", R="rotation", t="translation", size="size"
-        ),
-    )
+    places = {
+        "K": "matrix",
+        "rvec": "rotation",
+        "t": "translation",
+        "size": "size",
+        "distortion": "distortions",
+    }
+    lens = file.optional_numbers(*at, "distortions")
+    for present, missing in (("rotation", "translation"), ("translation", "rotation")):
+        if file.has(*at, present) and not file.has(*at, missing):
+            raise file.error(f"needs {missing} as well", *at, present)
+    return camera_at(file, at, places, distortion=lens, model=_anipose_model(file, at, lens))
 
 
-def _model(file: CalibrationFile, at: Keys, distortion: Array) -> str:
+def _anipose_model(file: CalibrationFile, at: Keys, distortion: Array) -> str:
     fisheye = file.get(*at, "fisheye")
     if fisheye is not None and not isinstance(fisheye, bool):
         raise file.error("needs true or false", *at, "fisheye")
     model = "equidistant" if fisheye else opencv_model(distortion)
     if len(distortion) >= 4 or model == "equidistant":
-        check_count(file, model, distortion, (*at, "distortions"))
+        file.check_count(model, distortion, (*at, "distortions"))
     return model
 
 
@@ -315,33 +254,224 @@ def _is_camera(value: object) -> bool:
 
 
 def _camera_association(file: CalibrationFile, at: Keys) -> RawCamera:
-    k = file.numbers((3, 3), *at, "K")
-    r, t, (r_key, t_key) = _pose(file, at)
+    whole = file.has(*at, "RT")
+    shift = "RT" if whole else file.first(at, "T", "t") or "T"
     lens = next((key for key in _LENS if file.get(*at, key) not in (None, [])), _LENS[0])
-    distortion = file.optional_numbers(*at, lens)
-    model = opencv_model(distortion)
-    check_count(file, model, distortion, (*at, lens))
-    return RawCamera(
-        k,
-        r,
-        t,
-        size=file.pair_size(*at, "imgSize"),
-        distortion=tuple(distortion),
-        model=model,
-        locations=file.locations(at, K="K", R=r_key, t=t_key, distortion=lens, size="imgSize"),
-    )
-
-
-def _pose(file: CalibrationFile, at: Keys) -> tuple[Array | None, Array, tuple[str, str]]:
-    """R and t with their keys: from RT (3x4 or 4x4), or from R and T. R is None if there is none."""
-    if file.get(*at, "RT") is not None:
-        rows = 4 if len(file.some_numbers(*at, "RT")) == 16 else 3
-        matrix = file.pose_matrix(*at, "RT", rows=rows)
-        return matrix[:3, :3], matrix[:3, 3], ("RT", "RT")
-    t_key = next((key for key in ("T", "t") if file.get(*at, key) is not None), "T")
-    if file.get(*at, "R") is None and file.get(*at, t_key) is None:
-        return None, np.zeros(3), ("R", t_key)
-    return rotation_of(file, *at, "R"), file.numbers((3,), *at, t_key), ("R", t_key)
+    places = {"K": "K", "rvec": "RT" if whole else "R", "t": shift, "distortion": lens, "size": "imgSize"}
+    if not whole:
+        return camera_at(file, at, places)
+    rows = 4 if len(file.some_numbers(*at, "RT")) == 16 else 3
+    matrix = file.pose_matrix(*at, "RT", rows=rows)
+    return camera_at(file, at, places, R=matrix[:3, :3], t=matrix[:3, 3])
 
 
 ASSOCIATION = calibration_format("4dassociation", *reader_of(_cameras_association, _camera_association))
+
+
+# -- transforms.json
+
+#: Image size of the synthetic scenes of NeRF. Their files have no size.
+_NERF_SIZE = (800, 800)
+#: Folder of the images in most files. It is not part of a camera's name.
+_FOLDER = "images/"
+_COEFFICIENTS = ("k1", "k2", "k3", "k4", "p1", "p2")
+#: Names of lens models in ``camera_model``.
+_COLMAP_LENSES = {
+    **dict.fromkeys(("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "RADIAL", "SIMPLE_RADIAL"), "plumb_bob"),
+    **dict.fromkeys(("OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"), "equidistant"),
+}
+
+
+def _is_transforms(file: CalibrationFile) -> bool:
+    frames = file.get("frames")
+    return isinstance(frames, list) and any(isinstance(f, dict) and "transform_matrix" in f for f in frames)
+
+
+def _read_transforms(file: CalibrationFile) -> dict[str, RawCamera]:
+    cameras: dict[str, RawCamera] = {}
+    assumed = False
+    for index, name in enumerate(_names(file)):
+        size = _size(file, index)
+        if size is None and file.given_size is None and _number(file, index, "cx") is None:
+            size, assumed = _NERF_SIZE, True
+        file.add(cameras, name, _frame_camera(file, index, size), "frames", index)
+    if assumed:
+        width, height = _NERF_SIZE
+        message = f"w and h are missing; {width}x{height} is assumed, as in the synthetic scenes of NeRF"
+        warn_about(file.path, message)
+    return cameras
+
+
+def _names(file: CalibrationFile) -> list[str]:
+    """Names of the cameras, which are those of their images."""
+    names = []
+    for index, _ in enumerate(file.need("frames")):
+        image = str(file.get("frames", index, "file_path") or "").strip().removeprefix("./")
+        names.append(without_suffix(image) or str(index))
+    if all(name.startswith(_FOLDER) and name != _FOLDER for name in names):
+        names = [name.removeprefix(_FOLDER) for name in names]
+    return names
+
+
+def _frame_camera(file: CalibrationFile, index: int, size: ImageSize | None) -> RawCamera:
+    keys = ("frames", index, "transform_matrix")
+    rows = 3 if len(file.some_numbers(*keys)) == 12 else 4
+    pose = file.pose_matrix(*keys, rows=rows, tolerance=1e-6)
+    k = _matrix(file, index, file.given_size or size)
+    model, lens = _frame_lens(file, index)
+    locations = file.locations(keys[:2], R=keys[2], t=keys[2]) | {
+        "K": file.location(*_keys(file, index, "fl_x"))
+    }
+    return RawCamera(
+        k, FLIP @ pose[:3, :3].T, np.zeros(3), pose[:3, 3], size, lens, model, locations=locations
+    )
+
+
+def _keys(file: CalibrationFile, index: int, key: str) -> Keys:
+    """Key path of a value of a frame. The frame has the key itself, or the file has it for all frames."""
+    own = ("frames", index, key)
+    return own if file.has(*own) else (key,)
+
+
+def _number(file: CalibrationFile, index: int, key: str) -> float | None:
+    keys = _keys(file, index, key)
+    return file.number(*keys) if file.has(*keys) else None
+
+
+def _size(file: CalibrationFile, index: int) -> ImageSize | None:
+    width, height = _keys(file, index, "w"), _keys(file, index, "h")
+    if file.has(*width) or file.has(*height):
+        return file.size(width, height)
+    image, folder = str(file.get("frames", index, "file_path") or ""), Path(file.path).parent
+    return size_of_named_image(folder, image) or size_of_named_image(folder, f"{image}.png")
+
+
+def _matrix(file: CalibrationFile, index: int, size: ImageSize | None) -> Array:
+    """K of a frame. The size is needed if the file has an angle, or no principal point."""
+    width, height = size or (None, None)
+    given = _focal_length(file, index, "x", width), _focal_length(file, index, "y", height)
+    lengths = [length for length in given if length is not None]
+    if not lengths:
+        raise file.error("is missing: give fl_x, or camera_angle_x", *_keys(file, index, "fl_x"))
+    cx, cy = _number(file, index, "cx"), _number(file, index, "cy")
+    if (cx is None or cy is None) and size is None:
+        raise file.error("is missing", *_keys(file, index, "cx" if cx is None else "cy"))
+    cx = (width or 0) / 2 if cx is None else cx
+    cy = (height or 0) / 2 if cy is None else cy
+    return pinhole(lengths[0], lengths[-1], cx - 0.5, cy - 0.5)
+
+
+def _focal_length(file: CalibrationFile, index: int, axis: str, side: int | None) -> float | None:
+    length, angle = _number(file, index, f"fl_{axis}"), _number(file, index, f"camera_angle_{axis}")
+    if length is not None or angle is None:
+        return length
+    keys = _keys(file, index, f"camera_angle_{axis}")
+    if not 0 < angle < np.pi:
+        raise file.error(f"must be an angle between 0 and pi radians, not {angle:g}", *keys)
+    if side is None:
+        raise file.error("needs w and h as well", *keys)
+    return float(side / 2 / np.tan(angle / 2))
+
+
+def _frame_lens(file: CalibrationFile, index: int) -> tuple[str, tuple[float, ...]]:
+    keys = _keys(file, index, "camera_model")
+    word = file.get(*keys)
+    fisheye = file.get(*_keys(file, index, "is_fisheye")) is True
+    model = "equidistant" if fisheye else "plumb_bob"
+    if word is not None:
+        if str(word).upper() not in _COLMAP_LENSES:
+            message = f"unknown camera model {str(word)[:40]!r}; known are {', '.join(_COLMAP_LENSES)}"
+            raise file.error(message, *keys)
+        model = _COLMAP_LENSES[str(word).upper()]
+    values = {key: _number(file, index, key) or 0.0 for key in _COEFFICIENTS}
+    for key in set(_COEFFICIENTS) - set(MODELS[model]):
+        if values[key]:
+            raise file.error(f"is not supported by a {model} lens", *_keys(file, index, key))
+    return model, tuple(values[key] for key in MODELS[model])
+
+
+def _lens_word(own: Values, camera: Camera) -> Values:
+    return {"lens": "OPENCV_FISHEYE" if camera.model == "equidistant" else "OPENCV"}
+
+
+TRANSFORMS = calibration_format("transforms", _is_transforms, _read_transforms, values=_lens_word)
+
+
+# -- Blender: cameras as scripts write them, with the names of bpy
+
+_BLENDER_POSE = {"matrix_world", "location"}
+_BLENDER_LENS = {"lens", "angle", "angle_x", "focal_length_mm"}
+
+
+def _blender_cameras(file: CalibrationFile) -> list[tuple[str, Keys]]:
+    return find_cameras(file, has_keys(_BLENDER_POSE, _BLENDER_LENS), has_keys(_BLENDER_POSE))
+
+
+def _blender_value(file: CalibrationFile, at: Keys, key: str, otherwise: float | None = None) -> float:
+    """Number from a camera, or from the section ``render``, or from the file."""
+    places: tuple[Keys, ...] = ((*at, key), (*at, "render", key), ("render", key), (key,))
+    found = next((place for place in places if file.get(*place) is not None), None)
+    if found is None and otherwise is not None:
+        return otherwise
+    return float(file.numbers((), *(found or (*at, key))))
+
+
+def _blender_camera(file: CalibrationFile, at: Keys) -> RawCamera:
+    sides = [_blender_value(file, at, f"resolution_{axis}") for axis in "xy"]
+    percent = _blender_value(file, at, "resolution_percentage", 100.0) / 100
+    width, height = (round(side * percent) for side in sides)
+    if min(width, height) < 1:
+        raise file.error("needs resolution_x and resolution_y above zero", *at)
+    aspects = [_blender_value(file, at, f"pixel_aspect_{axis}", 1.0) for axis in "xy"]
+    if min(aspects) <= 0:
+        raise file.error("needs pixel aspects above zero", *at)
+    aspect = aspects[1] / aspects[0]
+    fit = str(file.get(*at, "sensor_fit") or "AUTO").upper()
+    across = fit == "HORIZONTAL" or (fit == "AUTO" and width >= aspect * height)
+    view = width if across else aspect * height
+    key = file.first(at, "lens", "focal_length_mm", "angle") or "angle_x"
+    value = _blender_value(file, at, key)
+    if key in ("lens", "focal_length_mm"):
+        side, usual = ("sensor_height", 24.0) if fit == "VERTICAL" else ("sensor_width", 36.0)
+        sensor = _blender_value(file, at, side, usual)
+        if sensor <= 0:
+            raise file.error("needs a sensor above zero", *at, "sensor_width")
+        focal = value / sensor * view
+    elif 1e-9 < value < np.pi:
+        focal = (width if key == "angle_x" else view) / 2 / float(np.tan(value / 2))
+    else:
+        raise file.error(f"must be an angle between 0 and pi radians, not {value:g}", *at, key)
+    cx = width / 2 - _blender_value(file, at, "shift_x", 0.0) * view - 0.5
+    cy = height / 2 + _blender_value(file, at, "shift_y", 0.0) * view / aspect - 0.5
+    k, (rotation, center) = pinhole(focal, focal / aspect, cx, cy), _blender_pose(file, at)
+    part = "matrix_world" if file.has(*at, "matrix_world") else "location"
+    places = {"K": key, "R": part, "center": part}
+    return camera_at(file, at, places, K=k, R=FLIP @ rotation.T, center=center, size=(width, height))
+
+
+def _blender_pose(file: CalibrationFile, at: Keys) -> tuple[Array, Array]:
+    """Rotation from the axes of the camera to the world, and its centre."""
+    if file.has(*at, "matrix_world"):
+        pose = file.pose_matrix(*at, "matrix_world", rows=4, tolerance=1e-6)
+        lengths = np.linalg.norm(pose[:3, :3], axis=0)
+        if lengths.min() <= 0:
+            raise file.error("has an axis of length 0", *at, "matrix_world")
+        return pose[:3, :3] / lengths, pose[:3, 3]
+    center = file.numbers((3,), *at, "location")
+    if file.has(*at, "rotation_quaternion"):
+        xyzw = np.roll(file.numbers((4,), *at, "rotation_quaternion"), -1)
+        return file.unit_rotation(xyzw, *at, "rotation_quaternion"), center
+    angles = file.numbers((3,), *at, "rotation_euler")
+    return np.asarray(Rotation.from_euler("xyz", angles).as_matrix()), center
+
+
+def _blender_values(own: Values, camera: Camera) -> Values:
+    width, height = camera.size
+    return {
+        "lens": own["fx"] / width * 36.0,
+        "shift_x": (width / 2 - own["cx"] - 0.5) / width,
+        "shift_y": (own["cy"] + 0.5 - height / 2) / width * own["aspect"],
+    }
+
+
+BLENDER = calibration_format("blender", *reader_of(_blender_cameras, _blender_camera), values=_blender_values)

@@ -19,7 +19,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -28,19 +28,18 @@ from humansim_ros.cameras.camera.camera import Camera, pinhole
 from humansim_ros.cameras.formats.base import (
     CalibrationFile,
     Keys,
+    Place,
     RawCamera,
     SourceLocation,
-    check_count,
+    camera_at,
     find_cameras,
     has_keys,
-    nested,
-    number,
     reader_of,
 )
 from humansim_ros.cameras.formats.checks import IMAGE_SIZES
 from humansim_ros.cameras.formats.spellings import POSE, find_parameters, plain, role_of
 from humansim_ros.cameras.formats.syntax import TOML_HEAD, ZED_SECTION
-from humansim_ros.cameras.formats.table import Values, calibration_format
+from humansim_ros.cameras.formats.table import Values, calibration_format, nested, number
 from humansim_ros.errors import CameraError, warn_about
 from humansim_ros.types import Array, ImageSize
 
@@ -50,6 +49,7 @@ from humansim_ros.types import Array, ImageSize
 _ZED_SIZES: dict[str, ImageSize] = {mode: (w, h) for mode, (w, h) in IMAGE_SIZES["zed"].items()}
 _ZED_CAMERA = re.compile(r"(LEFT|RIGHT)_CAM_([A-Z0-9]+)", re.IGNORECASE)
 _SECTION = re.compile(r"\[\s*([A-Za-z0-9_]{1,60})\s*\]")
+_ZED_LENS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 _MOST_LINES = 2000
 _Section = dict[str, tuple[int, str]]
 
@@ -63,7 +63,7 @@ def _zed_sections(file: CalibrationFile) -> dict[str, tuple[int, _Section]]:
     section: _Section = {}
     for line, text in file.lines():
         if line > _MOST_LINES:
-            raise CameraError("the file is too long for a calibration", path=file.path, line=line)
+            raise file.error("the file is too long for a calibration", line=line)
         heading = _SECTION.fullmatch(text)
         if heading:
             section = {}
@@ -74,28 +74,28 @@ def _zed_sections(file: CalibrationFile) -> dict[str, tuple[int, _Section]]:
     return sections
 
 
-def _zed_number(
-    file: CalibrationFile,
-    sections: Mapping[str, tuple[int, _Section]],
-    name: str,
-    *keys: str,
-    needed: bool = True,
-) -> float:
-    """Number of the first of these keys in a section. An absent number that is not needed is 0."""
-    start, section = sections.get(name, (None, {}))
-    for key in keys:
-        if key.lower() in section:
-            line, word = section[key.lower()]
-            return file.row([word], line, f"{name}.{key}")[0]
-    if needed:
-        raise CameraError("is missing", path=file.path, line=start, key=f"{name}.{keys[0]}")
-    return 0.0
+class _Zed(NamedTuple):
+    """A ZED file and its sections: first line, and line and value by key."""
+
+    file: CalibrationFile
+    sections: Mapping[str, tuple[int, _Section]]
+
+    def number(self, name: str, *keys: str, needed: bool = True) -> float:
+        """Number of the first of these keys in a section. An absent number that is not needed is 0."""
+        start, section = self.sections.get(name, (None, {}))
+        for key in keys:
+            if key.lower() in section:
+                line, word = section[key.lower()]
+                return self.file.row([word], line, f"{name}.{key}")[0]
+        if needed:
+            raise self.file.error("is missing", name, keys[0], line=start)
+        return 0.0
 
 
 def _read_zed(file: CalibrationFile) -> dict[str, RawCamera]:
-    sections = _zed_sections(file)
-    found = {name: _ZED_CAMERA.fullmatch(name) for name in sections}
-    modes = list(dict.fromkeys(match[2] for match in found.values() if match))
+    zed = _Zed(file, _zed_sections(file))
+    found = (_ZED_CAMERA.fullmatch(name) for name in zed.sections)
+    modes = list(dict.fromkeys(match[2] for match in found if match))
     unknown = [mode for mode in modes if mode not in _ZED_SIZES]
     known = [mode for mode in modes if mode in _ZED_SIZES]
     fitting = [mode for mode in known if file.given_size in (None, _ZED_SIZES[mode])]
@@ -103,50 +103,37 @@ def _read_zed(file: CalibrationFile) -> dict[str, RawCamera]:
         warn_about(file.path, f"left out, because their image size is not known: {', '.join(unknown)}")
     if not fitting:
         sizes = ", ".join("{}x{}".format(*_ZED_SIZES[mode]) for mode in known)
-        raise CameraError(f"has no resolution of that size; there are {sizes}", path=file.path, key="size")
+        raise file.error(f"has no resolution of that size; there are {sizes}", "size")
     cameras: dict[str, RawCamera] = {}
     for mode in fitting:
         for side in ("LEFT", "RIGHT"):
             name = f"{side}_CAM_{mode}"
-            if name in sections:
-                file.add(cameras, name, _zed_camera(file, sections, name, mode, side), line=sections[name][0])
+            if name in zed.sections:
+                file.add(cameras, name, _zed_camera(zed, name, mode, side), line=zed.sections[name][0])
     return cameras
 
 
-def _zed_camera(
-    file: CalibrationFile, sections: Mapping[str, tuple[int, _Section]], name: str, mode: str, side: str
-) -> RawCamera:
-    fx, fy, cx, cy = (_zed_number(file, sections, name, key) for key in ("fx", "fy", "cx", "cy"))
-    keys = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+def _zed_camera(zed: _Zed, name: str, mode: str, side: str) -> RawCamera:
+    k = pinhole(*(zed.number(name, key) for key in ("fx", "fy", "cx", "cy")))
     disto = f"{side}_DISTO"  # the distortion of all modes; the SDK uses this lens
-    if thin := [f"s{i}" for i in range(1, 5) if _zed_number(file, sections, disto, f"s{i}", needed=False)]:
-        if "k1" not in sections[name][1]:
-            start = sections[disto][0]
+    if thin := [f"s{i}" for i in range(1, 5) if zed.number(disto, f"s{i}", needed=False)]:
+        if "k1" not in zed.sections[name][1]:
             message = "thin prism models are not supported"
-            raise CameraError(message, path=file.path, line=start, key=f"{disto}.{thin[0]}")
-        warn_about(file.path, f"{disto}: a thin prism is not supported; the lens of {name} is taken")
-    lens_at = disto if disto in sections and not thin else name
-    lens = np.array([_zed_number(file, sections, lens_at, key, needed=key == "k1") for key in keys])
+            raise zed.file.error(message, disto, thin[0], line=zed.sections[disto][0])
+        warn_about(zed.file.path, f"{disto}: a thin prism is not supported; the lens of {name} is taken")
+    lens_at = disto if disto in zed.sections and not thin else name
+    lens = np.array([zed.number(lens_at, key, needed=key == "k1") for key in _ZED_LENS])
     fisheye = lens_at == disto and lens[5] and not lens[[2, 3, 6, 7]].any()
     lens, model = (lens, "rational_polynomial") if lens[5:].any() else (lens[:5], "plumb_bob")
     lens, model = (lens[[0, 1, 4, 5]], "equidistant") if fisheye else (lens, model)
     rotation, t = np.eye(3), np.zeros(3)
     if side == "RIGHT":
-        base = _zed_number(file, sections, "STEREO", "Baseline")
-        ty, tz = (_zed_number(file, sections, "STEREO", f"{k}_{mode}", k, needed=False) for k in ("TY", "TZ"))
-        vector = [_zed_number(file, sections, "STEREO", f"{k}_{mode}", k) for k in ("RX", "CV", "RZ")]
+        base = zed.number("STEREO", "Baseline")
+        t = np.array([-base, *(zed.number("STEREO", f"{k}_{mode}", k, needed=False) for k in ("TY", "TZ"))])
+        vector = [zed.number("STEREO", f"{k}_{mode}", k) for k in ("RX", "CV", "RZ")]
         rotation = np.asarray(Rotation.from_rotvec(vector).as_matrix())
-        t = np.array([-base, ty, tz])
-    where = SourceLocation(name, sections[name][0])
-    return RawCamera(
-        pinhole(fx, fy, cx, cy),
-        rotation,
-        t,
-        size=_ZED_SIZES[mode],
-        distortion=tuple(lens),
-        model=model,
-        locations={"": where, "K": where},
-    )
+    where = dict.fromkeys(("", "K"), SourceLocation(name, zed.sections[name][0]))
+    return RawCamera(k, rotation, t, None, _ZED_SIZES[mode], tuple(lens), model, locations=where)
 
 
 def _write_zed(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
@@ -164,7 +151,7 @@ def _write_zed(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
     for side, camera in (("LEFT", left), ("RIGHT", right)):
         k = camera.K
         values = {"fx": k[0, 0], "fy": k[1, 1], "cx": k[0, 2], "cy": k[1, 2]}
-        values |= dict(zip(("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"), camera.distortion, strict=False))
+        values |= dict(zip(_ZED_LENS, camera.distortion, strict=False))
         lines += [f"[{side}_CAM_{mode}]", *(f"{key}={number(value)}" for key, value in values.items()), ""]
     rx, cv, rz = Rotation.from_matrix(right.R).as_rotvec()
     stereo = {"Baseline": -right.t[0], "TY": right.t[1], "TZ": right.t[2]}
@@ -197,24 +184,22 @@ def _is_k4a(file: CalibrationFile) -> bool:
 def _read_k4a(file: CalibrationFile) -> dict[str, RawCamera]:
     cameras: dict[str, RawCamera] = {}
     skipped = []
-    for index, _ in enumerate(file.need(*_K4A)):
-        at: Keys = (*_K4A, index)
+    for at in file.paths(*_K4A):
         color = file.need(*at, "Purpose") == _COLOR
         name = "color" if color else "depth"
-        name = name if name not in cameras else str(file.get(*at, "Location") or index)
+        name = name if name not in cameras else str(file.get(*at, "Location") or at[-1])
         sensor = file.size((*at, "SensorWidth"), (*at, "SensorHeight"))
         mode = _mode(file.given_size or sensor, sensor, color)
         if mode is None:
             skipped.append(name)
-            continue
-        file.add(cameras, name, _k4a_camera(file, at, file.given_size or sensor, *mode), *at)
+        else:
+            file.add(cameras, name, _k4a_camera(file, at, file.given_size or sensor, *mode), *at)
     if not cameras:
-        raise CameraError("no camera has a mode of this size", path=file.path, key="size")
+        raise file.error("no camera has a mode of this size", "size")
     if skipped:
         width, height = file.given_size or (0, 0)
-        warn_about(
-            file.path, f"left out, because they have no mode of {width}x{height}: {', '.join(skipped)}"
-        )
+        what = f"left out, because they have no mode of {width}x{height}: {', '.join(skipped)}"
+        warn_about(file.path, what)
     return cameras
 
 
@@ -245,22 +230,13 @@ def _k4a_camera(file: CalibrationFile, at: Keys, size: ImageSize, scale: Array, 
     if codx or cody:
         message = "a centre of distortion beside the axis (numbers 11 and 12) is not supported"
         raise file.error(message, *inner, "ModelParameters")
-    k = pinhole(
-        fx * scale[0], fy * scale[1], cx * scale[0] - corner[0] - 0.5, cy * scale[1] - corner[1] - 0.5
-    )
-    rotation, t = None, np.zeros(3)
-    if file.get(*at, "Rt") is not None:
-        rotation = file.numbers((3, 3), *at, "Rt", "Rotation")
-        t = file.numbers((3,), *at, "Rt", "Translation")
-    return RawCamera(
-        k,
-        rotation,
-        t,
-        size=size,
-        distortion=(k1, k2, p1, p2, k3, k4, k5, k6),
-        model="rational_polynomial",
-        locations=file.locations(at, K=("Intrinsics", "ModelParameters"), R="Rt", t="Rt"),
-    )
+    k = pinhole(fx, fy, cx, cy)
+    k[:2] *= scale[:, None]
+    k[:2, 2] -= corner
+    k[:2, 2] -= 0.5
+    places = {"K": ("Intrinsics", "ModelParameters"), "R": ("Rt", "Rotation"), "t": ("Rt", "Translation")}
+    lens = (k1, k2, p1, p2, k3, k4, k5, k6)
+    return camera_at(file, at, places, K=k, size=size, distortion=lens, model="rational_polynomial")
 
 
 def _k4a_values(own: Values, camera: Camera) -> Values:
@@ -303,21 +279,12 @@ def _realsense_cameras(file: CalibrationFile) -> list[tuple[str, Keys]]:
 
 
 def _realsense_camera(file: CalibrationFile, at: Keys) -> RawCamera:
-    fx, fy = (file.number(*at, key) for key in ("fx", "fy"))
-    cx, cy = (
-        float(file.numbers((), *at, next((k for k in keys if file.get(*at, k) is not None), keys[0])))
-        for keys in (("ppx", "cx"), ("ppy", "cy"))
-    )
-    key = "coeffs" if file.get(*at, "coeffs") is not None else "distortion"
-    distortion = file.optional_numbers(*at, key)
-    model = _model(file, at, key, distortion)
-    return RawCamera(
-        pinhole(fx, fy, cx, cy),
-        size=file.size((*at, "width"), (*at, "height")),
-        distortion=tuple(distortion) if model else (),
-        model=model,
-        locations=file.locations(at, K="fx", distortion=key, size="width"),
-    )
+    cx, cy = file.first(at, "ppx", "cx") or "ppx", file.first(at, "ppy", "cy") or "ppy"
+    key = "coeffs" if file.has(*at, "coeffs") else "distortion"
+    lens = file.optional_numbers(*at, key)
+    model = _model(file, at, key, lens)
+    places = {"K": f"fx fy {cx} {cy}", "size": "width height", "distortion": key}
+    return camera_at(file, at, places, distortion=lens if model else (), model=model)
 
 
 def _model(file: CalibrationFile, at: Keys, coefficients: str, distortion: Array) -> str | None:
@@ -335,11 +302,10 @@ def _model(file: CalibrationFile, at: Keys, coefficients: str, distortion: Array
     if model is None and distortion.any():
         raise file.error(f"is {str(value)[:40]!r}, but there are distortion coefficients", *keys)
     if model is not None:
-        check_count(file, model, distortion, (*at, coefficients))
+        file.check_count(model, distortion, (*at, coefficients))
     if word in _NEARLY:
-        warn_about(
-            file.path, f"{'.'.join(map(str, keys))}: {word} is taken for plumb_bob, as realsense-ros does"
-        )
+        what = f"{'.'.join(map(str, keys))}: {word} is taken for plumb_bob, as realsense-ros does"
+        warn_about(file.path, what)
     return model
 
 
@@ -362,24 +328,18 @@ def _is_open3d_camera(value: Any) -> bool:
 
 
 def _open3d_camera(file: CalibrationFile, at: Keys) -> RawCamera:
-    inner = (*at, "intrinsic") if isinstance(file.get(*at, "intrinsic"), dict) else at
-    rotation, t = None, np.zeros(3)
-    if file.get(*at, "extrinsic") is not None:
-        pose = file.numbers((4, 4), *at, "extrinsic").T
-        if not np.allclose(pose[3], [0, 0, 0, 1], atol=1e-6):
+    inner = ("intrinsic",) if isinstance(file.get(*at, "intrinsic"), dict) else ()
+    pose: dict[str, Array] = {}
+    if file.has(*at, "extrinsic"):
+        values = file.numbers((4, 4), *at, "extrinsic").T
+        if not np.allclose(values[3], [0, 0, 0, 1], atol=1e-6):
             raise file.error("needs 4 x 4 numbers in column order, the last row 0 0 0 1", *at, "extrinsic")
-        rotation, t = pose[:3, :3], pose[:3, 3]
-    sized = file.get(*inner, "width") is not None
-    return RawCamera(
-        file.numbers((3, 3), *inner, "intrinsic_matrix").T,
-        rotation,
-        t,
-        size=file.size((*inner, "width"), (*inner, "height")) if sized else None,
-        locations={
-            **file.locations(at, R="extrinsic", t="extrinsic"),
-            "K": file.location(*inner, "intrinsic_matrix"),
-        },
-    )
+        pose = {"R": values[:3, :3], "t": values[:3, 3]}
+    k = file.numbers((3, 3), *at, *inner, "intrinsic_matrix").T
+    sides = (*at, *inner, "width"), (*at, *inner, "height")
+    size = file.size(*sides) if file.has(*sides[0]) else None
+    places: dict[str, Place] = {"K": (*inner, "intrinsic_matrix"), "R": "extrinsic", "t": "extrinsic"}
+    return camera_at(file, at, places, K=k, size=size, **{"R": None, "t": np.zeros(3), **pose})
 
 
 #: Keys of rs2_extrinsics between the streams of one device.

@@ -27,18 +27,12 @@ import numpy as np
 
 from humansim_ros.cameras.camera.camera import Camera, pinhole
 from humansim_ros.cameras.camera.lens import Lens
-from humansim_ros.cameras.formats.base import (
-    CalibrationFile,
-    Keys,
-    RawCamera,
-    fitted_lens,
-    nested,
-    without_suffix,
-)
+from humansim_ros.cameras.formats.base import CalibrationFile, Keys, RawCamera, without_suffix
+from humansim_ros.cameras.formats.conventions import fitted_lens
 from humansim_ros.cameras.formats.matrices import MATRICES, read_matrices
 from humansim_ros.cameras.formats.spellings import keys_of, plain, words
 from humansim_ros.cameras.formats.syntax import read_document
-from humansim_ros.cameras.formats.table import CalibrationFormat
+from humansim_ros.cameras.formats.table import CalibrationFormat, nested
 from humansim_ros.errors import CameraError, located, warn_about
 from humansim_ros.files.reading import exists, read_table, read_text
 from humansim_ros.types import Array

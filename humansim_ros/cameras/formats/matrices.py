@@ -27,17 +27,18 @@ from humansim_ros.cameras.formats.base import (
     MAX_CAMERAS,
     CalibrationFile,
     RawCamera,
-    check_count,
-    find_model,
-    find_unit,
     model_of,
     opencv_model,
-    rotation_of,
     without_suffix,
 )
-from humansim_ros.cameras.formats.colmap import camera_of_model
-from humansim_ros.cameras.formats.conventions import FilePose, resolved
-from humansim_ros.cameras.formats.lens_keys import model_of_four
+from humansim_ros.cameras.formats.conventions import (
+    FilePose,
+    find_model,
+    find_unit,
+    model_of_four,
+    resolved,
+)
+from humansim_ros.cameras.formats.plain_text import camera_of_model
 from humansim_ros.cameras.formats.spellings import (
     INTRINSIC,
     POSE,
@@ -335,11 +336,8 @@ def _from_projection(entry: Entry) -> RawCamera:
     values = entry.numbers()
     if len(values) not in (12, 16):
         raise entry.error(f"needs 3 x 4 or 4 x 4 numbers, not {len(values)}")
-    try:
-        camera = Camera.from_projection_matrix(values.reshape(-1, 4)[:3], (1, 1))
-    except CameraError as error:
-        raise entry.error(error.message) from None
-    return RawCamera(camera.K, camera.R, camera.t, locations=dict.fromkeys(("K", "R", "t"), entry.location))
+    camera = entry.file.projection(values.reshape(-1, 4)[:3], entry.location)
+    return replace(camera, locations=dict.fromkeys(("K", "R", "t"), entry.location))
 
 
 def _lens(
@@ -369,7 +367,7 @@ def _lens(
         coefficients = np.array([k1, k2, k3, k4] if equidistant else [k1, k2, p1, p2, k3, k4, k5, k6])
         keys = next((entries[role].keys for role in ("k1", "k2", "k3") if role in entries), ())
     if bent:
-        check_count(file, "equidistant", coefficients, keys)
+        file.check_count("equidistant", coefficients, keys)
         return tuple(coefficients), "equidistant"
     if not word or word in _UNNAMED:
         if not coefficients.any():
@@ -381,7 +379,7 @@ def _lens(
         model = (
             model_of_four(entry.file, keys, coefficients, k, stated) if four else opencv_model(coefficients)
         )
-        check_count(file, model, coefficients, keys)
+        file.check_count(model, coefficients, keys)
         return tuple(coefficients), model
     known = find_model(file, word, coefficients, entries["model"].keys, keys)
     return tuple(coefficients), known
@@ -449,7 +447,7 @@ def _rotation(entry: Entry) -> Array:
         return quaternion_to_matrix((values if order[0] == "x" else np.roll(values, -1)) / length)
     if entry.key == "rxyz" and np.linalg.norm(values) > 2 * np.pi:
         raise entry.error("is no rotation vector in radians: give a matrix, not angles")
-    return rotation_of(entry.file, *entry.keys)
+    return entry.file.rotation(*entry.keys)
 
 
 def _find_unit(file: CalibrationFile, cameras: Mapping[str, RawCamera]) -> float:

@@ -21,9 +21,11 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -35,22 +37,14 @@ from humansim_ros.cameras.formats.base import (
     Keys,
     RawCamera,
     SourceLocation,
-    check_names,
-    fitted_lens,
-    row,
+    camera_at,
 )
+from humansim_ros.cameras.formats.conventions import fitted_lens
 from humansim_ros.cameras.formats.spellings import SCALARS, role_of
-from humansim_ros.cameras.formats.table import Values, calibration_format
+from humansim_ros.cameras.formats.table import Values, calibration_format, check_names, row
 from humansim_ros.errors import CameraError, some_of, warn_about
 from humansim_ros.geometry import matrix_to_quaternion
 from humansim_ros.types import Array, ImageSize
-
-
-def _whole(file: CalibrationFile, values: Array, *keys: str | int) -> ImageSize:
-    if any(value != int(value) or value <= 0 for value in values):
-        raise file.error("needs width and height, whole numbers above zero", *keys)
-    return int(values[0]), int(values[1])
-
 
 # -- Vicon
 
@@ -66,36 +60,29 @@ def _read_vicon(file: CalibrationFile) -> dict[str, RawCamera]:
         at: Keys = ("Cameras", "Camera", index)
         name = str(camera.get("DEVICEID") or camera.get("USERID") or index)
         frame = (*at, "KeyFrames", 0, "KeyFrame", 0)
-        if file.get(*frame, "FOCAL_LENGTH") is None:
+        if file.has(*frame, "FOCAL_LENGTH"):
+            file.add(cameras, name, _vicon_camera(file, at, frame), *at)
+        else:
             skipped.append(name)
-            continue
-        file.add(cameras, name, _vicon_camera(file, at, frame), *at)
     if not cameras:
-        raise CameraError("no camera has a KeyFrame: the system was not calibrated", path=file.path)
+        raise file.error("no camera has a KeyFrame: the system was not calibrated")
     if skipped:
         warn_about(file.path, f"left out, because they are not calibrated: {some_of(skipped, 4)}")
     return cameras
 
 
 def _vicon_camera(file: CalibrationFile, at: Keys, frame: Keys) -> RawCamera:
-    size = _whole(file, file.words(2, *at, "SENSOR_SIZE"), *at, "SENSOR_SIZE")
-    focal = float(file.words(1, *frame, "FOCAL_LENGTH")[0])
-    ratio = float(file.words(1, *at, "PIXEL_ASPECT_RATIO")[0]) if file.get(*at, "PIXEL_ASPECT_RATIO") else 1.0
+    size = file.size_of(file.words(2, *at, "SENSOR_SIZE"), *at, "SENSOR_SIZE")
+    focal = file.words(1, *frame, "FOCAL_LENGTH")[0]
+    ratio = file.words(1, *at, "PIXEL_ASPECT_RATIO")[0] if file.get(*at, "PIXEL_ASPECT_RATIO") else 1.0
     if ratio <= 0 or focal <= 0:
         raise file.error("the focal length and the aspect ratio must be above zero", *at)
-    point = file.words(2, *frame, "PRINCIPAL_POINT")
+    k = pinhole(focal, focal / ratio, *file.words(2, *frame, "PRINCIPAL_POINT"))
     r = file.unit_rotation(file.words(4, *frame, "ORIENTATION"), *frame, "ORIENTATION")
-    k = pinhole(focal, focal / ratio, point[0], point[1])
-    model, distortion = _vicon_lens(file, frame, k, size)
-    return RawCamera(
-        k,
-        r,
-        center=file.words(3, *frame, "POSITION"),
-        size=size,
-        distortion=distortion,
-        model=model,
-        locations=file.locations(frame, K="FOCAL_LENGTH", R="ORIENTATION", t="POSITION"),
-    )
+    center = file.words(3, *frame, "POSITION")
+    places = {"K": "FOCAL_LENGTH", "R": "ORIENTATION", "center": "POSITION"}
+    model, lens = _vicon_lens(file, frame, k, size)
+    return camera_at(file, frame, places, K=k, R=r, center=center, size=size, model=model, distortion=lens)
 
 
 def _vicon_lens(
@@ -119,11 +106,11 @@ def _vicon_lens(
     pixels = np.column_stack([columns.ravel(), rows.ravel()])
     r2 = ((pixels - center) ** 2).sum(axis=1, keepdims=True)
     factor = 1 + r2 * (radial[0] + r2 * (radial[1] + r2 * radial[2]))
-    ideal = center + (pixels - center) * factor
+    places = (center + (pixels - center) * factor, pixels)
     focal = k[[0, 1], [0, 1]]
+    ideal, bent = ((each - k[:2, 2]) / focal for each in places)
     what = f"{file.get('Cameras', 'Camera', frame[2], 'DEVICEID')}: the lens of Vicon"
-    places = (ideal - k[:2, 2]) / focal, (pixels - k[:2, 2]) / focal
-    lens = fitted_lens(file, what, *places, float(focal[0]))
+    lens = fitted_lens(file, what, ideal, bent, float(focal[0]))
     return lens.model, lens.coefficients
 
 
@@ -133,8 +120,8 @@ VICON = calibration_format("vicon", _is_vicon, _read_vicon)
 # -- OptiTrack Motive
 
 _MOTIVE: Keys = ("calibrationProfile", "Calibration", 0, "Cameras", 0, "Camera")
-_LENS = ("k1", "k2", "TangentialX", "TangentialY", "k3")
-_ORIENT = tuple(f"OrientMatrix{i}" for i in range(9))
+_LENS = "k1 k2 TangentialX TangentialY k3"
+_ORIENT = " ".join(f"OrientMatrix{i}" for i in range(9))
 
 
 def _is_motive(file: CalibrationFile) -> bool:
@@ -144,37 +131,23 @@ def _is_motive(file: CalibrationFile) -> bool:
 def _read_motive(file: CalibrationFile) -> dict[str, RawCamera]:
     cameras: dict[str, RawCamera] = {}
     unlike = []
-    for index, camera in enumerate(file.need(*_MOTIVE)):
+    for index, item in enumerate(file.need(*_MOTIVE)):
         at: Keys = (*_MOTIVE, index)
-        name = str(camera.get("Serial") or index)
-        standard = file.get(*at, "IntrinsicStandardCameraModel", 0) is not None
-        part = "IntrinsicStandardCameraModel" if standard else "Intrinsic"
-        inner: Keys = (*at, part, 0)
-        if not standard:
+        name = str(item.get("Serial") or index)
+        standard = file.has(*at, "IntrinsicStandardCameraModel", 0)
+        inner: Keys = ("IntrinsicStandardCameraModel" if standard else "Intrinsic", 0)
+        places = {
+            "K": (*inner, "HorizontalFocalLength VerticalFocalLength LensCenterX LensCenterY"),
+            "R": ("Extrinsic", 0, _ORIENT),
+            "center": ("Extrinsic", 0, "X Y Z"),
+            "size": ("Attributes", 0, "ImagerPixelWidth ImagerPixelHeight"),
+        }
+        if standard:
+            places["distortion"] = (*inner, _LENS)
+        else:
             unlike.append(name)
-        fx, fy, cx, cy = (
-            file.number(*inner, key)
-            for key in ("HorizontalFocalLength", "VerticalFocalLength", "LensCenterX", "LensCenterY")
-        )
-        given = [file.number(*inner, k, otherwise=0.0) for k in _LENS]
-        outer = (*at, "Extrinsic", 0)
-        rotation, center = None, None
-        if file.get(*outer) is not None:
-            axes = np.reshape([file.number(*outer, key) for key in _ORIENT], (3, 3))
-            rotation = FLIP @ axes.T
-            center = np.array([file.number(*outer, key) for key in "XYZ"])
-        camera_ = RawCamera(
-            pinhole(fx, fy, cx, cy),
-            rotation,
-            center=center,
-            size=file.size(
-                (*at, "Attributes", 0, "ImagerPixelWidth"), (*at, "Attributes", 0, "ImagerPixelHeight")
-            ),
-            distortion=tuple(given) if standard else (),
-            model="plumb_bob",
-            locations=file.locations(at, K=inner[-2:], R=outer[-2:], t=outer[-2:]),
-        )
-        file.add(cameras, name, camera_, *at)
+        camera = camera_at(file, at, places, model="plumb_bob")
+        file.add(cameras, name, camera if camera.R is None else replace(camera, R=FLIP @ camera.R.T), *at)
     if unlike:
         what = f"no IntrinsicStandardCameraModel of {some_of(unlike, 4)}"
         warn_about(file.path, f"{what}: the lens of Motive is not of OpenCV, and its distortion is left out")
@@ -186,31 +159,38 @@ MOTIVE = calibration_format("motive", _is_motive, _read_motive)
 
 # -- Theia3D
 
-_R = tuple(f"r{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3))
-#: Attributes of K. Qualisys has the same.
-_K = ("focalLengthU", "focalLengthV", "centerPointU", "centerPointV", "skew")
-#: Both spellings of each coefficient are in use.
-_THEIA_LENS = (
+#: Attributes of a camera of Theia3D and of Qualisys.
+_K = ("intrinsic", 0, "focalLengthU focalLengthV centerPointU centerPointV")
+_R = ("transform", 0, " ".join(f"r{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3)))
+_POSITION = ("transform", 0, "x y z")
+#: Coefficients in the order of ROS. Several spellings of tangential ones are in use.
+_LENS_KEYS = (
     *(("radialDistortion1",), ("radialDistortion2",)),
-    *(("tangentalDistortion1", "tengentialDistortion1", "tangentialDistortion1"),),
-    *(("tangentalDistortion2", "tengentialDistortion2", "tangentialDistortion2"),),
+    *(tuple(f"{word}Distortion{i}" for word in ("tangental", "tengential", "tangential")) for i in (1, 2)),
     ("radialDistortion3",),
 )
 #: Largest side of a sensor in pixels. Qualisys counts 64 units per pixel.
 _LARGEST_SIDE = 12_000.0
 
 
-def _theia_cameras(file: CalibrationFile) -> list[Keys]:
-    groups = file.get("calibration", "cameras")
-    return [
-        ("calibration", "cameras", group, "camera", index)
-        for group, content in enumerate(groups if isinstance(groups, list) else ())
-        for index, _ in enumerate(content.get("camera") or ())
-    ]
+def _xml_cameras(file: CalibrationFile) -> list[Keys]:
+    """Key paths of the cameras in all groups of a file of Theia3D or Qualisys."""
+    return file.elements(("calibration",), "cameras", "camera") if _is_qualisys(file) else []
+
+
+def _xml_camera(file: CalibrationFile, at: Keys, shift: str, **own: Any) -> RawCamera:
+    """Camera in the unit of its element ``intrinsic``. ``shift``: whether x, y, z are t or the center."""
+    keys = (file.first((*at, "intrinsic", 0), *names) for names in _LENS_KEYS)
+    lens = [0.0 if key is None else file.number(*at, "intrinsic", 0, key) for key in keys]
+    camera = camera_at(
+        file, at, {"K": _K, "R": _R, shift: _POSITION}, **own, distortion=lens, model="plumb_bob"
+    )
+    camera.K[0, 1] = file.number(*at, "intrinsic", 0, "skew", otherwise=0.0)
+    return camera
 
 
 def _is_theia(file: CalibrationFile) -> bool:
-    for at in _theia_cameras(file)[:1]:
+    for at in _xml_cameras(file)[:1]:
         try:
             return 0 < float(file.get(*at, "intrinsic", 0, "sensorMaxU") or 0) < _LARGEST_SIDE
         except (TypeError, ValueError):
@@ -218,35 +198,17 @@ def _is_theia(file: CalibrationFile) -> bool:
     return False
 
 
-def _read_k(file: CalibrationFile, inner: Keys) -> Array:
-    """K (3, 3) of an element ``intrinsic``, in the unit of the element."""
-    k = pinhole(*(file.number(*inner, key) for key in _K[:4]))
-    k[0, 1] = file.number(*inner, "skew", otherwise=0.0)
-    return k
-
-
 def _read_theia(file: CalibrationFile) -> dict[str, RawCamera]:
     cameras: dict[str, RawCamera] = {}
-    for at in _theia_cameras(file):
-        inner, outer = (*at, "intrinsic", 0), (*at, "transform", 0)
-        k = _read_k(file, inner)
-        keys = (
-            next((key for key in names if file.get(*inner, key) is not None), None) for names in _THEIA_LENS
-        )
-        lens = tuple(0.0 if key is None else file.number(*inner, key) for key in keys)
-        rotation, t = None, np.zeros(3)
-        if file.get(*outer) is not None:
-            rotation = np.reshape([file.number(*outer, key) for key in _R], (3, 3))
-            t = np.array([file.number(*outer, key) for key in "xyz"])
-        sides = []
-        for low, high in (("sensorMinU", "sensorMaxU"), ("sensorMinV", "sensorMaxV")):
-            side = file.number(*inner, high) - file.number(*inner, low)
-            sides.append(side + 1 if side % 2 else side)  # the side is 1919 or 1920
-        where = file.locations(at, K=inner[-2:], R=outer[-2:], t=outer[-2:])
-        size = _whole(file, np.array(sides), *inner, "sensorMaxU")
-        name = str(file.get(*at, "serial") or len(cameras))
-        camera = RawCamera(k, rotation, t, size=size, distortion=lens, model="plumb_bob", locations=where)
-        file.add(cameras, name, camera, *at)
+    for at in _xml_cameras(file):
+        inner = (*at, "intrinsic", 0)
+        sides = [
+            file.number(*inner, f"sensorMax{axis}") - file.number(*inner, f"sensorMin{axis}") for axis in "UV"
+        ]
+        # the side is 1919 or 1920
+        even = np.array([side + bool(side % 2) for side in sides])
+        camera = _xml_camera(file, at, "t", size=file.size_of(even, *inner, "sensorMaxU"))
+        file.add(cameras, str(file.get(*at, "serial") or len(cameras)), camera, *at)
     return cameras
 
 
@@ -257,11 +219,6 @@ THEIA = calibration_format("theia", _is_theia, _read_theia)
 
 #: Focal lengths and principal points are in this fraction of a pixel.
 _SUBPIXELS = 64.0
-#: Coefficients in the order of ROS, as the files spell them.
-_QTM_LENS = (
-    *("radialDistortion1", "radialDistortion2", "tangentalDistortion1", "tangentalDistortion2"),
-    "radialDistortion3",
-)
 #: Windows of the video in the sensor, in order of precedence.
 _WINDOWS = ("fov_video", "fov_video_max", "fov_marker", "fov_marker_max")
 
@@ -272,33 +229,16 @@ def _is_qualisys(file: CalibrationFile) -> bool:
 
 def _read_qualisys(file: CalibrationFile) -> dict[str, RawCamera]:
     cameras: dict[str, RawCamera] = {}
-    for group, _ in enumerate(file.need("calibration", "cameras")):
-        for index, _ in enumerate(file.items("calibration", "cameras", group, "camera")):
-            at: Keys = ("calibration", "cameras", group, "camera", index)
-            name = str(file.get(*at, "serial") or "").strip() or str(len(cameras))
-            file.add(cameras, name, _qualisys_camera(file, at), *at)
+    for at in _xml_cameras(file):
+        corner, size = _window(file, at)
+        camera = _xml_camera(file, at, "center", size=size)
+        camera.K[:2] /= _SUBPIXELS
+        camera.K[:2, 2] -= corner
+        if camera.R is not None:
+            camera = replace(camera, R=FLIP @ camera.R)
+        name = str(file.get(*at, "serial") or "").strip() or str(len(cameras))
+        file.add(cameras, name, camera, *at)
     return cameras
-
-
-def _qualisys_camera(file: CalibrationFile, at: Keys) -> RawCamera:
-    inner, outer = (*at, "intrinsic", 0), (*at, "transform", 0)
-    corner, size = _window(file, at)
-    k = _read_k(file, inner)
-    k[:2] /= _SUBPIXELS
-    k[:2, 2] -= corner
-    rotation, center = None, np.zeros(3)
-    if file.get(*outer) is not None:
-        rotation = FLIP @ np.reshape([file.number(*outer, key) for key in _R], (3, 3))
-        center = np.array([file.number(*outer, key) for key in "xyz"])
-    return RawCamera(
-        k,
-        rotation,
-        center=center,
-        size=size,
-        distortion=tuple(file.number(*inner, key, otherwise=0.0) for key in _QTM_LENS),
-        model="plumb_bob",
-        locations=file.locations(at, K=inner[-2:], distortion=inner[-2:], R=outer[-2:], t=outer[-2:]),
-    )
 
 
 def _window(file: CalibrationFile, at: Keys) -> tuple[Array, ImageSize | None]:
@@ -329,13 +269,12 @@ QUALISYS = calibration_format("qualisys", _is_qualisys, _read_qualisys, values=_
 _DLT = 11
 
 
-def _dlt_rows(file: CalibrationFile) -> list[list[str]]:
-    rows = (text.replace(",", " ").replace(";", " ").split() for _, text in file.lines())
-    return list(islice(rows, _DLT + 2))
+def _dlt_rows(file: CalibrationFile) -> Iterator[tuple[int, list[str]]]:
+    return ((n, text.replace(",", " ").replace(";", " ").split()) for n, text in file.lines())
 
 
 def _is_dlt(file: CalibrationFile) -> bool:
-    rows = _dlt_rows(file)
+    rows = [words for _, words in islice(_dlt_rows(file), _DLT + 2)]
     while rows and any(word[:1].isalpha() for word in rows[0]):
         if any(role_of(word) in SCALARS for word in rows[0]):
             return False  # it is a table of fx, fy …
@@ -346,37 +285,28 @@ def _is_dlt(file: CalibrationFile) -> bool:
 
 
 def _read_dlt(file: CalibrationFile) -> dict[str, RawCamera]:
-    lines = [(n, text.replace(",", " ").replace(";", " ").split()) for n, text in file.lines()]
+    lines = list(_dlt_rows(file))
     names: list[str] = []
     while any(word[:1].isalpha() for word in lines[0][1]):
         names, lines = lines[0][1], lines[1:]
     table = np.array([file.row(words, line) for line, words in lines])
     cameras: dict[str, RawCamera] = {}
-    upward = []
+    size, upward = file.given_size, False
     for index, values in enumerate(table.T):
         p = np.append(values, 1.0).reshape(3, 4)
-        size = file.given_size
         # where the matrix is a reflection, the y axis of the image points up
         if np.linalg.det(p[:, :3]) < 0:
-            upward.append(str(index))
+            upward = True
             if size is None:
-                message = (
-                    "missing: image size; its y axis points up, as in DLTdv, and is turned with the height"
-                )
-                raise CameraError(f"{message}: give the size", path=file.path, key="size")
+                why = "its y axis points up, as in DLTdv, and is turned with the height"
+                raise file.error(f"missing: image size; {why}: give the size", "size")
             p = np.array([[1.0, 0, 0], [0, -1, size[1] - 1], [0, 0, 1]]) @ p
-        where = SourceLocation(f"column {index + 1}", lines[0][0])
-        try:
-            camera = Camera.from_projection_matrix(p, (1, 1))
-        except CameraError as error:
-            raise CameraError(error.message, path=file.path, line=where.line, key=where.key) from None
         name = names[index] if len(names) == len(table.T) else f"camera_{index + 1}"
-        raw = RawCamera(camera.K, camera.R, camera.t, size=size, locations={"": where})
-        file.add(cameras, name, raw, line=where.line)
+        where = SourceLocation(f"column {index + 1}", lines[0][0])
+        file.add(cameras, name, file.projection(p, where, size), line=where.line)
     if upward:
-        warn_about(
-            file.path, "the image y axis of the coefficients points up; row 0 is taken as the lowest row"
-        )
+        what = "the image y axis of the coefficients points up; row 0 is taken as the lowest row"
+        warn_about(file.path, what)
     return cameras
 
 
@@ -413,36 +343,35 @@ def _read_ego(file: CalibrationFile) -> dict[str, RawCamera]:
     head = [word.strip() for word in next(csv.reader([lines[0][1]]))]
     absent = [key for key in _EGO if key not in head]
     if absent:
-        raise CameraError(f"columns are missing: {some_of(absent)}", path=file.path, line=lines[0][0])
+        raise file.error(f"columns are missing: {some_of(absent)}", line=lines[0][0])
     cameras: dict[str, RawCamera] = {}
     for line, text in lines[1:]:
         words = next(csv.reader([text]))
         if len(words) != len(head):
-            message = f"needs {len(head)} values as the header, not {len(words)}"
-            raise CameraError(message, path=file.path, line=line)
+            raise file.error(f"needs {len(head)} values as the header, not {len(words)}", line=line)
         cells = dict(zip(head, (word.strip() for word in words), strict=True))
-        if cells["intrinsics_type"] != "KANNALABRANDTK3":
-            message = f"{cells['intrinsics_type'][:40]!r} is not a supported lens; known is KANNALABRANDTK3"
-            raise CameraError(message, path=file.path, line=line, key="intrinsics_type")
-        value = {
+        name, lens_type = cells["cam_uid"], cells["intrinsics_type"]
+        if lens_type != "KANNALABRANDTK3":
+            message = f"{lens_type[:40]!r} is not a supported lens; known is KANNALABRANDTK3"
+            raise file.error(message, "intrinsics_type", line=line)
+        numbers = {
             key: file.row([cells[key]], line, key)[0]
             for key in _EGO
             if key not in ("cam_uid", "intrinsics_type")
         }
-        xyzw = np.array([value[f"q{axis}_world_cam"] for axis in "xyzw"])
-        fx, fy, cx, cy, *lens = (value[f"intrinsics_{i}"] for i in range(8))
+        x, y, z, *xyzw, width, height, fx, fy, cx, cy, k1, k2, k3, k4 = numbers.values()
         camera = RawCamera(
             pinhole(fx, fy, cx, cy),
-            file.unit_rotation(xyzw, line=line).T,
-            center=np.array([value[f"t{axis}_world_cam"] for axis in "xyz"]),
-            size=_whole(file, np.array([value["image_width"], value["image_height"]])),
-            distortion=tuple(lens),
+            file.unit_rotation(np.array(xyzw), line=line).T,
+            center=np.array([x, y, z]),
+            size=file.size_of(np.array([width, height])),
+            distortion=(k1, k2, k3, k4),
             model="equidistant",
             locations={"": SourceLocation(None, line)},
         )
-        file.add(cameras, cells["cam_uid"], camera, line=line)
+        file.add(cameras, name, camera, line=line)
     if not cameras:
-        raise CameraError("the file has no cameras", path=file.path)
+        raise file.error("the file has no cameras")
     return cameras
 
 

@@ -17,7 +17,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -31,14 +30,11 @@ from humansim_ros.cameras.formats.base import (
     Keys,
     RawCamera,
     SourceLocation,
-    fitted_lens,
-    image_names,
-    number,
-    row,
     without_suffix,
 )
 from humansim_ros.cameras.formats.checks import size_of_named_image
-from humansim_ros.cameras.formats.table import Values, calibration_format
+from humansim_ros.cameras.formats.conventions import fitted_lens
+from humansim_ros.cameras.formats.table import Values, calibration_format, image_names, number, row
 from humansim_ros.errors import CameraError, warn_about
 from humansim_ros.files.reading import read_text
 from humansim_ros.types import Array, ImageSize
@@ -67,49 +63,35 @@ def _read_metashape(file: CalibrationFile) -> dict[str, RawCamera]:
     chunk = _chunk(file)
     if chunk is None:
         return {Path(file.path).stem: _metashape_lens(file, ("calibration",), None)}
-    sensors = {}
-    for group, _ in enumerate(file.items(*chunk, "sensors")):
-        for index, sensor in enumerate(file.items(*chunk, "sensors", group, "sensor")):
-            sensors[str(sensor.get("id"))] = (*chunk, "sensors", group, "sensor", index)
+    sensors = {str(file.get(*at, "id")): at for at in file.elements(chunk, "sensors", "sensor")}
     components = _components(file, chunk)
     cameras: dict[str, RawCamera] = {}
-    referenced, skipped = 0, 0
+    referenced = 0
     lenses: dict[str, RawCamera] = {}
-    for at in _metashape_cameras(file, chunk):
-        sensor_id = str(file.get(*at, "sensor_id"))
-        if sensor_id not in sensors:
-            raise file.error(f"there is no sensor {sensor_id[:40]!r}", *at, "sensor_id")
-        if sensor_id not in lenses:
-            lenses[sensor_id] = _sensor_lens(file, sensors[sensor_id])
-        lens = lenses[sensor_id]
-        pose = _metashape_pose(file, at, components)
-        if pose is None and file.get(*at, "reference") is not None:
-            pose = _reference_pose(file, (*at, "reference", 0))
-            referenced += pose is not None
-        label = without_suffix(str(file.get(*at, "label") or len(cameras)))
-        name = label if label not in cameras else f"{label}_{file.get(*at, 'id')}"
-        if pose is None:
-            skipped += 1
-            file.add(cameras, name, lens, *at)
-            continue
-        locations = {**lens.locations, **dict.fromkeys(("", "R", "t"), file.location(*at))}
-        file.add(cameras, name, replace(lens, R=pose[0], center=pose[1], locations=locations), *at)
+    for group in file.elements(chunk, "cameras"):
+        for at in [*file.elements(group, "camera"), *file.elements(group, "group", "camera")]:
+            sensor = str(file.get(*at, "sensor_id"))
+            if sensor not in sensors:
+                raise file.error(f"there is no sensor {sensor[:40]!r}", *at, "sensor_id")
+            if sensor not in lenses:
+                lenses[sensor] = _sensor_lens(file, sensors[sensor])
+            pose = _metashape_pose(file, at, components)
+            if pose is None and file.has(*at, "reference"):
+                pose = _reference_pose(file, (*at, "reference", 0))
+                referenced += pose is not None
+            label = without_suffix(str(file.get(*at, "label") or len(cameras)))
+            name = label if label not in cameras else f"{label}_{file.get(*at, 'id')}"
+            camera = lenses[sensor]
+            if pose is not None:
+                locations = {**camera.locations, **dict.fromkeys(("", "R", "t"), file.location(*at))}
+                camera = replace(camera, R=pose[0], center=pose[1], locations=locations)
+            file.add(cameras, name, camera, *at)
     if not cameras:
-        raise CameraError("the document has no cameras", path=file.path)
+        raise file.error("the document has no cameras")
     if referenced:
         what = "their reference poses (x, y, z, yaw, pitch, roll) are taken"
         warn_about(file.path, f"{referenced} cameras are not aligned: {what}")
     return cameras
-
-
-def _metashape_cameras(file: CalibrationFile, chunk: Keys) -> list[Keys]:
-    found: list[Keys] = []
-    for group, cameras in enumerate(file.items(*chunk, "cameras")):
-        at = (*chunk, "cameras", group)
-        found += [(*at, "camera", index) for index, _ in enumerate(cameras.get("camera") or ())]
-        for outer, inner in enumerate(cameras.get("group") or ()):
-            found += [(*at, "group", outer, "camera", i) for i, _ in enumerate(inner.get("camera") or ())]
-    return found
 
 
 def _sensor_lens(file: CalibrationFile, at: Keys) -> RawCamera:
@@ -142,25 +124,23 @@ def _metashape_size(file: CalibrationFile, at: Keys) -> ImageSize | None:
 def _metashape_lens(file: CalibrationFile, at: Keys, sensor: Keys | None) -> RawCamera:
     kind = file.get(*at, "type") or file.get(*at, "projection", 0, "text") or "frame"
     if kind not in ("frame", "fisheye"):
-        raise file.error(
-            f"{str(kind)[:40]!r} is not a supported camera type; known are frame and fisheye", *at
-        )
-    size = _metashape_size(file, at)
-    size = _metashape_size(file, sensor) if size is None and sensor is not None else size
+        message = f"{str(kind)[:40]!r} is not a supported camera type; known are frame and fisheye"
+        raise file.error(message, *at)
+    size = _metashape_size(file, at) or (None if sensor is None else _metashape_size(file, sensor))
     if size is None:
         raise file.error("has no resolution", *at)
-    names = ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4")
-    if file.get(*at, "f", 0) is None and file.get(*at, "fx", 0) is None:
+    if not file.has(*at, "f", 0) and not file.has(*at, "fx", 0):
         raise file.error("has no focal length f", *at)
+    names = ["f", "cx", "cy", "b1", "b2", "skew", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4"]
     value = {name: file.number(*at, name, 0, "text", otherwise=0.0) for name in names}
-    if file.get(*at, "f", 0) is None:  # older versions have fx, fy and absolute cx, cy
+    if file.has(*at, "f", 0):
+        fx, fy, skew = value["f"] + value["b1"], value["f"], value["b2"]
+        cx, cy = size[0] / 2 + value["cx"], size[1] / 2 + value["cy"]
+    else:  # older versions have fx, fy and absolute cx, cy
         fx, fy = (file.number(*at, key, 0, "text") for key in ("fx", "fy"))
-        k = pinhole(fx, fy, value["cx"] - 0.5, value["cy"] - 0.5)
-        k[0, 1] = file.number(*at, "skew", 0, "text", otherwise=0.0)
-    else:
-        f = value["f"]
-        k = pinhole(f + value["b1"], f, size[0] / 2 + value["cx"] - 0.5, size[1] / 2 + value["cy"] - 0.5)
-        k[0, 1] = value["b2"]
+        cx, cy, skew = value["cx"], value["cy"], value["skew"]
+    k = pinhole(fx, fy, cx - 0.5, cy - 0.5)
+    k[0, 1] = skew
     location = file.location(*at)
     if kind == "fisheye":
         lens, model = tuple(value[name] for name in ("k1", "k2", "k3", "k4")), "equidistant"
@@ -209,28 +189,19 @@ def _similarity(file: CalibrationFile, at: Keys) -> tuple[Array, Array, float] |
         values = file.words(16, *at, "text").reshape(4, 4)
         scale = float(np.cbrt(max(np.linalg.det(values[:3, :3]), 1e-300)))
         return values[:3, :3] / scale, values[:3, 3], scale
-    rotation, shift, scale = np.eye(3), np.zeros(3), 1.0
-    if file.get(*at, "rotation", 0) is not None:
-        rotation = file.words(9, *at, "rotation", 0, "text").reshape(3, 3)
-    if file.get(*at, "translation", 0) is not None:
-        shift = file.words(3, *at, "translation", 0, "text")
-    if file.get(*at, "scale", 0) is not None:
-        scale = float(file.words(1, *at, "scale", 0, "text")[0])
-    return rotation, shift, scale
+    parts = (("rotation", 9, np.eye(3)), ("translation", 3, np.zeros(3)), ("scale", 1, np.ones(1)))
+    rotation, shift, factor = (
+        file.words(count, *at, part, 0, "text") if file.has(*at, part, 0) else usual
+        for part, count, usual in parts
+    )
+    return rotation.reshape(3, 3), shift, float(factor[0])
 
 
 def _components(file: CalibrationFile, chunk: Keys) -> dict[str, tuple[Array, Array, float]]:
     """Transforms to the world by id of the component. "" is the chunk."""
-    found = {}
-    own = _similarity(file, (*chunk, "transform", 0))
-    if own is not None:
-        found[""] = own
-    for group, components in enumerate(file.items(*chunk, "components")):
-        for index, component in enumerate(components.get("component") or ()):
-            inner = _similarity(file, (*chunk, "components", group, "component", index, "transform", 0))
-            if inner is not None:
-                found[str(component.get("id"))] = inner
-    return found
+    paths = {str(file.get(*at, "id")): at for at in file.elements(chunk, "components", "component")}
+    found = {name: _similarity(file, (*at, "transform", 0)) for name, at in {"": chunk, **paths}.items()}
+    return {name: one for name, one in found.items() if one is not None}
 
 
 def _metashape_pose(
@@ -249,12 +220,12 @@ def _reference_pose(file: CalibrationFile, at: Keys) -> tuple[Array, Array] | No
     """Pose of an element ``reference`` in a local coordinate system; None if one of the six numbers is
     missing. Yaw is clockwise from north (y). Pitch is 0 for a camera that looks down, 90 degrees for a camera
     that looks at the horizon. Roll is about the line of sight."""
-    if any(file.get(*at, key) is None for key in ("x", "y", "z", "yaw", "pitch", "roll")):
+    keys = ("x", "y", "z", "yaw", "pitch", "roll")
+    if not all(file.has(*at, key) for key in keys):
         return None
-    center = np.array([file.number(*at, key) for key in "xyz"])
-    yaw, pitch, roll = (file.number(*at, key) for key in ("yaw", "pitch", "roll"))
+    *center, yaw, pitch, roll = (file.number(*at, key) for key in keys)
     pose = Rotation.from_euler("ZXY", [-yaw, pitch, roll], degrees=True).as_matrix() @ FLIP
-    return pose.T, center
+    return pose.T, np.array(center)
 
 
 def _metashape_values(own: Values, camera: Camera) -> Values:
@@ -266,15 +237,65 @@ def _metashape_values(own: Values, camera: Camera) -> Values:
 METASHAPE = calibration_format("metashape", _is_metashape, _read_metashape, values=_metashape_values)
 
 
-# -- OpenMVG
+# -- OpenMVG and Meshroom: views with a lens and a pose
 
-#: By key of the lens: coefficients in the order of OpenMVG, and the model.
-_OPENMVG = {
+#: Coefficients in the order of a lens, and its model.
+_Coefficients = tuple[tuple[str, ...], str | None]
+_RADIAL: _Coefficients = (("k1", "k2", "k3"), "plumb_bob")
+_BROWN: _Coefficients = (("k1", "k2", "k3", "p1", "p2"), "plumb_bob")
+_FISHEYE: _Coefficients = (("k1", "k2", "k3", "k4"), "equidistant")
+#: By key of the lens of OpenMVG.
+_OPENMVG: Mapping[str, _Coefficients] = {
     "disto_k1": (("k1",), "plumb_bob"),
-    "disto_k3": (("k1", "k2", "k3"), "plumb_bob"),
-    "disto_t2": (("k1", "k2", "k3", "p1", "p2"), "plumb_bob"),
-    "fisheye": (("k1", "k2", "k3", "k4"), "equidistant"),
+    "disto_k3": _RADIAL,
+    "disto_t2": _BROWN,
+    "fisheye": _FISHEYE,
 }
+#: By lens type of AliceVision.
+_ALICE: Mapping[str, _Coefficients] = {
+    **dict.fromkeys(("none", "pinhole"), ((), None)),
+    **dict.fromkeys(("radial1", "radialk1"), (("k1",), "plumb_bob")),
+    **dict.fromkeys(("radial3", "radialk3"), _RADIAL),
+    "brown": _BROWN,
+    "fisheye4": _FISHEYE,
+}
+
+
+def _coefficients(file: CalibrationFile, keys: Keys, lens: _Coefficients) -> tuple[float, ...]:
+    """Coefficients of a model of ROS from numbers in the order of a lens."""
+    names, model = lens
+    given = dict(zip(names, file.numbers((len(names),), *keys), strict=True))
+    return tuple(given.get(name, 0.0) for name in MODELS[str(model)])
+
+
+def _by_id(file: CalibrationFile, section: str, key: str, *below: str) -> dict[str, Keys]:
+    """Key paths below the items of a section, by the value of their key."""
+    items = enumerate(file.items(section))
+    return {
+        str(item.get(key) if isinstance(item, Mapping) else None): (section, index, *below)
+        for index, item in items
+    }
+
+
+def _view(
+    file: CalibrationFile,
+    at: Keys,
+    key: str,
+    lenses: Mapping[str, RawCamera],
+    pose: Keys | None,
+    turned: bool,
+) -> RawCamera:
+    """Camera of a view. ``key``: key of its lens. ``pose``: key path of R and C with x = R (X - C); R may be
+    ``turned`` (in column order)."""
+    lens = str(file.get(*at, key))
+    if lens not in lenses:
+        raise file.error(f"there are no intrinsics {lens[:40]}", *at, key)
+    camera = lenses[lens]
+    if pose is None:
+        return camera
+    r, center = file.numbers((3, 3), *pose, "rotation"), file.numbers((3,), *pose, "center")
+    locations = {**camera.locations, **file.locations(pose, R="rotation", t="center")}
+    return replace(camera, R=r.T if turned else r, center=center, locations=locations)
 
 
 def _is_openmvg(file: CalibrationFile) -> bool:
@@ -282,43 +303,19 @@ def _is_openmvg(file: CalibrationFile) -> bool:
 
 
 def _read_openmvg(file: CalibrationFile) -> dict[str, RawCamera]:
-    lenses, poses = {}, {}
-    for index, item in enumerate(file.items("intrinsics")):
-        lenses[str(_of(item, "key"))] = _openmvg_lens(
-            file, ("intrinsics", index, "value", "ptr_wrapper", "data")
-        )
-    for index, item in enumerate(file.items("extrinsics")):
-        poses[str(_of(item, "key"))] = ("extrinsics", index, "value")
+    below = ("value", "ptr_wrapper", "data")
+    lenses = {key: _openmvg_lens(file, at) for key, at in _by_id(file, "intrinsics", "key", *below).items()}
+    poses = _by_id(file, "extrinsics", "key", "value")
     cameras: dict[str, RawCamera] = {}
     for index, _ in enumerate(file.items("views")):
-        at: Keys = ("views", index, "value", "ptr_wrapper", "data")
+        at: Keys = ("views", index, *below)
         view = file.mapping(*at)
-        lens = lenses.get(str(view.get("id_intrinsic")))
-        if lens is None:
-            raise file.error(
-                f"there are no intrinsics {str(view.get('id_intrinsic'))[:40]}", *at, "id_intrinsic"
-            )
-        pose = poses.get(str(view.get("id_pose")))
+        camera = _view(file, at, "id_intrinsic", lenses, poses.get(str(view.get("id_pose"))), False)
         name = without_suffix(str(view.get("filename") or view.get("id_view") or index))
-        file.add(cameras, name, _posed(file, lens, pose), *at)
+        file.add(cameras, name, camera, *at)
     if not cameras:
         raise file.error("the file has no views", "views")
     return cameras
-
-
-def _of(item: Any, key: str) -> Any:
-    return item.get(key) if isinstance(item, Mapping) else None
-
-
-def _posed(file: CalibrationFile, lens: RawCamera, pose: Keys | None, columns: bool = False) -> RawCamera:
-    """Camera with a lens and a pose x = R (X - C). If ``pose`` is None, the camera has no pose."""
-    if pose is None:
-        return lens
-    r = file.numbers((3, 3), *pose, "rotation")
-    locations = {**lens.locations, **file.locations(pose, R="rotation", t="center")}
-    return replace(
-        lens, R=r.T if columns else r, center=file.numbers((3,), *pose, "center"), locations=locations
-    )
 
 
 def _openmvg_lens(file: CalibrationFile, at: Keys) -> RawCamera:
@@ -327,11 +324,11 @@ def _openmvg_lens(file: CalibrationFile, at: Keys) -> RawCamera:
     size = file.size((*base, "width"), (*base, "height"))
     focal = file.number(*base, "focal_length")
     cx, cy = file.numbers((2,), *base, "principal_point")
-    distortion, model = (), None
-    for key, (names, kind) in _OPENMVG.items():
+    distortion: tuple[float, ...] = ()
+    model = None
+    for key, lens in _OPENMVG.items():
         if data.get(key) is not None:
-            values = dict(zip(names, file.numbers((len(names),), *at, key), strict=True))
-            distortion, model = tuple(values.get(name, 0.0) for name in MODELS[kind]), kind
+            distortion, model = _coefficients(file, (*at, key), lens), lens[1]
     return RawCamera(
         pinhole(focal, focal, cx, cy),
         size=size,
@@ -355,21 +352,6 @@ def _openmvg_values(own: Values, camera: Camera) -> Values:
 OPENMVG = calibration_format("openmvg", _is_openmvg, _read_openmvg, values=_openmvg_values)
 
 
-# -- Meshroom
-
-#: By lens type of AliceVision: coefficients in its order, and the model.
-_ALICE = {
-    "none": ((), None),
-    "pinhole": ((), None),
-    "radial1": (("k1",), "plumb_bob"),
-    "radialk1": (("k1",), "plumb_bob"),
-    "radial3": (("k1", "k2", "k3"), "plumb_bob"),
-    "radialk3": (("k1", "k2", "k3"), "plumb_bob"),
-    "brown": (("k1", "k2", "k3", "p1", "p2"), "plumb_bob"),
-    "fisheye4": (("k1", "k2", "k3", "k4"), "equidistant"),
-}
-
-
 def _is_meshroom(file: CalibrationFile) -> bool:
     views, lenses = file.get("views"), file.get("intrinsics")
     named = isinstance(views, list) and any(isinstance(view, dict) and "viewId" in view for view in views)
@@ -377,28 +359,17 @@ def _is_meshroom(file: CalibrationFile) -> bool:
 
 
 def _read_meshroom(file: CalibrationFile) -> dict[str, RawCamera]:
-    lenses = {
-        str(_of(item, "intrinsicId")): _meshroom_lens(file, ("intrinsics", index))
-        for index, item in enumerate(file.items("intrinsics"))
-    }
-    poses: dict[str, Keys] = {
-        str(_of(item, "poseId")): ("poses", index, "pose", "transform")
-        for index, item in enumerate(file.items("poses"))
-    }
+    paths = _by_id(file, "intrinsics", "intrinsicId")
+    lenses = {key: _meshroom_lens(file, at) for key, at in paths.items()}
+    poses = _by_id(file, "poses", "poseId", "pose", "transform")
     cameras: dict[str, RawCamera] = {}
-    for index, _ in enumerate(file.items("views")):
-        at: Keys = ("views", index)
+    for index, at in enumerate(file.paths("views")):
         view = file.mapping(*at)
-        lens = lenses.get(str(view.get("intrinsicId")))
-        if lens is None:
-            raise file.error(
-                f"there are no intrinsics {str(view.get('intrinsicId'))[:40]}", *at, "intrinsicId"
-            )
-        path = str(view.get("path") or view.get("viewId") or index).replace("\\", "/")
+        number = view.get("viewId")
+        camera = _view(file, at, "intrinsicId", lenses, poses.get(str(view.get("poseId", number))), True)
+        path = str(view.get("path") or number or index).replace("\\", "/")
         name = without_suffix(path.rsplit("/", 1)[-1])
-        name = name if name not in cameras else f"{name}_{view.get('viewId')}"
-        pose = poses.get(str(view.get("poseId", view.get("viewId"))))
-        file.add(cameras, name, _posed(file, lens, pose, columns=True), *at)
+        file.add(cameras, name if name not in cameras else f"{name}_{number}", camera, *at)
     return cameras
 
 
@@ -424,20 +395,16 @@ def _meshroom_lens(file: CalibrationFile, at: Keys) -> RawCamera:
     if kind not in _ALICE:
         known = ", ".join(_ALICE)
         raise file.error(f"{kind[:40]!r} is not a supported lens; known are {known}", *at, "distortionType")
-    names, model = _ALICE[kind]
+    lens = _ALICE[kind]
     key = next(
         (k for k in ("distortionParams", "distortionParameters") if file.get(*at, k)), "distortionParams"
     )
-    values = file.optional_numbers(*at, key)
-    distortion: tuple[float, ...] = ()
-    if model is not None and len(values):
-        given = dict(zip(names, file.numbers((len(names),), *at, key), strict=True))
-        distortion = tuple(given.get(name, 0.0) for name in MODELS[model])
+    given = lens[1] is not None and len(file.optional_numbers(*at, key))
     return RawCamera(
         pinhole(fx, fy, point[0], point[1]),
         size=(width, height),
-        distortion=distortion,
-        model=model if distortion else None,
+        distortion=_coefficients(file, (*at, key), lens) if given else (),
+        model=lens[1] if given else None,
         locations=file.locations(at, K="focalLength", distortion=key, size="width"),
     )
 
@@ -469,7 +436,7 @@ def _read_bundler(file: CalibrationFile) -> dict[str, RawCamera]:
     first, head = next(lines, (1, []))
     counts = file.row(head, first)
     if len(counts) != 2 or counts[0] != int(counts[0]) or not 0 < counts[0] <= MAX_CAMERAS:
-        raise CameraError("needs the number of cameras and of points", path=file.path, line=first)
+        raise file.error("needs the number of cameras and of points", line=first)
     names = _list_of_images(file)
     folder = Path(file.path).parent
     cameras: dict[str, RawCamera] = {}
@@ -478,7 +445,7 @@ def _read_bundler(file: CalibrationFile) -> dict[str, RawCamera]:
         values = [file.row(words, line) for line, words in rows]
         if [len(v) for v in values] != [3] * 5:
             message = f"camera {index} needs five lines of three numbers: f k1 k2, R (3 x 3), t"
-            raise CameraError(message, path=file.path, line=rows[-1][0] if rows else first)
+            raise file.error(message, line=rows[-1][0] if rows else first)
         focal, k1, k2 = values[0]
         if focal == 0:
             continue  # the camera was not reconstructed
@@ -486,7 +453,7 @@ def _read_bundler(file: CalibrationFile) -> dict[str, RawCamera]:
         size = file.given_size or size_of_named_image(folder, image)
         if size is None:
             message = f"missing: image size; pixels count from the image centre, and {image[:60]} is not here"
-            raise CameraError(f"{message}: give the size", path=file.path, key="size")
+            raise file.error(f"{message}: give the size", "size")
         r, t = FLIP @ np.array(values[1:4]), FLIP @ np.array(values[4])
         where = SourceLocation(None, rows[0][0])
         k = pinhole(focal, focal, (size[0] - 1) / 2, (size[1] - 1) / 2)
@@ -495,7 +462,7 @@ def _read_bundler(file: CalibrationFile) -> dict[str, RawCamera]:
         )
         file.add(cameras, without_suffix(image.rsplit("/", 1)[-1]), camera, line=rows[0][0])
     if not cameras:
-        raise CameraError("no camera was reconstructed: all focal lengths are 0", path=file.path)
+        raise file.error("no camera was reconstructed: all focal lengths are 0")
     return cameras
 
 
@@ -516,9 +483,8 @@ def _write_bundler(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
         _check_square(name, camera)
         middle = (np.array(camera.size) - 1) / 2
         if np.abs(camera.K[:2, 2] - middle).max() > 1e-6:
-            raise CameraError(
-                "this format needs a principal point at the image centre: idealize first", key=name
-            )
+            message = "this format needs a principal point at the image centre: idealize first"
+            raise CameraError(message, key=name)
         k1, k2 = camera.distortion[:2]
         lines.append(row((camera.K[0, 0], k1, k2)))
         lines += [row(values) for values in (*(FLIP @ camera.R), FLIP @ camera.t)]

@@ -24,7 +24,6 @@ from humansim_ros.cameras.formats.base import (
     is_number,
     metres_of,
 )
-from humansim_ros.cameras.formats.colmap import COLMAP_MODELS
 from humansim_ros.cameras.formats.syntax import BRACKETS, text_document
 from humansim_ros.errors import CameraError
 from humansim_ros.files.reading import read_table
@@ -118,6 +117,21 @@ _NO_CAMERA = words(
 #: Keys of angles. They are no rotation vectors.
 _ANGLES = re.compile(r"euler|rpy|ypr|yaw|pitch|roll|degree", re.IGNORECASE)
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?")
+
+#: Parameters of COLMAP's camera models. The coefficients have the names of ``lens.MODELS``.
+COLMAP_PARAMETERS = {
+    "SIMPLE_PINHOLE": "f cx cy",
+    "PINHOLE": "fx fy cx cy",
+    "SIMPLE_RADIAL": "f cx cy k1",
+    "RADIAL": "f cx cy k1 k2",
+    "OPENCV": "fx fy cx cy k1 k2 p1 p2",
+    "FULL_OPENCV": "fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6",
+    "OPENCV_FISHEYE": "fx fy cx cy k1 k2 k3 k4",
+    "SIMPLE_RADIAL_FISHEYE": "f cx cy k1",
+    "RADIAL_FISHEYE": "f cx cy k1 k2",
+}
+#: Names of all camera models, also of those that cannot be read.
+COLMAP_MODELS = (*COLMAP_PARAMETERS, "FOV", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE")
 
 #: Name of the camera of an entry: parts of its key path.
 Identity = tuple[str, ...]

@@ -13,28 +13,22 @@ value for it. ``names`` is ``words`` or ``printable``: the names that can be wri
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from string import Template
 from typing import Any
+from xml.etree.ElementTree import Element, indent, tostring
 
 import numpy as np
 
 from humansim_ros.cameras.camera.camera import Camera
 from humansim_ros.cameras.camera.lens import MODELS
-from humansim_ros.cameras.formats.base import (
-    OPENGL,
-    CalibrationFile,
-    RawCamera,
-    check_names,
-    json_file,
-    nested,
-    text_of,
-    xml_file,
-)
+from humansim_ros.cameras.formats.base import OPENGL, CalibrationFile, RawCamera
+from humansim_ros.errors import CameraError
 from humansim_ros.files.reading import read_table
 from humansim_ros.geometry import matrix_to_quaternion
-from humansim_ros.types import ImageSize
+from humansim_ros.types import Array, ImageSize
 
 _ROWS: Mapping[str, dict[str, Any]] = read_table("calibration_formats")
 
@@ -188,3 +182,70 @@ def _filled(template: Any, each: Sequence[Values], values: Values) -> Any:
         filled = [item for below in template if (item := _filled(below, each, values)) is not None]
         return filled if filled or not template else None
     return template
+
+
+# -- texts of files
+
+
+def number(value: float) -> str:
+    """Shortest text that reads back as the same number."""
+    return repr(float(value) + 0.0)  # adding 0.0 turns -0.0 into 0.0
+
+
+def row(values: Iterable[float], between: str = " ") -> str:
+    """Numbers on one line."""
+    return between.join(number(v) for v in values)
+
+
+def nested(matrix: Array | Sequence[float]) -> list[Any]:
+    """Nested lists of a matrix for JSON. -0.0 becomes 0.0."""
+    return (np.asarray(matrix, dtype=float) + 0.0).tolist()
+
+
+def text_of(value: Any) -> str:
+    """Convert to text: a number, or a list of numbers with blanks between them. A text is unchanged."""
+    if isinstance(value, list):
+        return " ".join(map(text_of, value))
+    return number(value) if isinstance(value, float) else str(value)
+
+
+def json_file(content: Any) -> dict[str, str]:
+    """Texts by file name, for a format that consists of one JSON file."""
+    return {"": json.dumps(content, indent=1) + "\n"}
+
+
+def xml_file(content: Mapping[str, Any]) -> dict[str, str]:
+    """Texts by file name, for a format that consists of one XML file. ``content`` is what readers see:
+    attributes, and lists of elements by tag."""
+
+    def element(tag: str, content: Mapping[str, Any]) -> Element:
+        below = {k: v for k, v in content.items() if isinstance(v, list) and isinstance(v[0], dict)}
+        texts = {key: text_of(value) for key, value in content.items() if key not in below}
+        one = Element(tag)
+        one.text = texts.pop("text", None)
+        one.attrib.update(texts)
+        one.extend(element(key, item) for key, items in below.items() for item in items)
+        return one
+
+    ((tag, inside),) = content.items()
+    root = element(tag, inside)
+    indent(root)
+    return {"": f'<?xml version="1.0" encoding="UTF-8"?>\n{tostring(root, "unicode")}\n'}
+
+
+def check_names(names: Iterable[str], words: bool = False) -> None:
+    """Raise CameraError unless all names are printable. ``words``: they must be single words, for columns
+    with blanks between."""
+    for name in names:
+        if words and (not name.isprintable() or name.split() != [name] or name[0] in "#;%/"):
+            message = "this format needs a name without blanks that does not begin with # ; % or /"
+            raise CameraError(message, key=name)
+        if not name.isprintable() or name != name.strip() or not name:
+            raise CameraError("this format needs a name without control characters", key=name)
+
+
+def image_names(cameras: Iterable[str]) -> dict[str, str]:
+    """Image names of cameras, for formats that name cameras after their images."""
+    names = list(cameras)
+    check_names(names, words=True)
+    return {name: f"{name}.png" for name in names}

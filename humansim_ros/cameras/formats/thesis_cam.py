@@ -1,25 +1,34 @@
-"""Cameras of Blender in ``.cam`` files [thesis §8.3, §9.2, §9.3, §9.8].
+"""Cameras of Blender in ``.cam`` files [thesis §8.3, §9.2, §9.3, §9.8], and cameras of scene files.
 
-Such a camera has a centre, Euler angles, a focal length and the aspect ratio of its pixels. It has no skew,
-no distortion, and a centred principal point. Numbers in parentheses are equations of the thesis. Where
-equations contradict each other, they are corrected so that the round trip camera -> P -> camera is exact.
+Such a camera of Blender has a centre, Euler angles, a focal length and the aspect ratio of its pixels. It has
+no skew, no distortion, and a centred principal point. Numbers in parentheses are equations of the thesis.
+Where equations contradict each other, they are corrected so that the round trip camera -> P -> camera is
+exact. The thesis indexes pixels by (u, v) = (row, column) from the image corner, as OpenGL does. In this
+package and in ROS, pixels are (x, y) = (column, row) from the centre of the first pixel.
 
-The thesis indexes pixels by (u, v) = (row, column) from the image corner, as OpenGL does. In this package
-and in ROS, pixels are (x, y) = (column, row) from the centre of the first pixel.
+Cameras of scene files have all their parameters, in metres.
 """
 
 from __future__ import annotations
 
+import json
 import os
-from dataclasses import dataclass
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
-from humansim_ros.cameras.camera.camera import Camera
-from humansim_ros.errors import CameraError
-from humansim_ros.types import Array
+from humansim_ros.cameras.camera.camera import Camera, look_at_pose, pinhole_of_fov
+from humansim_ros.cameras.formats.base import LARGEST, CalibrationFile, Keys, RawCamera
+from humansim_ros.cameras.formats.conventions import find_model
+from humansim_ros.cameras.formats.table import calibration_format, row
+from humansim_ros.errors import CameraError, warn_about
+from humansim_ros.types import Array, ImageSize
 
 #: From the axes of a Blender camera (right, up, backward) to the thesis (up, right, forward) (9.18).
 BLENDER_TO_CAMERA = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])
@@ -51,11 +60,7 @@ class CamFile:
 
 def compose_euler(angles: ArrayLike) -> Array:
     """Rotation (3, 3) of Euler angles (3,) about x, y, z, radians: Rz Ry Rx (9.4)-(9.8)."""
-    a, b, c = np.asarray(angles, dtype=float)
-    rx = np.array([[1, 0, 0], [0, np.cos(a), -np.sin(a)], [0, np.sin(a), np.cos(a)]])
-    ry = np.array([[np.cos(b), 0, np.sin(b)], [0, 1, 0], [-np.sin(b), 0, np.cos(b)]])
-    rz = np.array([[np.cos(c), -np.sin(c), 0], [np.sin(c), np.cos(c), 0], [0, 0, 1]])
-    return np.asarray(rz @ ry @ rx, dtype=float)
+    return np.asarray(Rotation.from_euler("xyz", angles).as_matrix(), dtype=float)
 
 
 def decompose_euler(rotation: ArrayLike) -> Array:
@@ -102,8 +107,8 @@ def focal_of(K: ArrayLike, size: tuple[int, int]) -> float:
 
 
 def image_shift(K: ArrayLike, size: tuple[int, int]) -> Array:
-    """Shift (2,), pixels (x, y), that moves the principal point to the image centre (9.74). ``K``: (3, 3) in
-    ROS order."""
+    """Shift (2,), pixels (x, y), that moves the principal point of K (3, 3) in ROS order to the image centre
+    (9.74)."""
     return np.asarray((np.array(size) - 1) / 2 - np.asarray(K, dtype=float)[:2, 2], dtype=float)
 
 
@@ -140,6 +145,16 @@ def cam_of(camera: Camera) -> CamFile:
     )
 
 
+#: Separator, count and example of the numbers of each key.
+_CAM_NUMBERS = {
+    "size": ("x", 2, "640x480"),
+    "C": (",", 3, "3.0,0.0,0.0"),
+    "f": (",", 1, "1"),
+    "R": (",", 3, "80.0,0.0,80.0"),
+    "k": (":", 2, "1:1"),
+}
+
+
 def parse_cam(text: str, path: str | os.PathLike[str] | None = None) -> CamFile:
     """Parse the text of a ``.cam`` file [thesis §8.3]: lines ``key=value``, empty lines, ``#`` comments.
 
@@ -149,23 +164,24 @@ def parse_cam(text: str, path: str | os.PathLike[str] | None = None) -> CamFile:
         CameraError: A line is wrong or a key is missing. The error names the path, line and key.
     """
     values: dict[str, tuple[str, int]] = {}
-    for number, line in enumerate(text.splitlines(), 1):
-        content = line.split("#")[0].strip()
-        if not content:
-            continue
+    for line, content in enumerate((line.split("#")[0].strip() for line in text.splitlines()), 1):
         key, equals, value = (part.strip() for part in content.partition("="))
-        if not equals:
-            raise CameraError("a line of a .cam file is key=value", path=path, line=number)
-        if key not in _KEYS:
-            raise CameraError(f"unknown key; known are {', '.join(_KEYS)}", path=path, line=number, key=key)
-        if key in values:
-            raise CameraError("this key is duplicate", path=path, line=number, key=key)
-        values[key] = (value, number)
-    missing = [key for key in ("C", "f", "R", "size") if key not in values]
+        wrong = {
+            "a line of a .cam file is key=value": not equals,
+            f"unknown key; known are {', '.join(_KEYS)}": key not in _KEYS,
+            "this key is duplicate": key in values,
+        }
+        for message in (message for message, found in wrong.items() if content and found):
+            raise CameraError(message, path=path, line=line, key=key if equals else None)
+        if content:
+            values[key] = value, line
+    missing = next((key for key in ("C", "f", "R", "size") if key not in values), None)
     if missing:
-        raise CameraError("missing in the .cam file", path=path, key=missing[0])
-
-    def numbers(key: str, separator: str, count: int, example: str) -> tuple[Any, ...]:
+        raise CameraError("missing in the .cam file", path=path, key=missing)
+    numbers: dict[str, Any] = {"k": (1.0, 1.0)}
+    for key, (separator, count, example) in _CAM_NUMBERS.items():
+        if key not in values:
+            continue
         value, line = values[key]
         try:
             parts = tuple(float(part) for part in value.split(separator))
@@ -175,24 +191,15 @@ def parse_cam(text: str, path: str | os.PathLike[str] | None = None) -> CamFile:
             raise CameraError(f"must have the form {key}={example}", path=path, line=line, key=key)
         if key in ("f", "k", "size") and min(parts) <= 0:
             raise CameraError("must be above zero", path=path, line=line, key=key)
-        return parts
-
-    size = numbers("size", "x", 2, "640x480")
-    cam = CamFile(
-        center=numbers("C", ",", 3, "3.0,0.0,0.0"),
-        focal=numbers("f", ",", 1, "1")[0],
-        euler_deg=numbers("R", ",", 3, "80.0,0.0,80.0"),
-        size=size,
-        aspect=numbers("k", ":", 2, "1:1") if "k" in values else (1.0, 1.0),
-        format=values.get("format", ("", 0))[0] or "png",
-    )
+        numbers[key] = parts
+    kind = values.get("format", ("", 0))[0] or "png"
+    cam = CamFile(numbers["C"], numbers["f"][0], numbers["R"], numbers["size"], numbers["k"], kind)
     try:
-        camera = camera_of(cam)
+        return replace(cam, size=camera_of(cam).size)
     except CameraError as error:
         wrong_key = {"K": "f", "t": "C"}.get(error.key or "", error.key or "")
         line_number = values[wrong_key][1] if wrong_key in values else None
         raise CameraError(error.message, path=path, line=line_number, key=wrong_key) from None
-    return CamFile(cam.center, cam.focal, cam.euler_deg, camera.size, cam.aspect, cam.format)
 
 
 def format_cam(cam: CamFile) -> str:
@@ -211,3 +218,122 @@ def _three(values: Array) -> tuple[float, float, float]:
 
 def _text(values: tuple[float, ...], separator: str = "") -> str:
     return separator.join(f"{value:g}" if float(f"{value:g}") == value else repr(value) for value in values)
+
+
+_LINE = re.compile(r"(C|f|R|k|size|format)\s*=.*")
+
+
+def _is_cam(file: CalibrationFile) -> bool:
+    return bool(file.head) and _LINE.fullmatch(file.head[0]) is not None
+
+
+def _read_cam(file: CalibrationFile) -> dict[str, RawCamera]:
+    cam = parse_cam(file.text, file.path)
+    if max(map(abs, (*cam.center, cam.focal, *cam.euler_deg, *cam.aspect))) > LARGEST:
+        raise file.error(f"a number is above {LARGEST:g}: too large for a camera")
+    camera = camera_of(cam)
+    return {Path(file.path).stem: RawCamera(camera.K, camera.R, camera.t, size=camera.size)}
+
+
+def _write_cam(cameras: Mapping[str, Camera]) -> dict[str, str]:
+    (camera,) = cameras.values()
+    return {"": format_cam(cam_of(camera))}
+
+
+CAM = calibration_format("cam", _is_cam, _read_cam, _write_cam)
+
+
+# -- scene files
+
+_SIZE, _FOV = (640, 480), 60.0
+#: Keys of a scene file that have the same names as the parameters of Camera.
+_PARTS = ("K", "R", "t", "size", "distortion", "rectification", "rectified")
+#: Keys that take a camera from another file; and keys that are not part of a calibration.
+_OTHER_FILES, _IGNORED = ("calibration", "trajectory"), ("binning", "roi", "sensor")
+
+
+def _is_scene(file: CalibrationFile) -> bool:
+    return isinstance(file.get("cameras"), Mapping)
+
+
+def _read_scene(file: CalibrationFile) -> dict[str, RawCamera]:
+    cameras: dict[str, RawCamera] = {}
+    for name in file.mapping("cameras"):
+        file.add(cameras, str(name), _camera(file, name), "cameras", name)
+    if not cameras:
+        raise file.error("the file has no cameras", "cameras")
+    return cameras
+
+
+def _camera(file: CalibrationFile, name: str) -> RawCamera:
+    at: Keys = ("cameras", name)
+    file.mapping(*at)
+    for key in _OTHER_FILES:
+        if file.has(*at, key):
+            message = f"a camera with a {key} file cannot be read from a scene: use that file"
+            raise file.error(message, *at, key)
+    ignored = [key for key in _IGNORED if file.has(*at, key)]
+    if ignored:
+        what = f"{' and '.join(ignored)} ignored: this camera is the whole sensor"
+        warn_about(file.path, f"cameras.{name}: {what}")
+    size = _SIZE
+    if file.has(*at, "size"):
+        file.numbers((2,), *at, "size")
+        size = file.size((*at, "size", 0), (*at, "size", 1))
+    distortion = file.optional_numbers(*at, "distortion")
+    word, model_keys = file.get(*at, "distortion_model"), (*at, "distortion_model")
+    # if None, Camera decides by the number of coefficients, as in scenes
+    model = None
+    if word is not None:
+        model = find_model(file, word, distortion, model_keys, (*at, "distortion"))
+    k, r, t = _matrices(file, at, size)
+    rectification, rectified = (
+        file.numbers(shape, *at, key) if file.has(*at, key) else None
+        for key, shape in (("rectification", (3, 3)), ("rectified", (3, 4)))
+    )
+    locations = file.locations(at, **{part: part for part in _PARTS}, model="distortion_model")
+    return RawCamera(k, r, t, None, size, tuple(distortion), model, rectification, rectified, locations)
+
+
+def _matrices(file: CalibrationFile, at: Keys, size: ImageSize) -> tuple[Array, Array, Array]:
+    """K, R and t, from whichever keys define them."""
+    try:
+        if file.has(*at, "P"):
+            camera = Camera.from_projection_matrix(file.numbers((3, 4), *at, "P"), size)
+            return camera.K, camera.R, camera.t
+        k = pinhole_of_fov(size, np.radians(file.number(*at, "fov_deg", otherwise=_FOV)))
+        if file.has(*at, "position"):
+            up = file.numbers((3,), *at, "up") if file.has(*at, "up") else (0, 0, 1)
+            position, target = (file.numbers((3,), *at, key) for key in ("position", "look_at"))
+            r, t = look_at_pose(position, target, up)
+        else:
+            r, t = file.numbers((3, 3), *at, "R"), file.numbers((3,), *at, "t")
+    except CameraError as error:
+        if error.path is not None:
+            raise
+        raise file.error(error.message, *at, *((error.key,) if error.key else ())) from None
+    return file.numbers((3, 3), *at, "K") if file.has(*at, "K") else k, r, t
+
+
+def _write_scene(cameras: Mapping[str, Camera]) -> dict[str, str]:
+    lines = ["cameras:"]
+    for name, camera in cameras.items():
+        lines += [f"  {json.dumps(name)}:", f"    size: [{camera.size[0]}, {camera.size[1]}]"]
+        own: dict[str, Array | None] = {"K": camera.K, "R": camera.R, "t": camera.t}
+        if camera.distorted:
+            own["distortion"] = np.array(camera.distortion)
+        own |= {"rectification": camera.rectification, "rectified": camera.rectified}
+        for key, values in own.items():
+            if values is not None:
+                lines.append(f"    {key}: {_listed(values)}")
+            if key == "distortion":
+                lines.append(f"    distortion_model: {camera.model}")
+    return {"": "\n".join(lines) + "\n"}
+
+
+def _listed(values: Array) -> str:
+    """Vector or matrix as a list of YAML."""
+    return f"[{row(values, ', ') if values.ndim == 1 else ', '.join(map(_listed, values))}]"
+
+
+SCENE = calibration_format("scene", _is_scene, _read_scene, _write_scene)

@@ -1,4 +1,4 @@
-"""Plain text of numbers: projection matrices, KRTD, par.txt of the Middlebury multi-view data, MVSNet.
+"""Plain text of numbers: projection matrices, KRTD, par.txt of the Middlebury data, MVSNet, COLMAP.
 
 - A projection matrix P (3x4), of any scale and sign, is three lines of four numbers or one line of twelve.
   The name of a matrix stands before it ("P0: ...") or on a line above. A comment "# left 640x480" also gives
@@ -8,32 +8,36 @@
 - par.txt: a count, then lines of an image name, K (9), R (9) and t (3); P = K [R | t].
   https://vision.middlebury.edu/mview/data/
 - cam.txt of MVSNet: the matrix from the world to the camera (4x4) and K. https://github.com/YoYo000/MVSNet
+- COLMAP: cameras.txt (intrinsics) and images.txt (poses, world to camera). The centre of its first pixel is
+  (0.5, 0.5), so principal points are shifted by half a pixel when they are read or written.
+  https://colmap.github.io/format.html, https://colmap.github.io/cameras.html
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
-from humansim_ros.cameras.camera.camera import Camera
+from humansim_ros.cameras.camera.camera import Camera, pinhole
+from humansim_ros.cameras.camera.lens import MODELS
 from humansim_ros.cameras.formats.base import (
     MAX_CAMERAS,
     CalibrationFile,
     RawCamera,
     SourceLocation,
-    check_names,
-    image_names,
-    row,
     without_suffix,
 )
 from humansim_ros.cameras.formats.checks import size_of_named_image
-from humansim_ros.cameras.formats.spellings import role_of
-from humansim_ros.cameras.formats.table import calibration_format
-from humansim_ros.errors import CameraError, located
+from humansim_ros.cameras.formats.spellings import COLMAP_MODELS, COLMAP_PARAMETERS, role_of
+from humansim_ros.cameras.formats.table import calibration_format, check_names, image_names, row
+from humansim_ros.errors import CameraError
+from humansim_ros.files.reading import read_text
+from humansim_ros.geometry import matrix_to_quaternion
 from humansim_ros.types import ImageSize
 
 _SIZE = re.compile(r"([0-9]{1,5})x([0-9]{1,5})")
@@ -78,29 +82,30 @@ def _read_projection(file: CalibrationFile) -> dict[str, RawCamera]:
         if incomplete and len(values) == 4 and not name:
             matrices[-1][2].extend(values)
         elif incomplete:
-            raise CameraError("the matrix above has fewer than three rows", path=file.path, line=line)
+            raise file.error("the matrix above has fewer than three rows", line=line)
         elif len(matrices) == MAX_CAMERAS:
-            raise CameraError(f"there are more than {MAX_CAMERAS} cameras", path=file.path, line=line)
+            raise file.error(f"there are more than {MAX_CAMERAS} cameras", line=line)
         else:
             matrices.append((line, name, values))
     if len(matrices) == 2 and matrices[-1][2] == [0, 0, 0, 1] and not matrices[-1][1]:
         message = "found one 4 x 4 matrix: rotation and translation; missing: K or focal length, image size"
-        raise CameraError(message, path=file.path, line=last)
+        raise file.error(message, line=last)
     if len(matrices[-1][2]) < 12:
         count = sum(len(values) for _, _, values in matrices) // 4
         message = f"found {count} rows of 4 numbers, which are not matrices P of three rows each"
-        raise CameraError(f"{message}; missing: K or focal length", path=file.path, line=last)
+        raise file.error(f"{message}; missing: K or focal length", line=last)
     after = ((n, text) for n, text in file.lines() if n > last and not _OTHER_SENSORS.match(text))
     rest = next((n for n, text in after if text[0] not in "%/"), None)
     if rest is not None:
         message = "rows of P have 4 numbers each, or all 12 on one line"
-        raise CameraError(message, path=file.path, line=rest)
+        raise file.error(message, line=rest)
     cameras: dict[str, RawCamera] = {}
     stem = Path(file.path).stem
     for number, (line, comment, values) in enumerate(matrices):
         name, size = _name_and_size(comment)
         name = name or (stem if len(matrices) == 1 else str(number))
-        file.add(cameras, name, _camera(file, values, line, size), line=line)
+        matrix = np.reshape(values, (3, 4))
+        file.add(cameras, name, file.projection(matrix, SourceLocation("P", line), size), line=line)
     return cameras
 
 
@@ -112,14 +117,6 @@ def _name_and_size(comment: str) -> tuple[str, ImageSize | None]:
         words = words[:-1]
     name = words[0] if len(words) == 1 else ""
     return name, (int(size[1]), int(size[2])) if size else None
-
-
-def _camera(file: CalibrationFile, values: list[float], line: int, size: ImageSize | None) -> RawCamera:
-    with located(path=file.path, line=line, key="P"):
-        # any size is good enough here, since the decomposition of P does not depend on it
-        camera = Camera.from_projection_matrix(np.reshape(values, (3, 4)), (1, 1))
-    locations = {"": SourceLocation("P", line)}
-    return RawCamera(camera.K, camera.R, camera.t, size=size, locations=locations)
 
 
 def _write_projection(cameras: Mapping[str, Camera]) -> dict[str, str]:
@@ -146,30 +143,24 @@ def _read_krtd(file: CalibrationFile) -> dict[str, RawCamera]:
     lines = [(line, text.split()) for line, text in islice(file.lines(), _MAX_LINES + 1)]
     if len(lines) < 7 or any(len(words) != 3 for _, words in lines[:7]):
         message = "needs K (3 x 3), R (3 x 3) and t (3), then the distortion coefficients or a 0"
-        raise CameraError(message, path=file.path, line=lines[-1][0])
+        raise file.error(message, line=lines[-1][0])
     count = sum(len(words) for _, words in lines) - 21
     if count > _MAX_COEFFICIENTS:
         message = (
             f"more than {_MAX_COEFFICIENTS} distortion coefficients: does the file hold more than one camera?"
         )
-        raise CameraError(message, path=file.path, line=lines[7][0])
+        raise file.error(message, line=lines[7][0])
     numbers = np.array([value for line, words in lines for value in file.row(words, line)])
-    distortion = numbers[21:]
-    locations = {
-        "K": SourceLocation("K", lines[0][0]),
-        "R": SourceLocation("R", lines[3][0]),
-        "t": SourceLocation("t", lines[6][0]),
+    starts = {"K": 0, "R": 3, "t": 6, **({"distortion": 7} if count else {})}
+    return {
+        Path(file.path).stem: RawCamera(
+            numbers[:9].reshape(3, 3),
+            numbers[9:18].reshape(3, 3),
+            numbers[18:21],
+            distortion=tuple(numbers[21:]),
+            locations={part: SourceLocation(part, lines[first][0]) for part, first in starts.items()},
+        )
     }
-    if len(distortion):
-        locations["distortion"] = SourceLocation("distortion", lines[7][0])
-    camera = RawCamera(
-        numbers[:9].reshape(3, 3),
-        numbers[9:18].reshape(3, 3),
-        numbers[18:21],
-        distortion=tuple(distortion),
-        locations=locations,
-    )
-    return {Path(file.path).stem: camera}
 
 
 def _write_krtd(cameras: Mapping[str, Camera]) -> dict[str, str]:
@@ -200,7 +191,7 @@ def _read_middlebury(file: CalibrationFile) -> dict[str, RawCamera]:
         image, *words = text.split()
         if len(words) != 21:
             message = f"needs an image name, K (9), R (9) and t (3): 21 numbers, not {len(words)}"
-            raise CameraError(message, path=file.path, line=line)
+            raise file.error(message, line=line)
         values = np.array(file.row(words, line))
         camera = RawCamera(
             values[:9].reshape(3, 3),
@@ -212,7 +203,7 @@ def _read_middlebury(file: CalibrationFile) -> dict[str, RawCamera]:
         file.add(cameras, without_suffix(image), camera, line=line)
     if not 0 < len(cameras) == int(count[:9]):
         message = f"declares {count[:9]} cameras, but has {len(cameras)}: is the file complete?"
-        raise CameraError(message, path=file.path, line=first)
+        raise file.error(message, line=first)
     return cameras
 
 
@@ -241,12 +232,12 @@ def _read_mvsnet(file: CalibrationFile) -> dict[str, RawCamera]:
     inner = next((i for i, w in enumerate(words) if w[0].lower() == "intrinsic"), None)
     if inner != 5 or [len(w) for w in words[1:5]] != [4] * 4 or [len(w) for w in words[6:9]] != [3] * 3:
         message = "needs 'extrinsic' with 4 x 4 numbers, then 'intrinsic' with 3 x 3 numbers"
-        raise CameraError(message, path=file.path, line=lines[-1][0])
+        raise file.error(message, line=lines[-1][0])
     pose = np.array([file.row(w, line) for w, (line, _) in zip(words[1:5], lines[1:5], strict=True)])
     k = np.array([file.row(w, line) for w, (line, _) in zip(words[6:9], lines[6:9], strict=True)])
     if not np.allclose(pose[3], [0, 0, 0, 1], atol=1e-6):
         message = "needs 0 0 0 1 as the last row of its 4 x 4 numbers"
-        raise CameraError(message, path=file.path, line=lines[4][0], key="extrinsic")
+        raise file.error(message, "extrinsic", line=lines[4][0])
     at = SourceLocation("extrinsic", lines[1][0])
     where = {"K": SourceLocation("intrinsic", lines[6][0]), "R": at, "t": at}
     name = Path(file.path).stem.removesuffix("_cam")
@@ -261,3 +252,143 @@ def _write_mvsnet(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
 
 
 MVSNET = calibration_format("mvsnet", _is_mvsnet, _read_mvsnet, _write_mvsnet)
+
+
+# -- COLMAP
+
+CAMERAS, IMAGES, POINTS = "cameras.txt", "images.txt", "points3D.txt"
+#: Largest file of a rig, bytes. Larger files are models of large scenes.
+MAX_BYTES = 64 << 20
+
+
+def _is_colmap(file: CalibrationFile) -> bool:
+    if Path(file.path).name in (CAMERAS, IMAGES):
+        return True
+    words = file.head[0].split() if file.head else []
+    return len(words) > 4 and words[1] in COLMAP_MODELS
+
+
+def _read_colmap(file: CalibrationFile) -> dict[str, RawCamera]:
+    """Read cameras.txt or images.txt, together with the other file in the same folder."""
+    path = Path(file.path)
+    both = {path.name: file}
+    for name in (CAMERAS, IMAGES) if path.name in (CAMERAS, IMAGES) else ():
+        other = path.with_name(name)
+        if name != path.name and (name == CAMERAS or other.is_file()):
+            text = read_text(other, CameraError, f"COLMAP {other.stem}", MAX_BYTES)
+            both[name] = CalibrationFile(str(other), text)
+    models = _read_models(both.get(CAMERAS, file))
+    images = both.get(IMAGES)
+    if images is None:
+        return models
+    cameras: dict[str, RawCamera] = {}
+    for line, words in _image_lines(images):
+        raw = _posed_camera(images, models, line, words)
+        images.add(cameras, without_suffix(" ".join(words[9:])), raw, line=line)
+    if not cameras:
+        raise images.error("the file has no images, so the cameras have no poses")
+    return cameras
+
+
+def _read_models(file: CalibrationFile) -> dict[str, RawCamera]:
+    cameras: dict[str, RawCamera] = {}
+    for line, text in file.lines():
+        name, *words = text.split()
+        model = words[0] if words else ""
+        values = file.row(words[1:], line) if model in COLMAP_PARAMETERS else []
+        camera = camera_of_model(model, values[2:], SourceLocation(None, line, file.path))
+        if any(v != int(v) or v <= 0 for v in values[:2]):
+            raise file.error("width and height must be whole numbers above zero", line=line)
+        file.add(cameras, name, replace(camera, size=(int(values[0]), int(values[1]))), line=line)
+    if not cameras:
+        raise file.error("the file has no cameras")
+    return cameras
+
+
+def camera_of_model(model: str, values: Sequence[float], location: SourceLocation) -> RawCamera:
+    """Camera without size and pose from the parameters of a camera model.
+
+    Args:
+        model: Name of the camera model, in upper case.
+        values: Numbers after width and height in cameras.txt; ``params`` in other files.
+        location: Location of the numbers, for errors.
+
+    Raises:
+        CameraError: The model is not known, or has another number of parameters.
+    """
+    names = COLMAP_PARAMETERS.get(model, "").split()
+    message = f"unknown camera model {model[:40]!r}; known are {', '.join(COLMAP_PARAMETERS)}"
+    if names:
+        message = f"{model} needs {' '.join(names)} after width and height, not {len(values)} numbers"
+    if not names or len(values) != len(names):
+        raise CameraError(message, path=location.path, line=location.line, key=location.key)
+    parameters = dict(zip(names, values, strict=True))
+    fx, fy = parameters.get("fx", parameters.get("f", 0.0)), parameters.get("fy", parameters.get("f", 0.0))
+    ros_model = "plumb_bob"
+    if model.endswith("FISHEYE"):
+        ros_model = "equidistant"
+    elif any(parameters.get(name) for name in ("k4", "k5", "k6")):
+        ros_model = "rational_polynomial"
+    return RawCamera(
+        pinhole(fx, fy, parameters["cx"] - 0.5, parameters["cy"] - 0.5),
+        distortion=tuple(parameters.get(name, 0.0) for name in MODELS[ros_model]),
+        model=ros_model,
+        locations={"": location},
+    )
+
+
+def _image_lines(file: CalibrationFile) -> Iterator[tuple[int, list[str]]]:
+    """Lines of images. After each one, the file has a line with points (three words each), which may be
+    empty."""
+    image = False
+    for line, text in file.all_lines():
+        if text.startswith("#"):
+            continue
+        words = text.split()
+        if image and len(words) % 3 == 0:
+            image = False
+        elif words:
+            image = True
+            yield line, words
+
+
+def _posed_camera(
+    file: CalibrationFile, models: Mapping[str, RawCamera], line: int, words: list[str]
+) -> RawCamera:
+    if len(words) < 10:
+        message = "needs an image id, a quaternion w x y z, a translation x y z, a camera id and a name"
+        raise file.error(message, line=line)
+    values = np.array(file.row(words[1:8], line))
+    rotation = file.unit_rotation(np.roll(values[:4], -1), line=line, slack=1e-3)
+    model = models.get(words[8])
+    if model is None:
+        raise file.error(f"there is no camera {words[8][:40]} in {CAMERAS}", line=line)
+    locations = {**model.locations, **dict.fromkeys(("R", "t"), SourceLocation(None, line, file.path))}
+    return replace(model, R=rotation, t=values[4:], locations=locations)
+
+
+def _write_colmap(cameras: Mapping[str, Camera]) -> dict[str, str]:
+    images = image_names(cameras)
+    intrinsics = ["# CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]"]
+    outer = ["# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME", "# POINTS2D[] as (X, Y, POINT3D_ID)"]
+    for index, (name, camera) in enumerate(cameras.items(), 1):
+        model, coefficients = _model_of(camera)
+        k = camera.K
+        numbers = (k[0, 0], k[1, 1], k[0, 2] + 0.5, k[1, 2] + 0.5, *coefficients)
+        intrinsics.append(f"{index} {model} {camera.size[0]} {camera.size[1]} {row(numbers)}")
+        x, y, z, w = matrix_to_quaternion(camera.R)
+        outer += [f"{index} {row((w, x, y, z, *camera.t))} {index} {images[name]}", ""]
+    return {CAMERAS: "\n".join(intrinsics) + "\n", IMAGES: "\n".join(outer) + "\n", POINTS: ""}
+
+
+def _model_of(camera: Camera) -> tuple[str, tuple[float, ...]]:
+    if camera.model == "equidistant":
+        return "OPENCV_FISHEYE", camera.distortion
+    if not camera.distorted:
+        return "PINHOLE", ()
+    if not any(camera.distortion[4:]):
+        return "OPENCV", camera.distortion[:4]
+    return "FULL_OPENCV", (*camera.distortion, 0.0, 0.0, 0.0)[:8]
+
+
+COLMAP = calibration_format("colmap", _is_colmap, _read_colmap, _write_colmap)

@@ -84,8 +84,8 @@ def info(
     from humansim_ros.motion.pose import describe_motion, read_with_warnings
 
     _check_unit(unit)
-    read = read_with_warnings(Path(find_motion(file)), positions.value)
-    facts = describe_motion(read, joint_names, unit, up, facing, min_confidence).to_dict()
+    motion, found = read_with_warnings(Path(find_motion(file)), positions.value)
+    facts = describe_motion(motion, found, joint_names, unit, up, facing, min_confidence)
     print_text(to_json(facts) if as_json else "\n".join(_info_lines(facts)))
 
 

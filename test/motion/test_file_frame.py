@@ -18,7 +18,7 @@ from humansim_ros.motion import Motion, read_motion
 from humansim_ros.motion.body.kinematics import motion_of_rotations
 from humansim_ros.motion.matching.file_frame import FileFrame, detect_file_frame
 from humansim_ros.motion.matching.person import match_motion
-from humansim_ros.motion.pose.reports import LoadedMotion, describe_motion
+from humansim_ros.motion.pose.reports import describe_motion
 from humansim_ros.types import Array
 
 FRAMES = 60
@@ -228,9 +228,9 @@ def test_nobody_is_warned_of_built_in_motions(name: str) -> None:
 def test_a_contradiction_lowers_the_confidence_and_is_explained() -> None:
     rotations = ON_THE_FLOOR["lies on the side"]
     motion = PERSON.motion(rotations, path(PERSON, rotations, "lies on the side"))
-    info = describe_motion(LoadedMotion(motion, ()))
-    assert (info.up, info.confidence) == ("y", 0.5)
-    (warning,) = [text for text in info.warnings if "contradict" in text]
+    info = describe_motion(motion)
+    assert (info["up"], info["confidence"]) == ("y", 0.5)
+    (warning,) = [text for text in info["warnings"] if "contradict" in text]
     assert "along y in the OFFSETs, along -x on average" in warning
     assert "give the axis (up: -x)" in warning
 

@@ -81,13 +81,18 @@ def test_joints_and_skin_of_collada_move_as_numpy_moves_them(tmp_path: Path, nam
 @pytest.mark.parametrize("name", STYLES)
 def test_a_person_of_collada_stands_in_metres_and_walks(tmp_path: Path, name: str) -> None:
     path = write_collada(tmp_path / "walk.dae", PERSON, TURNS, ROOT, STYLES[name])
-    info = describe_motion(read_with_warnings(path))
-    assert (info.found_by, info.table, info.unit, info.missing_bones) == ("names", "humanik", 1.0, [])
-    assert info.up == STYLES[name].up[0].lower()
-    assert info.travel is not None and np.linalg.norm(info.travel) == pytest.approx(
+    info = describe_motion(*read_with_warnings(path))
+    assert (info["found_by"], info["table"], info["unit"], info["missing_bones"]) == (
+        "names",
+        "humanik",
+        1.0,
+        [],
+    )
+    assert info["up"] == STYLES[name].up[0].lower()
+    assert info["travel"] is not None and np.linalg.norm(info["travel"]) == pytest.approx(
         np.hypot(0.05, 0.9), abs=0.01
     )
-    assert len(info.warnings) == (name == "X up")  # which is unusual
+    assert len(info["warnings"]) == (name == "X up")  # which is unusual
     human = load_human(path)
     height = np.ptp(skin_of(PERSON)[0][:, 1]) * 0.01
     assert np.ptp(human.mesh.vertices[:, 1]) == pytest.approx(height, abs=1e-3)
@@ -531,7 +536,7 @@ def test_a_bone_map_that_is_wrong_otherwise_is_left_out(tmp_path: Path) -> None:
 
 
 def info_of(shared_data: Path, name: str) -> dict[str, Any]:
-    return describe_motion(read_with_warnings(shared_data / "fourth" / "motion" / name)).to_dict()
+    return describe_motion(*read_with_warnings(shared_data / "fourth" / "motion" / name))
 
 
 def test_the_shared_collada_walk_is_the_one_of_its_author(shared_data: Path) -> None:

@@ -15,7 +15,7 @@ from motion_files import Array, stand_in, turns, walk
 from humansim_ros.cli import main as cli
 from humansim_ros.errors import HumansimWarning
 from humansim_ros.motion import Motion
-from humansim_ros.motion.pose.reports import LoadedMotion, describe_motion, read_with_warnings
+from humansim_ros.motion.pose.reports import describe_motion, read_with_warnings
 from humansim_ros.motion.pose.world_motion import (
     Placement,
     WorldMotion,
@@ -129,13 +129,13 @@ def test_a_person_that_stands_still_and_then_jumps_late_has_no_rest_frames() -> 
 
 def test_jumps_are_in_the_summary_and_do_not_count_as_speed() -> None:
     away = line() + np.array([3500.0, 0.0, 0.0])
-    info = describe_motion(LoadedMotion(moving(away, 1), ()))
-    assert [jump["frame"] for jump in info.jumps or []] == [1]
-    assert info.speed == pytest.approx(1.4, abs=0.1)
-    assert info.travel == pytest.approx([1.4 * 58 / 30, 0.0], abs=0.02)
-    (warning,) = info.warnings
+    info = describe_motion(moving(away, 1))
+    assert [jump["frame"] for jump in info["jumps"] or []] == [1]
+    assert info["speed"] == pytest.approx(1.4, abs=0.1)
+    assert info["travel"] == pytest.approx([1.4 * 58 / 30, 0.0], abs=0.02)
+    (warning,) = info["warnings"]
     assert "frame 0 is a rest pose, 35 m away from frame 1: start: 0.033333 leaves it out" in warning
-    assert describe_motion(LoadedMotion(moving(line()), ())).warnings == ()
+    assert describe_motion(moving(line()))["warnings"] == []
 
 
 def test_the_remedy_of_the_warning_removes_the_jump() -> None:
@@ -176,12 +176,12 @@ def test_a_calm_motion_loads_without_a_warning(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("stem", "metres"), [("loadbvh_test", 35.52), ("griebel_Example1", 2.38)])
 def test_rest_frames_of_real_files_are_found(shared_data: Path, stem: str, metres: float) -> None:
-    loaded = read_with_warnings(shared_data / "bvh" / f"{stem}.bvh")
-    world = to_world(loaded.motion)
-    assert leading_rest(loaded.motion, world.jumps) == 1
+    motion, _ = read_with_warnings(shared_data / "bvh" / f"{stem}.bvh")
+    world = to_world(motion)
+    assert leading_rest(motion, world.jumps) == 1
     assert world.jumps[0].distance == pytest.approx(metres, abs=0.01)
     # the person stands at the origin, on the floor, in the first frame after the rest frame
-    points = world.sample(loaded.motion.frame_time).positions[0]
+    points = world.sample(motion.frame_time).positions[0]
     assert points[world.match.roles["Hips"], :2] == pytest.approx([0, 0], abs=1e-6)
     assert -0.1 < points[:, 2].min() < 0.1
 

@@ -255,8 +255,8 @@ def test_raised_arms_and_the_trunk_are_posed_as_in_the_file(tmp_path: Path) -> N
     truth = np.moveaxis(PERSON.positions(turns), 1, 0) * 0.01
     points = {role: truth[n] for n, role in enumerate(PERSON.roles) if role[-5:] not in ("ollar",)}
     motion = read_motion(write_trc(tmp_path / "arms.trc", list(points), np.stack(list(points.values()), 1)))
-    facts = describe_motion(read_with_warnings(tmp_path / "arms.trc"))
-    assert facts.up == "y" and facts.facing == "z" and facts.unknown is None
+    facts = describe_motion(*read_with_warnings(tmp_path / "arms.trc"))
+    assert facts["up"] == "y" and facts["facing"] == "z" and facts["unknown"] is None
     found = motion.world_positions()[:, motion.joint("LeftWrist")]
     np.testing.assert_allclose(found, truth[PERSON.joint("LeftWrist")], atol=1e-5)
 

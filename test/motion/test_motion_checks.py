@@ -14,14 +14,14 @@ from motion_files import Array as Values
 from motion_files import Rotations, StandIn, arms_down, bow, one_axis, stand_in, turns, walk
 
 from humansim_ros.motion import Motion, read_motion
-from humansim_ros.motion.pose.reports import LoadedMotion, describe_motion
+from humansim_ros.motion.pose.reports import describe_motion
 
 PERSON = stand_in("lafan1")
 
 
 def checks(motion: Motion, **options: str) -> str:
     """Warnings of the summary, one a line."""
-    return "\n".join(describe_motion(LoadedMotion(motion, ()), **options).warnings)
+    return "\n".join(describe_motion(motion, **options)["warnings"])
 
 
 def backwards() -> dict[str, Rotations]:

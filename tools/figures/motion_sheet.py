@@ -30,7 +30,7 @@ def main() -> int:
     human = load_human(ROOT / "assets" / "humans" / "adult_man.npz")
     tiles = []
     for path in sorted(options.folder.glob("*.bvh")):
-        motion = read_with_warnings(path).motion
+        motion, _ = read_with_warnings(path)
         try:
             world = to_world(motion)
         except HumansimError as error:

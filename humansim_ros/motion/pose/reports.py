@@ -41,105 +41,50 @@ _MAX_SAMPLES = 2000
 _MAX_CHECKED = 4000
 #: Headings have a common direction if the length of their mean is at least this value.
 _MIN_MEAN_HEADING = 0.3
+#: Keys of a summary that are None if the file has no person.
+_OF_PERSON = (
+    *("table", "found_by", "confidence", "missing_bones", "roles", "up", "facing", "rest", "unit"),
+    *("unit_name", "stature", "floor", "root_scale", "speed", "travel", "heading_deg", "jumps"),
+    *("checked_frames", "stances", "slide", "limits", "penetration"),
+)
 
 
-@dataclass(frozen=True)
-class MotionInfo:
-    """Summary of a motion file. If ``unknown`` is set, the values from ``table`` on are None, and it is the
-    reason.
-
-    File: ``joints`` (without ``end_sites``); ``channel_layouts``: channels in their order, such as
-    ``Zrotation Xrotation Yrotation`` -> number of joints; ``positions``: whether position channels replace
-    the OFFSET or are added to it; ``position_joints``: joints that have position channels; ``bounds``: lowest
-    and highest joint position in file units and axes.
-
-    Person: ``table``, ``found_by``, ``roles`` (role -> joint) and ``missing_bones`` of the joint match;
-    ``confidence``: of the joint match or of the up axis, the lower of the two; ``up``, ``facing``: file axes;
-    ``rest``: rest pose from which the axes are detected; ``unit``, ``stature``: metres; ``floor``: height of
-    the floor on the up axis, file units; ``root_scale``: scale of the root's movement onto the general
-    skeleton; ``speed``: mean speed over the floor, m/s; ``travel``: x and y from the first frame to the last;
-    ``heading_deg``: mean heading, None if there is no common heading. ``travel`` and ``heading_deg`` are
-    relative to the rest pose facing +x, with y to its left.
-
-    ``jumps``: frame to which the person jumps, and distance in metres. ``warnings``: warnings of the reader
-    and of the checks.
-
-    From the first ``checked_frames`` frames: ``stances``; ``slide``: mean slide of a standing foot, mm;
-    ``limits``: violations of joint limits; ``penetration``: the deepest self-penetration.
-    """
-
-    path: str
-    frames: int
-    frame_time: float
-    rate: float
-    seconds: float
-    joints: int
-    end_sites: int
-    roots: list[str]
-    channels: int
-    channel_layouts: dict[str, int]
-    positions: str
-    position_joints: list[str]
-    bounds: list[list[float]]
-    table: str | None = None
-    found_by: str | None = None
-    confidence: float | None = None
-    missing_bones: list[str] | None = None
-    roles: dict[str, str] | None = None
-    up: str | None = None
-    facing: str | None = None
-    rest: str | None = None
-    unit: float | None = None
-    unit_name: str | None = None
-    stature: float | None = None
-    floor: float | None = None
-    root_scale: float | None = None
-    speed: float | None = None
-    travel: list[float] | None = None
-    heading_deg: float | None = None
-    jumps: list[dict[str, Any]] | None = None
-    checked_frames: int | None = None
-    stances: int | None = None
-    slide: float | None = None
-    limits: list[dict[str, Any]] | None = None
-    penetration: dict[str, Any] | None = None
-    unknown: str | None = None
-    warnings: tuple[str, ...] = ()
-
-    def to_dict(self) -> dict[str, Any]:
-        """The summary as JSON types."""
-        return {**asdict(self), "warnings": list(self.warnings)}
-
-
-@dataclass(frozen=True)
-class LoadedMotion:
-    """A motion and the warnings of its reader."""
-
-    motion: Motion
-    warnings: tuple[str, ...]
-
-
-def read_with_warnings(path: Path, positions: PositionChannels = "auto") -> LoadedMotion:
-    """Read a motion file and collect the warnings."""
+def read_with_warnings(path: Path, positions: PositionChannels = "auto") -> tuple[Motion, tuple[str, ...]]:
+    """Read a motion file. Returns the motion and the warnings of its reader."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         motion = read_motion(path, positions)
-    texts = [str(w.message) for w in caught if issubclass(w.category, HumansimWarning)]
-    return LoadedMotion(motion, tuple(texts))
+    return motion, tuple(str(w.message) for w in caught if issubclass(w.category, HumansimWarning))
 
 
 def describe_motion(
-    loaded: LoadedMotion,
+    motion: Motion,
+    reader_warnings: tuple[str, ...] = (),
     table: str | None = None,
     unit: float | None = None,
     up: str | None = None,
     facing: str | None = None,
     min_confidence: float | None = None,
-) -> MotionInfo:
-    """Summarise a motion. If it has no person, only the file is described.
+) -> dict[str, Any]:
+    """Summarise a motion as JSON types. If it has no person, only the file is described.
+
+    Keys of the file: ``joints`` (without ``end_sites``); ``channel_layouts``: channels in their order, such
+    as ``Zrotation Xrotation Yrotation`` -> number of joints; ``positions``: whether position channels replace
+    the OFFSET or are added to it; ``position_joints``: joints that have position channels; ``bounds``: lowest
+    and highest joint position in file units and axes; ``warnings`` of the reader and of the checks.
+
+    Keys of the person, None if ``unknown`` has the reason why there is none: ``confidence``: of the joint
+    match or of the up axis, the lower of the two; ``up``, ``facing``: file axes; ``rest``: rest pose from
+    which the axes are detected; ``unit``, ``stature``: metres; ``floor``: height of the floor on the up axis,
+    file units; ``root_scale``: scale of the root's movement onto the general skeleton; ``speed``: mean speed
+    over the floor, m/s; ``travel``: x and y from the first frame to the last; ``heading_deg``: mean heading,
+    None if there is no common heading. ``travel`` and ``heading_deg`` are relative to the rest pose facing
+    +x, with y to its left. From the first ``checked_frames`` frames: ``stances``; ``slide``: mean slide of a
+    standing foot, mm; ``limits``: violations of joint limits; ``penetration``: the deepest self-penetration.
 
     Args:
-        loaded: The motion and its warnings.
+        motion: The motion.
+        reader_warnings: Warnings of its reader.
         table, unit, up, facing, min_confidence: The same as in :func:`to_world`.
 
     Raises:
@@ -148,15 +93,18 @@ def describe_motion(
     for axis in (up, facing):
         if axis is not None:
             axis_vector(axis)
+    summary, found = dict.fromkeys(_OF_PERSON), list(reader_warnings)
+    unknown = None
     try:
-        world = to_world(loaded.motion, table, unit, up, facing, min_confidence)
+        world = to_world(motion, table, unit, up, facing, min_confidence)
     except MotionError as error:
-        if table is not None or _is_person(loaded.motion):
+        if table is not None or _is_person(motion):
             raise  # a given value is the cause
-        return MotionInfo(**_file_summary(loaded), unknown=error.message)
-    summary = _person_summary(world, hanim_skeleton())
-    found = [f"{loaded.motion.path}: {text}" for text in summary.pop("warnings")]
-    return MotionInfo(**{**_file_summary(loaded), "warnings": (*loaded.warnings, *found)}, **summary)
+        unknown = error.message
+    else:
+        summary, checks = _person_summary(world, hanim_skeleton())
+        found += [f"{motion.path}: {text}" for text in checks]
+    return {**_file_summary(motion), **summary, "unknown": unknown, "warnings": found}
 
 
 def headings(match: JointMatch, poses: JointPoses) -> Array:
@@ -167,8 +115,7 @@ def headings(match: JointMatch, poses: JointPoses) -> Array:
 
 
 def mean_heading(match: JointMatch, poses: JointPoses) -> float | None:
-    """Direction (radians in ``map``) of the mean of :func:`headings`. None if there is no common
-    direction."""
+    """Direction (radians in ``map``) of the mean of :func:`headings`; None if there is no common one."""
     x, y = headings(match, poses).mean(0)
     return float(np.arctan2(y, x)) if np.hypot(x, y) > _MIN_MEAN_HEADING else None
 
@@ -186,39 +133,29 @@ def _sample_frames(frames: int) -> NDArray[np.intp]:
     return np.unique(np.linspace(0, frames - 1, _MAX_SAMPLES).astype(np.intp))
 
 
-def _file_summary(loaded: LoadedMotion) -> dict[str, Any]:
-    motion = loaded.motion
+def _file_summary(motion: Motion) -> dict[str, Any]:
     points = motion.world_positions(_sample_frames(motion.n_frames))
-    ends = [
-        j for j, name in enumerate(motion.joint_names) if name.endswith("_end") and not motion.channels[j]
-    ]
-    position_joints = [
-        name
-        for name, channels in zip(motion.joint_names, motion.channels, strict=True)
-        if any(channel.endswith("position") for channel in channels)
-    ]
-    layouts = Counter(
-        " ".join(channels) or "none" for j, channels in enumerate(motion.channels) if j not in ends
-    )
+    joints = list(zip(motion.joint_names, motion.channels, strict=True))
+    layouts = [" ".join(channels) for name, channels in joints if channels or not name.endswith("_end")]
     return {
         "path": motion.path,
         "frames": motion.n_frames,
         "frame_time": motion.frame_time,
         "rate": 1 / motion.frame_time,
         "seconds": motion.duration,
-        "joints": motion.n_joints - len(ends),
-        "end_sites": len(ends),
+        "joints": len(layouts),
+        "end_sites": motion.n_joints - len(layouts),
         "roots": [motion.joint_names[j] for j in np.flatnonzero(motion.parents < 0)],
         "channels": motion.values.shape[1],
-        "channel_layouts": dict(layouts),
+        "channel_layouts": dict(Counter(layout or "none" for layout in layouts)),
         "positions": motion.positions,
-        "position_joints": position_joints,
+        "position_joints": [name for name, channels in joints if "position" in " ".join(channels)],
         "bounds": [points.min((0, 1)).tolist(), points.max((0, 1)).tolist()],
-        "warnings": loaded.warnings,
     }
 
 
-def _person_summary(world: WorldMotion, skeleton: Skeleton) -> dict[str, Any]:
+def _person_summary(world: WorldMotion, skeleton: Skeleton) -> tuple[dict[str, Any], list[str]]:
+    """Keys of a person, and warnings."""
     motion, match, frame = world.motion, world.match, world.frame
     retargeter = Retargeter.fit(world, skeleton)
     samples = _sample_frames(motion.n_frames)
@@ -227,10 +164,14 @@ def _person_summary(world: WorldMotion, skeleton: Skeleton) -> dict[str, Any]:
     steps = np.linalg.norm(np.diff(hips, axis=0), axis=-1)
     # leave out steps between samples that contain a jump
     steps[np.searchsorted(samples, [jump.frame for jump in world.jumps]) - 1] = 0.0
-    distance = steps.sum()
     first, last = np.searchsorted(samples, world.steady_frames[[0, -1]])
     heading = mean_heading(match, poses)
-    return {
+    # feet, joint limits and penetration
+    times = world.frame_times[:_MAX_CHECKED]
+    checked = world.sample(times)
+    posed = retargeter.pose(checked)
+    stances = find_stances(skeleton, posed, times)
+    summary = {
         "table": match.table,
         "found_by": match.by,
         "confidence": min(match.confidence, frame.confidence),
@@ -244,13 +185,17 @@ def _person_summary(world: WorldMotion, skeleton: Skeleton) -> dict[str, Any]:
         "stature": frame.stature,
         "floor": _floor(world),
         "root_scale": retargeter.scale,
-        "speed": float(distance / motion.duration) if motion.duration > 0 else 0.0,
+        "speed": float(steps.sum() / motion.duration) if motion.duration > 0 else 0.0,
         "travel": (hips[last] - hips[first]).tolist(),
         "heading_deg": None if heading is None else float(np.degrees(heading)),
         "jumps": [asdict(jump) for jump in world.jumps],
-        "warnings": [*playing_warnings(world), *posture_warnings(world, poses)],
-        **_check_summary(world, retargeter),
+        "checked_frames": len(times),
+        "stances": len(stances),
+        "slide": float(slide_distances(skeleton, posed, stances).mean() * 1e3) if stances else 0.0,
+        "limits": [asdict(violation) for violation in load_limits().report(retargeter.apply(checked)[0])],
+        "penetration": asdict(report_penetration(posed, fit_capsules(skeleton))),
     }
+    return summary, [*playing_warnings(world), *posture_warnings(world, poses)]
 
 
 def _floor(world: WorldMotion) -> float:
@@ -259,23 +204,6 @@ def _floor(world: WorldMotion) -> float:
     steady = world.steady_frames
     points = world.motion.world_positions(steady[_sample_frames(len(steady))])
     return floor_height((points @ upward).min(-1)) * float(upward.sum())
-
-
-def _check_summary(world: WorldMotion, retargeter: Retargeter) -> dict[str, Any]:
-    """Check feet, joint limits and penetration on a skeleton."""
-    times = world.frame_times[:_MAX_CHECKED]
-    poses = world.sample(times)
-    posed = retargeter.pose(poses)
-    rotations, _ = retargeter.apply(poses)
-    skeleton = retargeter.skeleton
-    stances = find_stances(skeleton, posed, times)
-    return {
-        "checked_frames": len(times),
-        "stances": len(stances),
-        "slide": float(slide_distances(skeleton, posed, stances).mean() * 1e3) if stances else 0.0,
-        "limits": [asdict(violation) for violation in load_limits().report(rotations)],
-        "penetration": asdict(report_penetration(posed, fit_capsules(skeleton))),
-    }
 
 
 #: Radius as a share of the stature. For the trunk, also half its width. Measured on assets/humans/adult_man.
@@ -324,7 +252,7 @@ class Capsules:
     ends: Array
     radii: Array
 
-    @cached_property
+    @property
     def pairs(self) -> Indices:
         """(P, 2) bones that are compared. Bones that are joined are not compared. Here, connectors and
         collars count as the trunk. Bones with capsules that touch at rest are not compared either."""
@@ -344,32 +272,36 @@ class Capsules:
         )
         return starts, ends
 
+    def depths(self, posed: Array, pairs: Indices) -> Array:
+        """Depths (N, Q) in metres of pairs (Q, 2) of capsules. Negative if the capsules do not touch."""
+        starts, ends = self.axes(posed)
+        first, second = pairs.T
+        distance = segment_distance(starts[:, first], ends[:, first], starts[:, second], ends[:, second])
+        return np.asarray(self.radii[first] + self.radii[second] - distance)
+
     @cached_property
     def _pair_table(self) -> tuple[Indices, Indices, Indices]:
         """Pairs of bones (P, 2), pairs of capsules (Q, 2) sorted by pair of bones, and the first pair of
         capsules for each (P,)."""
-        joined = self._adjacent()
-        first, second = np.triu_indices(len(self.bones), 1)
-        low, high = np.sort(np.stack([self.bones[first], self.bones[second]]), axis=0)
-        order = np.lexsort([high, low])
-        capsules, bones = np.stack([first, second], 1)[order], np.stack([low, high], 1)[order]
-        apart = ~joined[tuple(bones.T)]
-        bones, begins, number = _group_rows(bones[apart])
-        capsules = capsules[apart]
-        at_rest = _depths(*self.axes(self.skeleton.rest[None]), self.radii, capsules)
-        touching = np.maximum.reduceat(at_rest[0], begins) > 0 if len(begins) else np.zeros(0, bool)
-        compared = ~touching[number]
-        bones, begins, _ = _group_rows(bones[number][compared])
-        return bones, capsules[compared], begins
+        capsules = np.stack(np.triu_indices(len(self.bones), 1), axis=1)
+        bones = np.sort(self.bones[capsules], axis=1)
+        order = np.lexsort(bones.T[::-1])
+        order = order[~self._adjacent()[tuple(bones[order].T)]]
+        capsules, bones = capsules[order], bones[order]
+        pairs, number = np.unique(bones, axis=0, return_inverse=True)
+        at_rest = np.full(len(pairs), -np.inf)
+        np.maximum.at(at_rest, number.ravel(), self.depths(self.skeleton.rest[None], capsules)[0])
+        compared = at_rest[number.ravel()] <= 0
+        pairs, begins = np.unique(bones[compared], axis=0, return_index=True)
+        return pairs, capsules[compared], begins
 
     def _adjacent(self) -> NDArray[np.bool_]:
         """(B, B) whether two bones are the same or joined. Bones without capsules between them are
         skipped."""
         size = len(self.skeleton)
-        has = np.isin(np.arange(size), self.bones)
         joined = np.eye(size, dtype=bool)
         for bone, parent in enumerate(self.skeleton.parents):
-            while parent >= 0 and not has[parent]:
+            while parent >= 0 and parent not in self.bones:
                 parent = self.skeleton.parents[parent]
             if parent >= 0:
                 joined[bone, parent] = joined[parent, bone] = True
@@ -408,18 +340,44 @@ def fit_capsules(skeleton: Skeleton, mesh: Mesh | None = None, weights: csr_matr
     Raises:
         MeshError: No bone gets a capsule.
     """
-    if mesh is None or weights is None:
-        rows = _average_capsules(skeleton)
-    else:
-        rows = _measured_capsules(skeleton, mesh.vertices, dominant_bones(without_details(weights, skeleton)))
+    kinds = [name[2:] if name[:2] in ("l_", "r_") else name for name in skeleton.names]
+    owners = None if mesh is None or weights is None else dominant_bones(without_details(weights, skeleton))
+    trunk = [bone for bone, kind in enumerate(kinds) if kind in (*_TRUNK, "hip")]
+    stature = skeleton.tails[:, 1].max() - min(0.0, skeleton.tails[:, 1].min())
+    rows: list[tuple[int, Array, Array, float]] = []
+    for bone, kind in enumerate(kinds):
+        if kind not in _RADII:
+            continue
+        head, tail = skeleton.heads[bone], skeleton.tails[bone]
+        radius, width = (stature * share for share in _RADII[kind])
+        middle, half = (head + tail) / 2, np.array([width, skeleton.lengths[bone] / 2, radius])
+        if mesh is not None and owners is not None:
+            points = mesh.vertices[np.isin(owners, trunk if kind in _TRUNK else bone)]
+            if kind in _TRUNK:
+                low, high = np.sort([head[1], tail[1]])
+                points = points[(points[:, 1] >= low) & (points[:, 1] <= high)]
+            if len(points) < _MIN_VERTICES:
+                continue
+            if kind in _TRUNK:
+                sides = np.percentile(points, [_DETAIL_PERCENTILE, 100 - _DETAIL_PERCENTILE], axis=0)
+                sides[:, 1] = low, high
+                middle, half = sides.mean(axis=0), np.ptp(sides, axis=0) / 2
+            else:
+                radius = np.percentile(segment_distance(points, points, head, tail), _RADIUS_PERCENTILE)
+        if kind in _TRUNK:
+            away, up, _ = np.diag(np.maximum(half - half[2], 0.0))
+            rows += [(bone, middle + side - up, middle + side + up, half[2]) for side in (away, -away)]
+            continue
+        # a limb without a limb below ends with its cap; the capsule of the head does not reach into the neck
+        inset = (tail - head) * min(0.5, radius / skeleton.lengths[bone])
+        start = head + inset if kind == "vt3" else head
+        rows.append((bone, start, tail - inset if bone in skeleton.ends else tail, radius))
     if not rows:
         raise MeshError("no bone of this skeleton can have a capsule: none is a limb or part of the trunk")
-    bones = np.array([bone for bone, *_ in rows], dtype=np.intp)
+    bones, starts, ends, radii = (np.array(column) for column in zip(*rows, strict=True))
     inverse = skeleton.rest_inverse[bones]
-    starts, ends = (
-        rotate(inverse[:, :3, :3], np.array([row[i] for row in rows])) + inverse[:, :3, 3] for i in (1, 2)
-    )
-    return Capsules(skeleton, bones, starts, ends, np.array([row[3] for row in rows]))
+    starts, ends = (rotate(inverse[:, :3, :3], points) + inverse[:, :3, 3] for points in (starts, ends))
+    return Capsules(skeleton, bones, starts, ends, radii)
 
 
 def self_penetration(posed: Array, capsules: Capsules) -> Array:
@@ -431,8 +389,7 @@ def self_penetration(posed: Array, capsules: Capsules) -> Array:
         return out
     step = max(1, _BATCH // len(pairs))
     for first in range(0, len(posed), step):
-        axes = capsules.axes(posed[first : first + step])
-        depths = _depths(*axes, capsules.radii, pairs)
+        depths = capsules.depths(posed[first : first + step], pairs)
         np.maximum.reduceat(depths, begins, axis=1, out=out[first : first + step])
     return out
 
@@ -443,20 +400,18 @@ def report_penetration(posed: Array, capsules: Capsules, tolerance: float = 0.03
     ``tolerance``: metres. Flesh and clothes yield, and capsules only approximate the body.
     """
     depths = self_penetration(posed, capsules)
-    if not depths.size:
-        return PenetrationReport(0.0, None, None, 0.0, 1e3 * tolerance, ())
-    beyond = depths > tolerance
-    deepest = depths.max(0)
+    beyond, deepest = depths > tolerance, depths.max(0, initial=0.0)
     pairs = tuple(
         (*capsules.pair_names[pair], 1e3 * float(deepest[pair]), float(beyond[:, pair].mean()))
         for pair in np.argsort(-deepest)
         if beyond[:, pair].any()
     )
-    frame, pair = np.unravel_index(np.argmax(depths), depths.shape)
-    share, depth = float(beyond.any(1).mean()), 1e3 * float(depths[frame, pair])
-    if depth <= 0:
-        return PenetrationReport(0.0, None, None, share, 1e3 * tolerance, pairs)
-    return PenetrationReport(depth, capsules.pair_names[int(pair)], int(frame), share, 1e3 * tolerance, pairs)
+    depth, share = float(deepest.max(initial=0.0)), float(beyond.any(1).mean()) if depths.size else 0.0
+    where: tuple[tuple[str, str] | None, int | None] = None, None
+    if depth > 0:
+        frame, pair = np.unravel_index(np.argmax(depths), depths.shape)
+        where = capsules.pair_names[int(pair)], int(frame)
+    return PenetrationReport(1e3 * depth, *where, share, 1e3 * tolerance, pairs)
 
 
 def segment_distance(a: Array, b: Array, c: Array, d: Array) -> Array:
@@ -469,14 +424,9 @@ def segment_distance(a: Array, b: Array, c: Array, d: Array) -> Array:
         d: Ends (..., 3) of the second segments.
     """
     # components go first, since sums of three numbers along the last axis are slow
-    ax, bx, cx, dx = (np.moveaxis(p, -1, 0) for p in np.broadcast_arrays(a, b, c, d))
-    return _distance(bx - ax, dx - cx, ax - cx)
-
-
-def _distance(u: Array, v: Array, w: Array) -> Array:
-    """Distances (...) of segments with directions u and v. w = a - c is the difference of their starts. All
-    are (3, ...)."""
-    uu, vv, uv, uw, vw = _dot(u, u), _dot(v, v), _dot(u, v), _dot(u, w), _dot(v, w)
+    a, b, c, d = (np.moveaxis(points, -1, 0) for points in np.broadcast_arrays(a, b, c, d))
+    u, v, w = b - a, d - c, a - c
+    uu, vv, uv, uw, vw = ((p * q).sum(axis=0) for p, q in ((u, u), (v, v), (u, v), (u, w), (v, w)))
     uu_safe, vv_safe = np.maximum(uu, 1e-18), np.maximum(vv, 1e-18)
     determinant = uu * vv - uv * uv
     # if segments are parallel, any point of the first one is good
@@ -485,107 +435,4 @@ def _distance(u: Array, v: Array, w: Array) -> Array:
     t = np.clip((uv * s + vw) / vv_safe, 0.0, 1.0)
     s = np.clip((uv * t - uw) / uu_safe, 0.0, 1.0)
     between = w + s * u - t * v
-    return np.sqrt(_dot(between, between))
-
-
-def _dot(a: Array, b: Array) -> Array:
-    return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
-
-
-def _depths(starts: Array, ends: Array, radii: Array, pairs: Indices) -> Array:
-    """Depths (N, Q) in metres of pairs of capsules. A depth is negative if the capsules do not touch.
-
-    Args:
-        starts: Starts of the axes of the capsules, (N, C, 3) metres.
-        ends: Ends of the axes, (N, C, 3) metres.
-        radii: Radii of the capsules, (C,) metres.
-        pairs: Capsules of each pair, (Q, 2).
-    """
-    along = np.moveaxis(ends - starts, -1, 0)
-    start = np.moveaxis(starts, -1, 0)
-    first, second = pairs.T
-    apart = start.take(first, axis=2) - start.take(second, axis=2)
-    distance = _distance(along.take(first, axis=2), along.take(second, axis=2), apart)
-    return np.asarray(radii[first] + radii[second] - distance)
-
-
-def _group_rows(rows: Indices) -> tuple[Indices, Indices, Indices]:
-    """Return the distinct rows of sorted rows, the first index of each, and the number of the group of each
-    row."""
-    new = np.ones(len(rows), dtype=bool)
-    new[1:] = (rows[1:] != rows[:-1]).any(1)
-    return rows[new], np.flatnonzero(new), np.cumsum(new) - 1
-
-
-#: A capsule: bone, start and end of the axis in body space, radius.
-_CapsuleRow = tuple[int, Array, Array, float]
-
-
-def _measured_capsules(
-    skeleton: Skeleton, vertices: NDArray[np.floating], dominant: Indices
-) -> list[_CapsuleRow]:
-    trunk_bones = [
-        b for b, name in enumerate(skeleton.names) if name in _TRUNK or _without_side(name) == "hip"
-    ]
-    trunk = vertices[np.isin(dominant, trunk_bones)]
-    rows: list[_CapsuleRow] = []
-    for bone, name in enumerate(skeleton.names):
-        head, tail = skeleton.heads[bone], skeleton.tails[bone]
-        if name in _TRUNK:
-            height = np.sort([head[1], tail[1]])
-            points = trunk[(trunk[:, 1] >= height[0]) & (trunk[:, 1] <= height[1])]
-            if len(points) >= _MIN_VERTICES:
-                low, high = np.percentile(points, [_DETAIL_PERCENTILE, 100 - _DETAIL_PERCENTILE], axis=0)
-                low[1], high[1] = height
-                half, middle = (high - low) / 2, (high + low) / 2
-                rows += _trunk_capsules(bone, middle, half[1], half[2], half[0])
-        elif _without_side(name) in _RADII:
-            points = vertices[dominant == bone]
-            if len(points) >= _MIN_VERTICES:
-                distances = segment_distance(points, points, head, tail)
-                radius = float(np.percentile(distances, _RADIUS_PERCENTILE))
-                rows.append(_limb_capsule(skeleton, bone, radius))
-    return rows
-
-
-def _average_capsules(skeleton: Skeleton) -> list[_CapsuleRow]:
-    height = skeleton.tails[:, 1].max() - min(0.0, skeleton.tails[:, 1].min())
-    rows: list[_CapsuleRow] = []
-    for bone, name in enumerate(skeleton.names):
-        if _without_side(name) not in _RADII:
-            continue
-        radius, width = (height * share for share in _RADII[_without_side(name)])
-        if name in _TRUNK:
-            middle = (skeleton.heads[bone] + skeleton.tails[bone]) / 2
-            rows += _trunk_capsules(bone, middle, skeleton.lengths[bone] / 2, radius, width)
-        else:
-            rows.append(_limb_capsule(skeleton, bone, radius))
-    return rows
-
-
-def _trunk_capsules(
-    bone: int, middle: Array, height: float, radius: float, width: float
-) -> list[_CapsuleRow]:
-    """Two upright capsules side by side about a middle (3,). ``height`` and ``width`` are half sizes,
-    metres."""
-    up = np.array([0.0, max(height - radius, 0.0), 0.0])
-    offset = np.array([max(width - radius, 0.0), 0.0, 0.0])
-    return [(bone, middle + side - up, middle + side + up, radius) for side in (offset, -offset)]
-
-
-def _limb_capsule(skeleton: Skeleton, bone: int, radius: float) -> _CapsuleRow:
-    """A capsule from joint to joint.
-
-    The cap at the end of a limb ends with the bone, and the capsule of the head does not reach into the neck.
-    """
-    head, tail = skeleton.heads[bone], skeleton.tails[bone]
-    inset = (tail - head) * min(0.5, radius / skeleton.lengths[bone])
-    if skeleton.names[bone] == "vt3":
-        head = head + inset
-    if bone in skeleton.ends:
-        tail = tail - inset
-    return bone, head, tail, radius
-
-
-def _without_side(name: str) -> str:
-    return name[2:] if name[:2] in ("l_", "r_") else name
+    return np.asarray(np.sqrt((between * between).sum(axis=0)))

@@ -1,11 +1,9 @@
 """Joint limits of a skeleton: measure poses with a table of ranges, report violations, and clamp.
 
-Angles are anatomical: they count from the neutral standing position (arms hanging, palms to the thighs). They
-depend neither on the rest pose of the skeleton nor on the rolls of its bones. Only angles of fingers and toes
-count from the axes of their bones at rest. Hinges and the spine rotate about three axes, one after the other
-[Grood 1983]: an axis of the bone above, a floating axis, and an axis of the bone itself. For shoulders and
-hips, the direction of the bone must be within a cone [Wilhelms 2001]. Their twist counts from the shortest
-rotation out of the middle of the cone.
+Angles are anatomical (docs/limits.md). They depend neither on the rest pose of the skeleton nor on the rolls
+of its bones; only angles of fingers and toes count from the axes of their bones at rest. Hinges and the spine
+rotate about three axes, one after the other [Grood 1983]. The direction of shoulders and hips must be within
+a cone [Wilhelms 2001].
 """
 
 from __future__ import annotations
@@ -51,7 +49,7 @@ def direction_vector(name: AnatomicalDirection, side: int) -> Array:
 class Limit(Section):
     """One end of a range: direction ``from`` (``start``) rotates ``towards`` another by at most ``degrees``.
 
-    ``angle``: anatomical name. ``source``: key of the source.
+    ``source``: key of the source.
     """
 
     model_config = ConfigDict(populate_by_name=True)
@@ -179,19 +177,13 @@ class LimitTable(Section):
 
 
 @dataclass(frozen=True)
-class JointAngles:
-    """Coordinates (N, 3) of a joint, degrees. ``offset`` (N,) is the part of the third coordinate that comes
-    from another joint."""
-
-    values: Array
-    offset: Array
-
-
-@dataclass(frozen=True)
 class JointCoordinates(ABC):
-    """Coordinates of a joint of a skeleton. ``bone``: index of the bone of the joint. ``chain``: bones
-    between this bone and the bone of reference. ``before``, ``after``: (3, 3) rotations that convert the
-    rotation of the joint to anatomical axes."""
+    """Three coordinates of a joint of a skeleton, degrees: ``values`` (N, 3) below.
+
+    ``bone``: index of the bone of the joint. ``chain``: bones between this bone and the bone of reference.
+    ``before``, ``after``: (3, 3) rotations that convert the rotation of the joint to anatomical axes.
+    ``offset`` (N,): part of the third coordinate that comes from another joint.
+    """
 
     range: JointRange
     side: int
@@ -201,11 +193,11 @@ class JointCoordinates(ABC):
     before: Array
     after: Array
 
-    def measure(self, rotations: Array, offset: Array) -> JointAngles:
-        """Measure the coordinates of the joint from bone rotations (N, B, 3, 3)."""
+    def measure(self, rotations: Array, offset: Array) -> Array:
+        """Measure the coordinates (N, 3) of the joint from bone rotations (N, B, 3, 3)."""
         values = self.split(self.before @ self._inherited(rotations) @ rotations[:, self.bone] @ self.after)
         values[:, 2] = np.where(offset == 0, values[:, 2], values[:, 2] + offset)
-        return JointAngles(values, offset)
+        return values
 
     def bone_rotation(self, relative: Array, rotations: Array) -> Array:
         """Rotation (N, 3, 3) of the bone, from the rotation (N, 3, 3) of the joint in anatomical axes."""
@@ -233,26 +225,25 @@ class JointCoordinates(ABC):
 
     @abstractmethod
     def compose(self, values: Array, offset: Array) -> Array:
-        """Rotations (N, 3, 3) in anatomical axes. For these rotations, :meth:`measure` gives the coordinates
-        back."""
+        """Rotations (N, 3, 3) in anatomical axes that have the coordinates."""
 
     @abstractmethod
-    def clamp(self, measured: JointAngles) -> Array:
+    def clamp(self, values: Array) -> Array:
         """Clamp coordinates (N, 3) to the limits."""
 
     @abstractmethod
-    def named_angles(self, measured: JointAngles) -> dict[str, Array]:
+    def named_angles(self, values: Array) -> dict[str, Array]:
         """Angle -> values (N,), degrees."""
 
     @abstractmethod
-    def against_limits(self, measured: JointAngles) -> Iterator[tuple[str, float, Array]]:
+    def against_limits(self, values: Array) -> Iterator[tuple[str, float, Array]]:
         """(angle, limit, values (N,)) of each limit."""
 
 
 class HingeCoordinates(JointCoordinates):
     """Coordinates of rotations about three axes, one after the other."""
 
-    @cached_property
+    @property
     def pairs(self) -> tuple[tuple[Limit, Limit], ...]:
         """Opposite limits about each axis."""
         assert self.range.first is not None and self.range.second is not None
@@ -279,20 +270,20 @@ class HingeCoordinates(JointCoordinates):
         rotations = [_about_axis(axes[:, i], angles[:, i]) for i in range(3)]
         return np.asarray(rotations[0] @ rotations[1] @ rotations[2])
 
-    def clamp(self, measured: JointAngles) -> Array:
-        return np.clip(measured.values, *np.array([self.bounds(pair) for pair in self.pairs]).T)
+    def clamp(self, values: Array) -> Array:
+        return np.clip(values, *np.array([self.bounds(pair) for pair in self.pairs]).T)
 
-    def named_angles(self, measured: JointAngles) -> dict[str, Array]:
-        return {pair[0].angle: measured.values[:, i] for i, pair in enumerate(self.pairs)}
+    def named_angles(self, values: Array) -> dict[str, Array]:
+        return {pair[0].angle: values[:, i] for i, pair in enumerate(self.pairs)}
 
-    def against_limits(self, measured: JointAngles) -> Iterator[tuple[str, float, Array]]:
+    def against_limits(self, values: Array) -> Iterator[tuple[str, float, Array]]:
         for i, pair in enumerate(self.pairs):
-            yield from self.pair_against_limits(pair, measured.values[:, i])
+            yield from self.pair_against_limits(pair, values[:, i])
 
 
 class ConeCoordinates(JointCoordinates):
     """Coordinates of a cone: distance of the bone from the middle of the cone, azimuth about the middle, and
-    twist."""
+    twist. The twist counts from the shortest rotation out of the middle."""
 
     @cached_property
     def middle(self) -> Array:
@@ -347,28 +338,27 @@ class ConeCoordinates(JointCoordinates):
         axis = np.asarray(np.cross(*self.azimuth_axes), dtype=float)
         return np.asarray(swing @ _about_axis(axis, np.radians(values[:, 2] - offset)))
 
-    def clamp(self, measured: JointAngles) -> Array:
-        distance, azimuth, twist = measured.values.T
+    def clamp(self, values: Array) -> Array:
+        distance, azimuth, twist = values.T
         clamped = np.minimum(distance, self._border_distance(azimuth))
         return np.stack([clamped, azimuth, np.clip(twist, *self.bounds(self.range.twist))], axis=-1)
 
-    def named_angles(self, measured: JointAngles) -> dict[str, Array]:
+    def named_angles(self, values: Array) -> dict[str, Array]:
         assert self.range.zero is not None
-        direction = self._direction(measured.values[:, 1], measured.values[:, 0])
+        direction = self._direction(values[:, 1], values[:, 0])
         zero = direction_vector(self.range.zero.direction, self.side)
-        towards = {
-            name: direction @ direction_vector(to, self.side) for name, to in self.range.zero.angles.items()
-        }
         across = direction - (direction @ zero)[:, None] * zero
         length = np.linalg.norm(across, axis=-1)
         angle = np.degrees(np.arctan2(length, direction @ zero)) / np.maximum(length, 1e-12)
-        return {name: share * angle for name, share in towards.items()} | {
-            self.range.twist[0].angle: measured.values[:, 2]
+        out = {
+            name: direction @ direction_vector(towards, self.side) * angle
+            for name, towards in self.range.zero.angles.items()
         }
+        return out | {self.range.twist[0].angle: values[:, 2]}
 
-    def against_limits(self, measured: JointAngles) -> Iterator[tuple[str, float, Array]]:
+    def against_limits(self, values: Array) -> Iterator[tuple[str, float, Array]]:
         assert self.range.swing is not None
-        distance, azimuth, twist = measured.values.T
+        distance, azimuth, twist = values.T
         beyond = distance - self._border_distance(azimuth)
         to_named = np.abs((azimuth[:, None] - self.border[0] + 180) % 360 - 180)
         nearest = np.argmin(to_named, axis=-1)
@@ -392,7 +382,6 @@ def _about_axis(axis: Array, angles: NDArray[np.floating]) -> Array:
     return quaternion_to_matrix(np.concatenate([np.sin(half) * axis, np.cos(half)], axis=-1))
 
 
-_BUILT_IN = "config/joint_limits/normal.yaml"
 #: Rounding may put a clamped angle beyond its limit by this number of degrees.
 _ROUNDING = 1e-6
 
@@ -402,15 +391,8 @@ class LimitViolation:
     """An angle that is beyond its limit in some frames. ``dataclasses.asdict`` makes JSON types of it.
 
     For a cone, ``angle`` is the nearest direction that the table names. Its values are the limit plus the
-    distance of the bone from the cone.
-
-    Attributes:
-        bone: Bone of the joint.
-        angle: Anatomical name.
-        limit: Degrees, with the margin of the table.
-        worst: Largest value, degrees.
-        frame: Frame with the worst value.
-        share: Share of the frames beyond the limit.
+    distance of the bone from the cone. ``limit``: degrees, with the margin of the table. ``worst``: largest
+    value, degrees, and ``frame``: where it is. ``share``: share of the frames beyond the limit.
     """
 
     bone: str
@@ -439,52 +421,39 @@ class JointLimits:
 
     def angles(self, rotations: Array) -> dict[str, Array]:
         """Anatomical angles (N,) in degrees, by ``<bone>.<angle>``. The angle is the first name of a range:
-        ``l_elbow.flexion`` is negative in extension. For shoulders and hips, the angle from hanging down to
-        the present direction is divided between flexion and abduction."""
-        out: dict[str, Array] = {}
-        for joint, measured in self._measure(rotations):
-            name = self.skeleton.names[joint.bone]
-            out.update({f"{name}.{angle}": value for angle, value in joint.named_angles(measured).items()})
-        return out
+        ``l_elbow.flexion`` is negative in extension. For shoulders and hips, the angle from hanging down is
+        divided between flexion and abduction."""
+        return {
+            f"{self.skeleton.names[joint.bone]}.{angle}": value
+            for joint, values, _ in self._measure(self._body_rotations(rotations))
+            for angle, value in joint.named_angles(values).items()
+        }
 
     def report(self, rotations: Array) -> list[LimitViolation]:
         """Report angles that are beyond their limits in any frame, bone by bone, each with its worst
         value."""
         violations = []
-        for joint, measured in self._measure(rotations):
+        for joint, measured, _ in self._measure(self._body_rotations(rotations)):
             for angle, limit, values in joint.against_limits(measured):
                 beyond = values > limit + _ROUNDING
                 if beyond.any():
                     frame = int(np.argmax(values))
-                    violations.append(
-                        LimitViolation(
-                            self.skeleton.names[joint.bone],
-                            angle,
-                            limit,
-                            float(values[frame]),
-                            frame,
-                            float(beyond.mean()),
-                        )
-                    )
+                    bone, worst = self.skeleton.names[joint.bone], float(values[frame])
+                    violations.append(LimitViolation(bone, angle, limit, worst, frame, float(beyond.mean())))
         return violations
 
     def clamp(self, rotations: Array) -> Array:
         """Set angles beyond a limit to the limit, in rotations (N, B, 4). Joints within their limits do not
-        change.
-
-        The result is continuous, except in three cases where no clamping can be: a bone is opposite to the
-        middle of its cone; a hinge is half a turn from the middle of its range; a hinge is at a right angle
-        to its plane.
-        """
+        change. The result is continuous, except in three cases (docs/limits.md)."""
         body_rotations = self._body_rotations(rotations)
         out = np.array(rotations, dtype=float)
         rest = self.skeleton.rest[:, :3, :3]
-        for joint, measured in self._measure(rotations, body_rotations):
-            clamped = joint.clamp(measured)
-            moved = (clamped != measured.values).any(-1)
+        for joint, values, offset in self._measure(body_rotations):
+            clamped = joint.clamp(values)
+            moved = (clamped != values).any(-1)
             if not moved.any():
                 continue
-            relative = joint.compose(clamped[moved], measured.offset[moved])
+            relative = joint.compose(clamped[moved], offset[moved])
             rotation = joint.bone_rotation(relative, body_rotations[moved])
             body_rotations[moved, joint.bone] = rotation
             quaternion = matrix_to_quaternion(rest[joint.bone].T @ rotation @ rest[joint.bone])
@@ -493,17 +462,14 @@ class JointLimits:
             out[moved, joint.bone] = np.where(same_sign, quaternion, -quaternion)
         return out
 
-    def _measure(
-        self, rotations: Array, body_rotations: Array | None = None
-    ) -> Iterator[tuple[JointCoordinates, JointAngles]]:
-        """Joints with their angles, parents first. If the caller changes ``body_rotations`` meanwhile (to
-        clamp a joint), the change counts for all later joints."""
-        body_rotations = self._body_rotations(rotations) if body_rotations is None else body_rotations
+    def _measure(self, body_rotations: Array) -> Iterator[tuple[JointCoordinates, Array, Array]]:
+        """Joints with their coordinates and offsets, parents first. If the caller changes ``body_rotations``
+        meanwhile (to clamp a joint), the change counts for all later joints."""
         for joint, partner in self._joints:
             offset: Array = np.zeros(len(body_rotations))
             if partner is not None:
-                offset = partner.measure(body_rotations, offset).values[:, 2]
-            yield joint, joint.measure(body_rotations, offset)
+                offset = partner.measure(body_rotations, offset)[:, 2]
+            yield joint, joint.measure(body_rotations, offset), offset
 
     def _body_rotations(self, rotations: Array) -> Array:
         """Bone rotations (N, B, 3, 3) relative to the parents, in the axes of the body at rest."""
@@ -520,21 +486,17 @@ class JointLimits:
         names = self.skeleton.names
         joints: dict[str, JointCoordinates] = {}
         rows = {bone: row for row in self.table.joints for bone in row.sides}
-        for row in self.table.joints:
-            for bone, side in row.sides.items():
-                above = row.relative_to if row.relative_to in names else f"{bone[:2]}{row.relative_to}"
-                if bone not in names:
-                    continue
-                chain = self._bones_between(names.index(bone), above)
-                if chain is None:
-                    continue
-                coordinates = ConeCoordinates if row.swing is not None else HingeCoordinates
-                before, after = (self._rest_axes(name, rows.get(name)) for name in (above, bone))
-                joints[bone] = coordinates(
-                    row, side, self.table.margin, names.index(bone), chain, before.T, after
-                )
-                if row.hinge:
-                    joints[bone] = _as_hinge(joints[bone])
+        for bone, row in rows.items():
+            above = row.relative_to if row.relative_to in names else f"{bone[:2]}{row.relative_to}"
+            chain = self._bones_between(names.index(bone), above) if bone in names else None
+            if chain is None:
+                continue
+            kind = ConeCoordinates if row.swing is not None else HingeCoordinates
+            before, after = (self._rest_axes(name, rows.get(name)) for name in (above, bone))
+            side, number = row.sides[bone], names.index(bone)
+            joints[bone] = kind(row, side, self.table.margin, number, chain, before.T, after)
+            if row.hinge:
+                joints[bone] = _as_hinge(joints[bone])
         return tuple(
             (joint, joints.get(f"{bone[:2]}{joint.range.twist_with}") if joint.range.twist_with else None)
             for bone, joint in sorted(joints.items(), key=lambda item: item[1].bone)
@@ -586,7 +548,7 @@ def load_limits(path: str | os.PathLike[str] | None = None, skeleton: Skeleton |
 
 @lru_cache(maxsize=1)
 def _built_in_table() -> LimitTable:
-    return _read_table(resource_path(_BUILT_IN))
+    return _read_table(resource_path("config/joint_limits/normal.yaml"))
 
 
 def _read_table(path: str | os.PathLike[str]) -> LimitTable:

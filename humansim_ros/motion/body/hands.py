@@ -74,15 +74,11 @@ class HandAnatomy:
         return len(fingers) > 0 and bool(np.degrees(fingers).mean() > _RELAXED)
 
     def rotations(self, angles: Array) -> Array:
-        """Bone rotations for flexion, spread and twist.
+        """Quaternions (..., 30, 4) xyzw in bone space, for flexion, spread and twist (..., 30, 3) in radians.
 
-        Args:
-            angles: (..., 30, 3) radians: flexion, spread and twist. Flexion is measured from a straight
-                finger. Spread is measured from the rest pose, about the normal of the palm, positive towards
-                the thumb. Twist is about the bone, positive inwards, as the thumb turns to meet the fingers.
-
-        Returns:
-            Quaternions (..., 30, 4) xyzw in bone space.
+        Flexion is measured from a straight finger. Spread is measured from the rest pose, about the normal of
+        the palm, positive towards the thumb. Twist is about the bone, positive inwards, as the thumb turns to
+        meet the fingers.
         """
         inwards = np.where(np.arange(2 * PER_HAND) < PER_HAND, 1.0, -1.0)
         spread = _about(2, inwards * angles[..., 1])

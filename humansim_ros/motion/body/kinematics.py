@@ -27,6 +27,7 @@ from humansim_ros.geometry import (
     multiply_quaternions,
     normalised,
     quaternion_to_matrix,
+    rotate,
     rotation_vector_to_quaternion,
     transform,
 )
@@ -54,7 +55,6 @@ class Motion(Pictured):
     Attributes:
         joint_names: J names, parents before children. An end site is a joint without channels, with the name
             ``<parent>_end``.
-
         parents: (J,) index of the parent, -1 for a root.
         offsets: (J, 3) OFFSETs in file units.
         channels: Names of the channels of each joint.
@@ -66,7 +66,6 @@ class Motion(Pictured):
         up: File axis that points up (``y``, ``-z``). None if unknown.
         is_rest_made: Whether the reader made the OFFSETs because the file has none. Such OFFSETs do not show
             which axis of the file points up.
-
         screen_up: Axis (``z``) that points up or down on the screen of the program that wrote the file. Empty
             if unknown.
 
@@ -131,8 +130,7 @@ class Motion(Pictured):
             raise MotionError(unknown("joint", name, self.joint_names), path=self.path) from None
 
     def only(self, joints: Sequence[int]) -> Motion:
-        """Return the motion of some joints, in increasing order. A joint without its parent becomes a
-        root."""
+        """The motion of some joints, in increasing order. A joint without its parent becomes a root."""
         number = {joint: place for place, joint in enumerate(joints)}
         return replace(
             self,
@@ -195,25 +193,20 @@ class Motion(Pictured):
 
     def world_transforms(self, frames: FrameIndex = _ALL) -> Array:
         """Joint frames (..., J, 4, 4) in file units and axes. For a single frame number, (J, 4, 4)."""
-        rotations = quaternion_to_matrix(self.local_rotations(frames))
-        return self.compose_world(self.local_translations(frames), rotations)
+        return self.compose_world(self.local_translations(frames), self.local_rotations(frames))
 
     def compose_world(self, translations: Array, rotations: Array) -> Array:
-        """Compose joint frames (..., J, 4, 4) from local translations (..., J, 3) and rotations (..., J, 3,
-        3)."""
-        world_r, world_t = self._world(translations, rotations)
-        return transform(world_r, world_t)
+        """Joint frames (..., J, 4, 4) from local translations (..., J, 3) and rotations (..., J, 4)."""
+        return transform(*self._world(translations, quaternion_to_matrix(rotations)))
 
     def _world(self, translations: Array, rotations: Array) -> tuple[Array, Array]:
         world_r = np.array(np.broadcast_to(rotations, (*translations.shape[:-1], 3, 3)))
         world_t = np.array(translations)
         for level in self._levels[1:]:
             parents = self.parents[level]
-            parent_r = world_r[..., parents, :, :]
-            world_t[..., level, :] = (parent_r @ world_t[..., level, :, None])[..., 0] + world_t[
-                ..., parents, :
-            ]
-            world_r[..., level, :, :] = parent_r @ world_r[..., level, :, :]
+            above = world_r[..., parents, :, :]
+            world_t[..., level, :] = rotate(above, world_t[..., level, :]) + world_t[..., parents, :]
+            world_r[..., level, :, :] = above @ world_r[..., level, :, :]
         return world_r, world_t
 
     def world_positions(self, frames: FrameIndex = _ALL) -> Array:
@@ -222,8 +215,7 @@ class Motion(Pictured):
         return self._world(self.local_translations(frames), rotations)[1]
 
     def rest_positions(self) -> Array:
-        """Joint positions (J, 3) in file units and axes, if all rotations are zero and joints are at their
-        OFFSETs."""
+        """Joint positions (J, 3) in file units and axes, with no rotations and joints at their OFFSETs."""
         return self._world(self.offsets, np.broadcast_to(np.eye(3), (self.n_joints, 3, 3)))[1]
 
 
@@ -241,18 +233,13 @@ def motion_of_rotations(
     path: str = "",
     unit: float | None = None,
 ) -> Motion:
-    """Make a motion from rotations.
+    """Make a motion from rotations (F, R, 3, 3) of the first R joints relative to their parents. The other
+    joints are end sites.
 
     Args:
-        names: J names, parents before children.
-        parents: (J,) index of the parent, -1 for a root.
-        offsets: (J, 3) OFFSETs.
-        rotations: (F, R, 3, 3) rotations of the first R joints relative to their parents. The other joints
-            are end sites.
+        names, parents, offsets, frame_time, path, unit: Fields of :class:`Motion`.
+        rotations: The rotations.
         positions: Joint -> (F, 3) positions relative to its parent, for joints with position channels.
-        frame_time: Seconds from frame to frame.
-        path: File of the motion.
-        unit: Metres per unit. None if unknown.
     """
     # imported here, since the import takes as long as all other imports of this module
     from scipy.spatial.transform import Rotation
@@ -299,9 +286,7 @@ class JointPoses:
     Attributes:
         names: J names.
         positions: (N, J, 3) metres.
-        rotations: (N, J, 4) xyzw, relative to the rest pose of the motion with the person facing +x. At rest,
-            every rotation is the identity.
-
+        rotations: (N, J, 4) xyzw, relative to the rest pose of the motion with the person facing +x.
         linear: (N, J, 3) velocities in m/s. None if the source has no velocities.
         angular: (N, J, 3) angular velocities in rad/s. None if the source has no velocities.
     """
@@ -359,8 +344,8 @@ class JointPoses:
         return self._changed(names, lambda part: part[:, order])
 
     def split(self, is_added: Callable[[str], bool]) -> tuple[JointPoses, JointPoses]:
-        """Split off joints at the end that have certain names. Returns the poses without these joints, and
-        the poses of these joints. ``is_added``: tells for a name whether the joint is one to split off."""
+        """Split off the joints at the end with a name that ``is_added``. Returns the poses without these
+        joints, and the poses of these joints."""
         own = len(self.names)
         while own and is_added(self.names[own - 1]):
             own -= 1
@@ -399,11 +384,7 @@ class JointPoses:
 
     def extrapolate(self, seconds: ArrayLike) -> JointPoses:
         """Poses (M, J) at times (M,) relative to a single pose (N = 1), which moves on with constant
-        velocity.
-
-        Raises:
-            MotionError: The pose has no velocities.
-        """
+        velocity. Raises MotionError if the pose has no velocities."""
         if self.linear is None or self.angular is None:
             raise MotionError("these joints have no velocities")
         steps = np.asarray(seconds, dtype=float)[:, None, None]
@@ -439,8 +420,8 @@ class Rated:
         return cls(labels, np.zeros(shape), np.zeros(shape), limits)
 
     def moving(self, values: Array, seconds: float) -> Rated:
-        """Values with these labels at the middle of three times. ``values``: at all three. ``seconds``: from
-        the first to the last."""
+        """Values with these labels at the middle of three times. ``values``: at all three times.
+        ``seconds``: from the first time to the last."""
         return replace(self, values=values[1], rates=(values[2] - values[0]) / seconds)
 
     def after(self, seconds: float) -> Array:

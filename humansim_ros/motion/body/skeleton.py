@@ -87,8 +87,7 @@ class JointName:
     Attributes:
         name: Name in this package (H-Anim 1.1).
         place: Place in the body, in plain words.
-        bone: Part of the body that turns about the joint: that of the bone with this name. Empty for the end
-            of a bone.
+        bone: Bone that turns about the joint. Empty for the end of a bone.
         hanim2: Name of a joint or site in H-Anim 2 (ISO/IEC 19774-1:2019), or None.
         smpl: Name in SMPL (in SMPL-X for fingers, jaw and eyes), or None.
         coco: Name in the 17 keypoints of COCO, or None.
@@ -106,8 +105,7 @@ class JointName:
     near: tuple[str, ...] = ()
 
     def in_set(self, column: str) -> str:
-        """Name in another set (a key of :data:`SETS`). ``~`` stands before a nearest joint. Empty for no
-        joint."""
+        """Name in another set (a key of :data:`SETS`), with ``~`` before a nearest joint. Empty for none."""
         name = getattr(self, column)
         return "" if name is None else f"~{name}" if column in self.near else name
 
@@ -173,8 +171,7 @@ class Skeleton:
     def rest(self) -> Array:
         """Bone frames at rest (B, 4, 4) in body space: origin at the head, y along the bone [thesis §9.5].
 
-        With roll 0 the frame is the shortest rotation from +y to the bone, as Blender's
-        ``bone.matrix_local``.
+        With roll 0 the frame is the shortest rotation from +y to the bone (``bone.matrix_local`` of Blender).
         """
         swing = quaternion_to_matrix(from_y_axis((self.tails - self.heads) / self.lengths[:, None]))
         half = self.rolls / 2
@@ -189,8 +186,7 @@ class Skeleton:
 
     @cached_property
     def rest_in_parent(self) -> Array:
-        """Rest frame of each bone in the rest frame of its parent (B, 4, 4). That of a root is in body
-        space."""
+        """Rest frame of each bone in the rest frame of its parent (B, 4, 4); of a root, in body space."""
         parent = np.where((self.parents < 0)[:, None, None], np.eye(4), self.rest_inverse[self.parents])
         return parent @ self.rest
 
@@ -200,14 +196,9 @@ class Skeleton:
         ``pose[b] = pose[parent] rest[parent]^-1 rest[b] R(q_b)`` [thesis §9.5], as Blender's armatures."""
         local = self.rest_in_parent @ transform(quaternion_to_matrix(rotations), np.zeros(3))
         first, *rest = self.levels
-        if root is None:
-            out = np.array(local)
-        else:
-            out = np.array(
-                np.broadcast_to(
-                    local, (*np.broadcast_shapes(local.shape[:-3], root.shape[:-2]), *local.shape[-3:])
-                )
-            )
+        batch = local.shape[:-3] if root is None else np.broadcast_shapes(local.shape[:-3], root.shape[:-2])
+        out = np.array(np.broadcast_to(local, (*batch, *local.shape[-3:])))
+        if root is not None:
             out[..., first, :, :] = root[..., None, :, :] @ local[..., first, :, :]
         for bones in rest:
             out[..., bones, :, :] = out[..., self.parents[bones], :, :] @ local[..., bones, :, :]
@@ -216,8 +207,7 @@ class Skeleton:
     def size_of(self, heads: Array, but: int = -1) -> float:
         """Scale of a body in any pose, relative to the rest pose. ``heads``: (B, 3) heads of the posed bones.
         ``but``: number of a bone that is left out."""
-        child = np.flatnonzero(self.parents >= 0)
-        child = child[child != but]
+        child = np.flatnonzero((self.parents >= 0) & (np.arange(len(self)) != but))
         above = self.parents[child]
         now, rest = (np.linalg.norm(p[child] - p[above], axis=1).sum() for p in (heads, self.heads))
         size = float(now / rest) if rest > 0 else 1.0
@@ -235,17 +225,15 @@ class Skeleton:
 
     @cached_property
     def ends(self) -> tuple[int, ...]:
-        """Bones with tails that are joints, too. They are bones without children, and head, hands and feet
-        even if these have bones of fingers, toes, jaw and eyes (top of the head, tips of the straight hand
-        and foot)."""
-        return tuple(
-            sorted({*self.leaves, *(n for n, name in enumerate(self.names) if name in _EXTREMITIES)})
-        )
+        """Bones with tails that are joints, too: bones without children; and head, hands and feet, even if
+        these have bones of fingers, toes, jaw and eyes."""
+        extremities = (bone for bone, name in enumerate(self.names) if name in _EXTREMITIES)
+        return tuple(sorted({*self.leaves, *extremities}))
 
     @cached_property
     def wholes(self) -> NDArray[np.intp]:
-        """(B,) bone that each bone is a detail of. A bone that is no detail has its own number. Fingers,
-        toes, jaw and eyes (by name), and bones that these carry, are details of hand, foot or head."""
+        """(B,) bone that each bone is a detail of; for other bones, their own number. Fingers, toes, jaw and
+        eyes (by name), and bones that these carry, are details of hand, foot or head."""
         wholes = np.arange(len(self))
         for bone, parent in enumerate(self.parents.tolist()):
             if parent < 0:
@@ -259,8 +247,7 @@ class Skeleton:
 
     @cached_property
     def detail_levels(self) -> tuple[NDArray[np.intp], ...]:
-        """Fingers, toes, jaw and eyes by depth in the tree. Those directly at hand, foot and head come
-        first."""
+        """Fingers, toes, jaw and eyes by depth in the tree, the bones at hand, foot and head first."""
         details = (level[self.wholes[level] != level] for level in self.levels)
         return tuple(level for level in details if len(level))
 
@@ -296,9 +283,7 @@ class Skeleton:
 
 
 #: Bones with a tail that is a joint although they may have children.
-_EXTREMITIES = (
-    DETAIL_BONES.keys() - set(DETAIL_BONES.values()) | set(DETAIL_BONES.values()) - DETAIL_BONES.keys()
-)
+_EXTREMITIES = DETAIL_BONES.keys() ^ set(DETAIL_BONES.values())
 
 
 def side_of(name: str) -> int:
@@ -309,10 +294,8 @@ def side_of(name: str) -> int:
 
 
 def hanim_skeleton() -> Skeleton:
-    """Create the general skeleton of 22 bones in T pose [thesis table 4.1].
-
-    The shoulders' parents are corrected (config/skeleton.json). The right collar joint is not the mirror
-    image of the left one.
+    """The general skeleton of 22 bones in T pose [thesis table 4.1], with corrected parents of the shoulders
+    (config/skeleton.json). The right collar joint is not the mirror image of the left one.
 
     Example:
         >>> skeleton = hanim_skeleton()

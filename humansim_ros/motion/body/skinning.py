@@ -5,7 +5,6 @@ Both methods are a :class:`SkinningFunction`; docs/skinning.md compares them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -61,8 +60,8 @@ def triangle_parts(triangles: NDArray[np.integer], weights: csr_matrix) -> NDArr
 
 
 def _largest(values: csr_matrix) -> NDArray[np.intp]:
-    """Column (N,) of the largest value of each row. Of equal values, the first counts. SciPy's ``argmax`` of
-    sparse matrices takes a hundred times longer: it visits the rows one by one."""
+    """Column (N,) of the largest value of each row, the first of equal values. ``argmax`` of sparse matrices
+    takes a hundred times longer, since it visits the rows one by one."""
     blocks = range(0, values.shape[0], _ROWS)
     columns = [values[start : start + _ROWS].toarray().argmax(axis=1) for start in blocks]
     return np.concatenate([np.zeros(0, np.intp), *columns])
@@ -97,10 +96,10 @@ class SkinningFunction(Protocol):
 def make_skinner(
     method: str, vertices: FloatArray, weights: csr_matrix, dtype: type[np.floating] = np.float32
 ) -> SkinningFunction:
-    """Create the skinning function of a mesh.
+    """Create the skinning function of a mesh: ``linear`` or ``dual_quaternion``.
 
     Args:
-        method: ``linear`` or ``dual_quaternion``.
+        method: The method.
         vertices: Vertices at rest, (V, 3).
         weights: Sparse weights (V, B). Each row is scaled to a sum of one.
         dtype: Precision of the results.
@@ -146,17 +145,13 @@ def skin(vertices: FloatArray, weights: csr_matrix, transforms: FloatArray, meth
     return np.asarray(make_skinner(method, vertices, weights, np.float64)(transforms))
 
 
-@dataclass(frozen=True, init=False)
-class LinearBlend:
+class LinearBlend(SkinningFunction):
     """Linear blend skinning: ``v' = sum_b w_b T_b v`` (Blender's armature modifier).
 
     Each vertex is a linear function of the bone matrices: ``v'_i = sum_b T_b[:3] (w_ib [v_i, 1])``. So frames
     are one product of a sparse (V, 4 B) matrix, computed once, with the stacked bone matrices (4 B, 3). T may
     be any affine transform.
     """
-
-    matrix: csr_matrix
-    weights: csr_matrix
 
     def __init__(
         self, vertices: FloatArray, weights: csr_matrix, dtype: type[np.floating] = np.float32
@@ -167,12 +162,10 @@ class LinearBlend:
         data = (normalised.data[:, None] * homogeneous[rows]).astype(dtype)
         columns = (normalised.indices[:, None] * 4 + np.arange(4)).astype(np.int32)
         shape = (len(vertices), 4 * normalised.shape[1])
-        matrix = csr_matrix((data.ravel(), columns.ravel(), normalised.indptr * 4), shape=shape)
-        object.__setattr__(self, "matrix", matrix)
-        object.__setattr__(self, "weights", normalised.astype(dtype))
+        self.matrix = csr_matrix((data.ravel(), columns.ravel(), normalised.indptr * 4), shape=shape)
+        self.weights = normalised.astype(dtype)
 
     def __call__(self, transforms: FloatArray) -> FloatArray:
-        """Posed vertices (..., V, 3) from rest-to-posed transforms (..., B, 4, 4)."""
         batch, shape = _checked_transforms(transforms, self.weights.shape[1])
         vertices = np.empty((len(batch), self.matrix.shape[0], 3), dtype=self.matrix.dtype)
         for start in range(0, len(batch), _FRAMES_AT_ONCE):
@@ -185,20 +178,14 @@ class LinearBlend:
         return vertices.reshape(*shape, *vertices.shape[1:])
 
     def offsets(self, transforms: FloatArray, rest: FloatArray) -> FloatArray:
-        """Displacements (..., V, 3) of posed vertices when the vertices in the rest pose move by ``rest`` (V,
-        3)."""
-        batch, shape = _checked_transforms(transforms, self.weights.shape[1])
-        x, y, z = _checked_directions(rest, self.weights)
-        out = np.empty((len(batch), len(x), 3), dtype=self.weights.dtype)
-        for frame, one in zip(out, batch.astype(out.dtype), strict=True):
-            # matrix components first: contiguous components are faster
-            m = np.ascontiguousarray((self.weights @ one[:, :3, :3].reshape(-1, 9)).T)
-            for i in range(3):
-                frame[:, i] = m[3 * i] * x + m[3 * i + 1] * y + m[3 * i + 2] * z
-        return out.reshape(*shape, *out.shape[1:])
+        return self._carried(transforms, rest, unit=False)
 
     def directions(self, transforms: FloatArray, rest: FloatArray) -> FloatArray:
-        """Unit directions (..., V, 3) at the vertices, carried along by the blended matrices."""
+        return self._carried(transforms, rest, unit=True)
+
+    def _carried(self, transforms: FloatArray, rest: FloatArray, unit: bool) -> FloatArray:
+        """Vectors ``rest`` (V, 3), carried along by the blended matrices; divided by their lengths if they
+        shall be ``unit`` vectors."""
         batch, shape = _checked_transforms(transforms, self.weights.shape[1])
         x, y, z = _checked_directions(rest, self.weights)
         out = np.empty((len(batch), len(x), 3), dtype=self.weights.dtype)
@@ -206,27 +193,22 @@ class LinearBlend:
             # matrix components first: contiguous components are faster
             m = np.ascontiguousarray((self.weights @ one[:, :3, :3].reshape(-1, 9)).T)
             carried = [m[3 * i] * x + m[3 * i + 1] * y + m[3 * i + 2] * z for i in range(3)]
-            length = np.sqrt(carried[0] ** 2 + carried[1] ** 2 + carried[2] ** 2)
-            scale = 1 / np.maximum(length, np.finfo(out.dtype).tiny)
+            scale = out.dtype.type(1)
+            if unit:
+                length = np.sqrt(carried[0] ** 2 + carried[1] ** 2 + carried[2] ** 2)
+                scale = 1 / np.maximum(length, np.finfo(out.dtype).tiny)
             for i in range(3):
                 np.multiply(carried[i], scale, out=frame[:, i])
         return out.reshape(*shape, *out.shape[1:])
 
 
-@dataclass(frozen=True, init=False)
-class DualQuaternion:
+class DualQuaternion(SkinningFunction):
     """Dual quaternion linear blending [Kavan 2008]: bent and twisted limbs keep their thickness.
 
     T must be rigid, up to one scale that all bones of a frame share. Each bone has two quaternions, q and -q.
     A vertex takes the one nearer to that of the bone with its largest weight (the first bone, if weights are
     equal).
     """
-
-    vertices: FloatArray
-    weights: csr_matrix
-    used: NDArray[np.intp]
-    bones: int
-    pairs: NDArray[np.intp]
 
     def __init__(
         self, vertices: FloatArray, weights: csr_matrix, dtype: type[np.floating] = np.float32
@@ -239,18 +221,14 @@ class DualQuaternion:
         rows = np.repeat(np.arange(len(counts)), counts)
         heaviest_first = np.lexsort((normalised.indices, -normalised.data, rows))
         pivots = columns[heaviest_first[normalised.indptr[:-1]]]
-        columns_in_use = csr_matrix(
-            (normalised.data.astype(dtype), columns.astype(np.int32), normalised.indptr),
-            shape=(len(vertices), len(used)),
-        )
-        object.__setattr__(self, "vertices", np.ascontiguousarray(vertices.T, dtype=dtype))
-        object.__setattr__(self, "weights", columns_in_use)
-        object.__setattr__(self, "used", used)
-        object.__setattr__(self, "bones", normalised.shape[1])
-        object.__setattr__(self, "pairs", pivots[rows] * len(used) + columns)
+        entries = (normalised.data.astype(dtype), columns.astype(np.int32), normalised.indptr)
+        self.vertices: FloatArray = np.ascontiguousarray(vertices.T, dtype=dtype)
+        self.weights = csr_matrix(entries, shape=(len(vertices), len(used)))
+        self.used = used
+        self.bones: int = normalised.shape[1]
+        self.pairs = pivots[rows] * len(used) + columns
 
     def __call__(self, transforms: FloatArray) -> FloatArray:
-        """Posed vertices (..., V, 3) from rest-to-posed transforms (..., B, 4, 4)."""
         batch, shape = _checked_transforms(transforms, self.bones)
         out = np.empty((len(batch), self.vertices.shape[1], 3), dtype=self.vertices.dtype)
         quaternions, translations, sizes = self._rigid(batch)
@@ -272,15 +250,12 @@ class DualQuaternion:
         return out.reshape(*shape, *out.shape[1:])
 
     def offsets(self, transforms: FloatArray, rest: FloatArray) -> FloatArray:
-        """Displacements (..., V, 3) of posed vertices when the vertices in the rest pose move by ``rest`` (V,
-        3)."""
         batch, shape = _checked_transforms(transforms, self.bones)
         sizes = self._rigid(batch)[2].reshape(*shape, 1, 1)
         lengths = sizes * np.linalg.norm(rest, axis=1, keepdims=True)
         return (self.directions(transforms, rest) * lengths).astype(self.weights.dtype)
 
     def directions(self, transforms: FloatArray, rest: FloatArray) -> FloatArray:
-        """Unit directions (..., V, 3) at the vertices, turned by the blended quaternions."""
         batch, shape = _checked_transforms(transforms, self.bones)
         n = _checked_directions(rest, self.weights)
         n = n / np.maximum(np.sqrt((n * n).sum(axis=0)), np.finfo(n.dtype).tiny)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,8 +24,8 @@ from humansim_ros.motion.matching.file_frame import BodyLines
 from humansim_ros.motion.matching.joint_tables import JointMatch
 from humansim_ros.types import Array, Indices
 
-#: Rotations of pelvis, chest and feet that are computed from positions. In arrays, they come in this order
-#: after the rotations of all joints.
+#: Rotations of pelvis, chest and feet that are computed from positions. They come in this order after the
+#: rotations of all joints.
 LINE_ROTATIONS = ("pelvis", "chest", "l_ankle", "r_ankle")
 _LINE_OF_BONE = {
     "HumanoidRoot": "pelvis",
@@ -46,8 +47,7 @@ _OUTWARDS = 0.18
 SHORTEST_LINK = 1e-4
 
 
-@dataclass(frozen=True)
-class DrivenBones:
+class DrivenBones(NamedTuple):
     """Some bones of a level of a skeleton, and their drivers. ``places``: places of the bones in the level.
     ``bones``: indices of the bones. ``starts``, ``ends``: joints at both ends of the driving links. If the
     rotation of a joint drives a bone, ``starts`` and ``ends`` have the same joint."""
@@ -57,21 +57,9 @@ class DrivenBones:
     starts: Indices
     ends: Indices
 
-    @classmethod
-    def among(cls, bones: Indices, skeleton: Skeleton, drivers: Mapping[str, tuple[int, int]]) -> DrivenBones:
-        """Choose the bones that have drivers."""
-        rows = [
-            (place, bone, *drivers[skeleton.names[bone]])
-            for place, bone in enumerate(bones)
-            if skeleton.names[bone] in drivers
-        ]
-        return cls(*np.array(rows, dtype=np.intp).reshape(-1, 4).T)
-
-    def split(self, chosen: ArrayLike) -> tuple[DrivenBones, DrivenBones]:
-        """Split these bones: those that are not ``chosen`` (b,), and those that are."""
-        pick = np.asarray(chosen, dtype=bool)
-        every = (self.places, self.bones, self.starts, self.ends)
-        return DrivenBones(*(part[~pick] for part in every)), DrivenBones(*(part[pick] for part in every))
+    def among(self, chosen: ArrayLike) -> DrivenBones:
+        """Those of the bones that are ``chosen`` (b,)."""
+        return DrivenBones(*(part[np.asarray(chosen, dtype=bool)] for part in self))
 
 
 @dataclass(frozen=True)
@@ -81,8 +69,7 @@ class BoneDrivers:
     ``extra``: include drivers of bones that the general skeleton lacks. ``rest_links``: bone -> direction
     (3,) of its link at rest, in the axes of the bone at rest. Such a bone is not parallel to its link. It
     leaves its rest pose as the link leaves its own. ``loose``: bones that do not use the rotations of their
-    joints. Among these, pelvis, chest and feet use the last four of the joint rotations instead, named in
-    ``LINE_ROTATIONS``.
+    joints. Among these, pelvis, chest and feet use :data:`LINE_ROTATIONS` instead.
     """
 
     skeleton: Skeleton
@@ -103,10 +90,14 @@ class BoneDrivers:
 
     def _split(self, bones: Indices) -> tuple[DrivenBones, DrivenBones]:
         """Bones driven by links, and bones driven by joint rotations."""
-        return (
-            DrivenBones.among(bones, self.skeleton, self.match.parallel),
-            DrivenBones.among(bones, self.skeleton, self._joints),
+        names = [(place, bone, self.skeleton.names[bone]) for place, bone in enumerate(bones)]
+        links, joints = (
+            np.array(
+                [(place, bone, *drivers[name]) for place, bone, name in names if name in drivers], np.intp
+            )
+            for drivers in (self.match.parallel, self._joints)
         )
+        return DrivenBones(*links.reshape(-1, 4).T), DrivenBones(*joints.reshape(-1, 4).T)
 
     @cached_property
     def driven(self) -> tuple[DrivenBones, DrivenBones]:
@@ -174,14 +165,11 @@ class BoneDrivers:
         return rotations
 
     def turned(self, rotations: Array, positions: Array, turns: Array, chain: Indices) -> Array:
-        """Turn a chain of bones, and the bones that inherit rotations from the chain. Returns rotations (N,
-        B, 3, 3).
+        """Turn bones of a chain, and all bones that inherit rotations from the chain.
 
         Args:
-            rotations: Bone rotations from :meth:`transfer`, (N, B, 3, 3).
-            positions: Joint positions, (N, J, 3).
-            turns: Rotations of the chain in ``map``, (N, 3, 3).
-            chain: Numbers of its bones.
+            rotations, positions: Bones (N, B, 3, 3) and joints (N, J, 3), as in :meth:`transfer`.
+            turns, chain: Rotations (N, 3, 3) in ``map``, and numbers of the bones that they turn.
         """
         rotations = rotations.copy()
         rotations[:, chain] = turns[:, None] @ rotations[:, chain]
@@ -201,18 +189,15 @@ class BoneDrivers:
 
     @cached_property
     def _transferred(self) -> tuple[DrivenBones, DrivenBones, list[tuple[Indices, DrivenBones]]]:
-        """Return three groups of bones: with the rotation of their joint and a link, with the rotation only,
-        and the rest. The bones of the rest inherit their rotation. They are listed for each level of the
-        skeleton, together with those of them that have a link."""
+        """Bones with the rotation of their joint and a link; bones with the rotation only; and, for each
+        level of the skeleton, bones that inherit their rotation, and those of them that have a link."""
         links, joints = self.driven
-        links, loose = links.split([self.skeleton.names[bone] in self.loose for bone in links.bones])
+        is_loose = np.array([self.skeleton.names[bone] in self.loose for bone in links.bones], dtype=bool)
+        links, loose = links.among(~is_loose), links.among(is_loose)
         others = np.setdiff1d(np.arange(len(self.skeleton)), [*links.bones, *joints.bones])
         levels = (np.intersect1d(level, others) for level in self.skeleton.levels)
-        return (
-            links,
-            joints,
-            [(level, loose.split(np.isin(loose.bones, level))[1]) for level in levels if len(level)],
-        )
+        inheriting = [(level, loose.among(np.isin(loose.bones, level))) for level in levels if len(level)]
+        return links, joints, inheriting
 
     @cached_property
     def _leaving_rest(self) -> Indices:
@@ -223,15 +208,12 @@ class BoneDrivers:
     def _along_links(self, rotations: Array, bones: Indices) -> Array:
         """Rotations (N, b, 3, 3) that make bones parallel to their links at rest. Only bones that differ
         change."""
-        return (
-            rotations
-            if self._from_links is None
-            else rotations @ np.swapaxes(self._from_links[bones], -1, -2)
-        )
+        if self._from_links is None:
+            return rotations
+        return np.asarray(rotations @ np.swapaxes(self._from_links[bones], -1, -2))
 
     def _onto_links(self, rotations: Array, positions: Array, driven: DrivenBones) -> Array:
-        """Rotate bones (N, b, 3, 3) that are parallel to their links at rest onto the links, by the shortest
-        way."""
+        """Rotate bones (N, b, 3, 3), parallel to their links at rest, onto the links by the shortest way."""
         swung = swing_onto(rotations, link_vectors(positions, driven.starts, driven.ends))
         return swung if self._from_links is None else swung @ self._from_links[driven.bones]
 
@@ -252,8 +234,8 @@ def link_vectors(positions: Array, starts: Indices, ends: Indices) -> Array:
 
 
 def swing_onto(rotations: Array, links: Array) -> Array:
-    """Rotate bones (N, b, 3, 3), then turn their +y axes onto links (N, b, 3) by the shortest rotation. A
-    link without length changes nothing."""
+    """Turn the +y axes of bones (N, b, 3, 3) onto links (N, b, 3) by the shortest rotation. A link without
+    length changes nothing."""
     length = np.linalg.norm(links, axis=-1, keepdims=True)
     in_bone = rotate(np.swapaxes(rotations, -1, -2), links) / np.maximum(length, 1e-12)
     goal = np.where(length < SHORTEST_LINK, [0.0, 1.0, 0.0], in_bone)
@@ -281,14 +263,11 @@ def loose_bones(poses: JointPoses, match: JointMatch, standing: bool) -> tuple[s
     """Find bones with a driving joint that does not rotate as the lines between the joints do.
 
     The rotation of such a joint does not describe the body. Examples are hips that a neural network predicts
-    independently, and a root that does not move. For comparison: the line between the hip joints turns
-    rigidly with the hips. The line between the shoulders turns with chest and spine, within some degrees. The
-    links of limbs turn with their joints.
+    independently, and a root that does not move. Usually, the line between the hip joints turns rigidly with
+    the hips. The line between the shoulders turns with chest and spine, within some degrees. The links of
+    limbs turn with their joints.
 
-    Args:
-        poses: Joint poses.
-        match: Joints that drive bones.
-        standing: Whether the rotations count from a rest pose that stands and faces +x.
+    ``standing``: whether the rotations count from a rest pose that stands and faces +x.
     """
     roles = match.roles
     back = np.swapaxes(quaternion_to_matrix(poses.rotations), -1, -2)
@@ -296,21 +275,17 @@ def loose_bones(poses: JointPoses, match: JointMatch, standing: bool) -> tuple[s
     left = np.array([0.0, 1.0, 0.0]) if standing else None
 
     def deviates(joint: int, line: Array, most: float, rest: Array | None = None, share: float = 0.5) -> bool:
-        """Whether lines differ much from their direction at rest.
-
-        Args:
-            joint: Joint. The lines are compared in its axes.
-            line: Lines, (N, 3) metres in ``map``.
-            most: Largest angle that does not count as a difference, degrees.
-            rest: Direction at rest, (3,) in the axes of the joint. If None, the mean direction.
-            share: Share of the lines that must differ, 0 to 1.
-        """
+        """Whether a ``share`` of lines (N, 3) in ``map`` differs by more than ``most`` degrees from ``rest``
+        (3,), in the axes of a joint. If ``rest`` is None, from their mean direction."""
         known = np.linalg.norm(line, axis=-1) > SHORTEST_LINK
         inside = rotate(back[known, joint], unit_vectors(line[known]))
         if not len(inside):
             return False
         angles = angle_between(inside, inside.mean(0) if rest is None else rest)
         return bool(np.quantile(angles, 1 - share) > np.radians(most))
+
+    def link_deviates(start: int, end: int) -> bool:
+        return deviates(start, poses.positions[:, end] - poses.positions[:, start], _FLEXIBLE)
 
     joints = set()
     for role, line, most, share in (
@@ -324,27 +299,20 @@ def loose_bones(poses: JointPoses, match: JointMatch, standing: bool) -> tuple[s
             joints.add(roles[role])
     for side in ("Left", "Right"):
         ankle, toe = roles.get(f"{side}Ankle"), roles.get(f"{side}Toe")
-        if ankle is None or toe is None:
-            continue
-        if deviates(ankle, poses.positions[:, toe] - poses.positions[:, ankle], _FLEXIBLE):
+        if ankle is not None and toe is not None and link_deviates(ankle, toe):
             joints.add(ankle)
-    links = {
-        bone: (start, poses.positions[:, end] - poses.positions[:, start])
-        for bone, (start, end) in match.parallel.items()
-    }
     loose = [bone for bone, joint in match.difference.items() if joint in joints]
     return (
         *loose,
         # toes also count if their foot has a joint that does not rotate as the foot does
         *(toes for bone, toes in _TOES.items() if bone in loose and toes in match.extra),
-        *(bone for bone, (start, link) in links.items() if deviates(start, link, _FLEXIBLE)),
+        *(bone for bone, link in match.parallel.items() if link_deviates(*link)),
     )
 
 
 def line_rotations(poses: JointPoses, match: JointMatch) -> Array:
-    """Compute rotations from rest (N, 4, 3, 3) of pelvis, chest, left foot and right foot from joint
-    positions. The pelvis follows hips and trunk, the chest follows shoulders and trunk, and a foot follows
-    its shin."""
+    """Rotations from rest (N, 4, 3, 3) of :data:`LINE_ROTATIONS`, from joint positions. The pelvis follows
+    hips and trunk, the chest follows shoulders and trunk, and a foot follows its shin."""
     lines = BodyLines.of(poses.positions, match.roles)
     pelvis, chest = (lines.axes(left) @ WORLD_FROM_BODY.T for left in (lines.hips, lines.shoulders))
     feet = []

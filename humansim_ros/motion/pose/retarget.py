@@ -67,9 +67,8 @@ _HINGES = (
 
 
 def link_directions_at_rest(poses: JointPoses, match: JointMatch) -> Array:
-    """Directions (P, 3) of the links of ``match.parallel`` at joint rotation zero. A link without length has
-    the direction zero. A link rotates with its start joint, so every pose measures the direction. The mean
-    over all poses is used."""
+    """Mean directions (P, 3) of the links of ``match.parallel`` at joint rotation zero; zero for a link
+    without length. A link rotates with its start joint, so every pose measures the direction."""
     starts, ends = np.array(list(match.parallel.values())).T
     links = link_vectors(poses.positions, starts, ends)
     length = np.linalg.norm(links, axis=-1, keepdims=True)
@@ -128,38 +127,35 @@ def rest_from_first_pose(drivers: BoneDrivers, poses: JointPoses) -> Array:
     rotations = quaternion_to_matrix(poses.rotations[0])
     rest = WORLD_FROM_BODY @ skeleton.rest[:, :3, :3]
     for driven in drivers.driven:
-        _, of_joints = driven.split(driven.starts >= 0)
+        of_joints = driven.among(driven.starts >= 0)
         rest[of_joints.bones] = np.swapaxes(rotations[of_joints.starts], -1, -2) @ posed[of_joints.bones]
     return np.asarray(rest)
 
 
 def collar_links(
-    skeleton: Skeleton, directions: Mapping[str, Array]
+    skeleton: Skeleton, poses: JointPoses, match: JointMatch, loose: Collection[str]
 ) -> dict[str, tuple[float, float, float]]:
-    """Directions of the links of the collars at rest, in the axes of the bones at rest.
+    """Directions of the links of the collars at joint rotation zero, in the axes of the bones at rest.
 
-    ``directions``: bone -> direction (3,) of its link at rest, in a body that faces +x.
+    Args:
+        skeleton, poses, match: Skeleton that is posed, joint poses, and joints that drive the bones.
+        loose: Bones with the mean direction of their links relative to the chest.
     """
-    out = {}
-    for bone in COLLARS:
-        if bone in directions and np.linalg.norm(directions[bone]) > 0:
-            at_rest = WORLD_FROM_BODY @ skeleton.rest[skeleton.bone(bone), :3, :3]
-            x, y, z = (at_rest.T @ directions[bone]).tolist()
-            out[bone] = (x, y, z)
-    return out
-
-
-def collar_directions(poses: JointPoses, match: JointMatch, loose: Collection[str]) -> dict[str, Array]:
-    """Directions (3,) of the links of the collars at joint rotation zero, in a body that faces +x. For
-    ``loose`` bones, the mean directions relative to the chest are used."""
     chest = line_rotations(poses, match)[:, LINE_ROTATIONS.index("chest")]
     at_zero = dict(zip(match.parallel, link_directions_at_rest(poses, match), strict=True))
     out = {}
-    for bone in set(COLLARS) & at_zero.keys():
-        start, end = match.parallel[bone]
-        link = unit_vectors(poses.positions[:, end] - poses.positions[:, start])
-        from_chest = unit_vectors(rotate(np.swapaxes(chest, -1, -2), link).mean(0))
-        out[bone] = from_chest if bone in loose else at_zero[bone]
+    for bone in COLLARS:
+        if bone not in at_zero:
+            continue
+        direction = at_zero[bone]
+        if bone in loose:
+            start, end = match.parallel[bone]
+            link = unit_vectors(poses.positions[:, end] - poses.positions[:, start])
+            direction = unit_vectors(rotate(np.swapaxes(chest, -1, -2), link).mean(0))
+        if direction.any():
+            at_rest = WORLD_FROM_BODY @ skeleton.rest[skeleton.bone(bone), :3, :3]
+            x, y, z = (at_rest.T @ direction).tolist()
+            out[bone] = (x, y, z)
     return out
 
 
@@ -198,10 +194,8 @@ def align_trunk(drivers: BoneDrivers, rest: Array, poses: JointPoses, posed: Arr
     such a small difference. A larger difference is the posture of the person, so it is corrected.
 
     Args:
-        drivers: Drivers of the bones.
-        rest: Bone axes (B, 3, 3) at joint rotation zero.
-        poses: Joint poses at N times.
-        posed: Bone frames (N, B, 4, 4) of these poses with ``rest``.
+        drivers, rest: Drivers of the bones, and bone axes (B, 3, 3) at joint rotation zero.
+        poses, posed: Joint poses at N times, and bone frames (N, B, 4, 4) of these poses with ``rest``.
     """
     skeleton, match = drivers.skeleton, drivers.match
     joint = match.difference.get("vl5")
@@ -224,12 +218,8 @@ def trunk_turns(trunks: Array, spines: Array, goals: Array) -> Array:
     """Rotations (N, 3, 3) of the spine, so that the trunk differs from a goal by the tolerance at most.
 
     This is needed for deep bends: if there are few links between hips and shoulders, the joints bend at other
-    heights than the bones.
-
-    Args:
-        trunks: Vectors from the middle of the hips to the middle of the shoulders, (N, 3).
-        spines: The part of the trunk that rotates, (N, 3).
-        goals: The same vectors for the joints, (N, 3).
+    heights than the bones. ``trunks``: (N, 3) from the middle of the hips to the middle of the shoulders.
+    ``spines``: (N, 3) the part of the trunk that rotates. ``goals``: (N, 3) trunks of the joints.
     """
     ours, theirs = unit_vectors(trunks), unit_vectors(goals)
     excess = np.maximum(angle_between(ours, theirs) - np.radians(_TRUNK_TOLERANCE), 0.0)
@@ -320,9 +310,9 @@ class Retargeter:
         origin: Fixed point (x, y) of the scale on the floor, metres.
         lift: Metres by which the body is raised.
         mode: ``full``: a bone takes the whole rotation of its joint, twist included, from a rest pose that
-            both skeletons share, and is then rotated to be parallel to its link. ``thesis``: a bone with a
-            link is rotated onto it by the shortest way from the rotation that it inherits (swing only); other
-            bones take the rotation of their joint [thesis §7.2].
+            both skeletons share. It is then rotated to be parallel to its link. ``thesis``: a bone with a
+            link is rotated onto the link by the shortest way from the rotation that it inherits (swing only).
+            Other bones take the rotation of their joint [thesis §7.2].
         rest: (B, 3, 3) axes of the bones at joint rotation zero, for ``full``.
         positions_only: Whether to ignore the rotations of the joints.
         clamp: Whether to keep joints within their limits (docs/limits.md).
@@ -362,7 +352,6 @@ class Retargeter:
             mode: Whole rotations (``full``), or swing only (``thesis``).
             root_scale: Measure of the scale, or the scale itself. If None, ``legs``, since feet then slide
                 least. In mode ``thesis``, ``height``.
-
             clamp: Whether to keep joints within their limits.
         """
         if root_scale is None:
@@ -380,10 +369,9 @@ class Retargeter:
             drivers = BoneDrivers(skeleton, match, loose=loose)
             rest = shared_rest(drivers, poses)
             if not motion.frame.offsets_stand:
-                # the twist is unknown if the rest pose is a frame of the motion, so hinges and feet measure
-                # the twist
+                # if the rest pose is a frame of the motion, hinges and feet measure the unknown twist
                 rest = align_feet(drivers, align_hinges(drivers, rest, poses), poses)
-            links = collar_links(skeleton, collar_directions(poses, match, loose))
+            links = collar_links(skeleton, poses, match, loose)
             fitted = replace(fitted, rest=rest, loose=loose, rest_links=links)
             rest = align_trunk(fitted._drivers, rest, poses, fitted.pose(poses))
             fitted = fitted._with(rest=rest)
@@ -393,10 +381,10 @@ class Retargeter:
     def fit_live(cls, poses: JointPoses, match: JointMatch, skeleton: Skeleton) -> Retargeter:
         """Fit to some poses (N >= 1) of a live source, with the floor at z = 0.
 
-        Rotations may be relative to a standing rest pose that faces +x, as from the motion player. They may
-        also be relative to any constant rest pose, which the first pose then shows. If all rotations are zero
-        or the same, bones follow only their links, and the trunk follows hips and shoulders. The scale is the
-        ratio of the lengths of the legs, about the origin of ``map``.
+        Rotations are relative to a standing rest pose that faces +x, as from the motion player, or to any
+        constant rest pose, which the first pose then shows. If all rotations are the same, bones follow only
+        their links, and the trunk follows hips and shoulders. The scale is the ratio of the lengths of the
+        legs, about the origin of ``map``.
 
         Raises:
             MotionError: The legs have no length.
@@ -409,24 +397,22 @@ class Retargeter:
             drivers = BoneDrivers(skeleton, match, loose=loose)
             rest = (shared_rest if standing else rest_from_first_pose)(drivers, poses)
             fitted = cls(skeleton, match, scale, mode="full", rest=rest, loose=loose)
-            links = collar_directions(poses, match, loose if standing else COLLARS)
         else:
+            standing, loose = False, ()
             fitted = cls(skeleton, match, scale, positions_only=True)
-            links = collar_directions(poses, match, COLLARS)
-        fitted = replace(fitted, rest_links=collar_links(skeleton, links))
+        links = collar_links(skeleton, poses, match, loose if standing else COLLARS)
+        fitted = replace(fitted, rest_links=links)
         lowest = sole_heights(skeleton, fitted.pose(poses)).min(-1)
         # a person who jumps in the first pose is in the air, not on the floor
         above = np.maximum(poses.positions[..., 2].min(-1) - _LOWEST_JOINT, 0.0)
         return fitted._with(lift=-floor_height(lowest - scale * above))
 
     def placed_about(self, x: float, y: float) -> Retargeter:
-        """Return the same retargeter with another point of the floor about which it scales the movement of
-        the root."""
+        """The same retargeter, which scales the movement of the root about another point of the floor."""
         return self._with(origin=(float(x), float(y)))
 
     def _with(self, **changes: Any) -> Retargeter:
-        """Return the same retargeter with changes that do not concern its drivers, so that these need not be
-        built again."""
+        """The same retargeter with changes that do not concern its drivers, which are not built again."""
         changed = replace(self, **changes)
         for name in ("_drivers", "_limits", "_free_fingers"):
             if name in self.__dict__:
@@ -489,7 +475,7 @@ class Retargeter:
 
     def _solve(self, poses: JointPoses, hands: Mapping[str, Array]) -> tuple[Array, Array, Array]:
         """Rotations (N, B, 3, 3) and heads (N, B, 3) of the bones, in ``map`` axes, before the body is
-        placed. The third value is the translation (N, 3) that places the body."""
+        placed; and the translation (N, 3) that places the body."""
         joint_rotations = quaternion_to_matrix(poses.rotations)
         if self._drivers.loose:
             joint_rotations = np.append(joint_rotations, line_rotations(poses, self.match), axis=1)
@@ -516,8 +502,7 @@ class Retargeter:
         return heads
 
     def _with_trunk(self, rotations: Array, heads: Array, poses: JointPoses) -> tuple[Array, Array]:
-        """Correct rotations (N, B, 3, 3) and heads (N, B, 3), so that the spine follows the trunk of the
-        joints."""
+        """Correct rotations (N, B, 3, 3) and heads (N, B, 3): the spine follows the trunk of the joints."""
         if not {"LeftShoulder", "RightShoulder"} <= self.match.roles.keys():
             return rotations, heads
         ours = BodyLines.of_body(transform(rotations, heads), self.skeleton)
@@ -566,8 +551,7 @@ class Retargeter:
 
 
 def skeleton_ankle_to_head(skeleton: Skeleton) -> float:
-    """Ankle-to-head height of a skeleton along its bones, metres. It is compared with the height of a
-    motion."""
+    """Ankle-to-head height of a skeleton along its bones, metres."""
 
     def lengths(*names: str) -> float:
         return float(sum(skeleton.lengths[skeleton.bone(name)] for name in names))
@@ -591,8 +575,8 @@ def _root_scale(
 
 
 def _leg_scale(poses: JointPoses, match: JointMatch, skeleton: Skeleton) -> float:
-    """Ratio of the leg lengths of the skeleton and of the joints (median over the poses). Legs go from hip to
-    ankle. If the ankle is unknown, they go to the knee."""
+    """Ratio of the leg lengths of the skeleton and of the joints (median over the poses), from hip to ankle,
+    or to the knee if the ankle is unknown."""
     bones, links = 0.0, np.zeros(len(poses.positions))
     for side, prefix in (("Left", "l"), ("Right", "r")):
         for start, end, bone in (("Hip", "Knee", "hip"), ("Knee", "Ankle", "knee")):

@@ -18,7 +18,6 @@ from humansim_ros.geometry import (
     matrix_to_quaternion,
     multiply_quaternions,
     normalised,
-    quaternion_to_matrix,
     slerp,
     smooth_step,
     unit_vectors,
@@ -94,8 +93,7 @@ def leading_rest(motion: Motion, jumps: Sequence[Jump]) -> int:
 
 
 def steady_frames(motion: Motion, jumps: Sequence[Jump]) -> NDArray[np.bool_]:
-    """Whether each frame (F,) shows where the person is. Rest frames at the start and errors of the recording
-    do not."""
+    """Whether each frame (F,) shows where the person is: no rest frame at the start, no recording error."""
     steady = np.ones(motion.n_frames, dtype=bool)
     if not jumps:
         return steady
@@ -121,8 +119,7 @@ class Placement:
     """Place of a motion in ``map``: its anchor is at ``position`` (x, y), rotated by ``yaw`` radians.
 
     ``anchor``: ``start`` is the root in the first frame, ``center`` the middle of the ground that the motion
-    covers, ``file`` the origin of the file. Rest frames at the start and wrong frames between jumps do not
-    count.
+    covers, ``file`` the origin of the file. Only steady frames count.
     """
 
     position: tuple[float, float] = (0.0, 0.0)
@@ -226,26 +223,24 @@ class WorldMotion:
         return np.maximum(np.arange(first, max(first, last) + 1) * step - self.start, 0.0)
 
     def file_times(self, times: ArrayLike, file_offset: float = 0.0) -> Array:
-        """Seconds of the file (N,) that are played until the times, over all cycles. ``file_offset`` is
-        added."""
+        """Seconds of the file (N,) that are played until the times, over all cycles, plus ``file_offset``."""
         return np.atleast_1d(np.asarray(times, dtype=float)) * self.speed + file_offset
 
     def phases(self, times: ArrayLike, file_offset: float = 0.0) -> Array:
-        """Seconds (N,) in the file that play at times (N,). ``file_offset`` is added."""
+        """Seconds (N,) in the file that play at times (N,)."""
         t = self.file_times(times, file_offset)
         return self.start + np.clip(t - self._cycles(t) * self.cycle_length, 0.0, self.cycle_length)
 
     def sample(self, times: ArrayLike, file_offset: float = 0.0) -> JointPoses:
         """Poses at N times in seconds. Rotations are interpolated between frames (slerp), then come forward
-        kinematics. ``file_offset``: seconds of the file that are added to all times. With an offset, a motion
-        can change its speed and go on from the same pose."""
+        kinematics. ``file_offset``: seconds of the file that are added to all times, so that a motion can
+        change its speed and go on from the same pose."""
         t = self.file_times(times, file_offset)
         return self._sample(t, self._cycles(t))
 
     def sample_with_velocities(self, times: ArrayLike, file_offset: float = 0.0) -> JointPoses:
         """Do the same as :meth:`sample`, with velocities. These are central differences over two
-        milliseconds. The differences do not cross a jump to the start of the motion. If the motion does not
-        loop, they do not cross its end."""
+        milliseconds. They cross neither a jump to the start of the motion nor the end of its last cycle."""
         t = self.file_times(times, file_offset)
         cycles = self._cycles(t)
         step = VELOCITY_STEP * max(self.speed, 1e-6)
@@ -260,9 +255,7 @@ class WorldMotion:
             all_cycles = np.tile(cycles, 3)
         poses = self._sample(np.concatenate([early, t, late]), all_cycles)
         seconds = np.maximum(late - early, 1e-12)[:, None, None]
-        places, turns = (
-            part.reshape(3, len(t), -1, part.shape[-1]) for part in (poses.positions, poses.rotations)
-        )
+        places, turns = poses.positions.reshape(3, len(t), -1, 3), poses.rotations.reshape(3, len(t), -1, 4)
         return JointPoses.with_velocities(self.names, places, turns, seconds, self.speed)
 
     def cycle_rotations(self, cycles: Array) -> Array:
@@ -372,7 +365,7 @@ class WorldMotion:
 
     def _to_map(self, translations: Array, rotations: Array) -> tuple[Array, Array]:
         """Positions (N, J, 3) in ``map`` and rotations from rest (N, J, 3, 3) of local poses."""
-        world = self.motion.compose_world(translations, quaternion_to_matrix(rotations))
+        world = self.motion.compose_world(translations, rotations)
         positions = world[..., :3, 3] @ (self.frame.unit * self._map_from_file).T + self._translation
         from_rest = self._map_from_file @ world[..., :3, :3] @ self.frame.rest_from_body @ WORLD_FROM_BODY.T
         return positions, from_rest
@@ -445,8 +438,7 @@ def to_world(
 
 def floor_height(lowest: Array) -> float:
     """Height of the floor under a motion, from the height of its lowest point in each frame (F,). In most
-    frames a foot is on the floor. There are only few frames in which toes dip below the floor at push-off, or
-    in which the person jumps."""
+    frames a foot is on the floor. Toes dip below it at push-off, or the person jumps, in few frames only."""
     return float(np.percentile(lowest, 33))
 
 
@@ -485,8 +477,8 @@ def playing_warnings(world: WorldMotion) -> list[str]:
 
 
 def posture_warnings(world: WorldMotion, poses: JointPoses) -> list[str]:
-    """Warn if the file seems damaged or its up axis seems wrong. This is so if in most frames a knee bends
-    backwards or the trunk is horizontal."""
+    """Warn if the file seems damaged or its up axis wrong: in most frames a knee bends backwards, or the
+    trunk is horizontal."""
     roles, points = world.match.roles, poses.positions
     hips = (points[:, roles["LeftHip"]] + points[:, roles["RightHip"]]) / 2
     across = points[:, roles["LeftHip"]] - points[:, roles["RightHip"]]
@@ -514,13 +506,7 @@ def posture_warnings(world: WorldMotion, poses: JointPoses) -> list[str]:
 
 def _in_front(knee: Array, hip: Array, ankle: Array, across: Array) -> Array:
     """How far (F,) knees are in front of the line from hip to ankle, as a share of the length of this line.
-
-    Args:
-        knee: Positions of the knees, (F, 3).
-        hip: Positions of the hips, (F, 3).
-        ankle: Positions of the ankles, (F, 3).
-        across: Directions from the right to the left of the body, (F, 3).
-    """
+    All are (F, 3). ``across``: directions from the right to the left of the body."""
     line = hip - ankle
     length = np.maximum(np.linalg.norm(line, axis=1), 1e-9)
     forward = unit_vectors(np.cross(across, line))

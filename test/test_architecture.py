@@ -191,3 +191,14 @@ def test_old_public_folders_lead_to_new_names(folder: str) -> None:
             value = getattr(old, name)
         new = str(found[0].message).split(" is now ")[1].split(";")[0].rpartition(".")[0]
         assert getattr(import_module(new), name) is value and new not in house_map.ALIASES
+
+
+def test_contributing_names_things_that_exist() -> None:
+    text = (ROOT / "CONTRIBUTING.md").read_text()
+    things = re.findall(r"`(\w+)`,?\s+of\s+`(\w+/\w+)`", text)
+    assert len(things) > 20
+    for name, folder in things:
+        sources = "".join(path.read_text() for path in (PACKAGE / folder).rglob("*.py"))
+        assert re.search(rf"(?m)^\s*(class |def )?{name}\b", sources), f"{name} of {folder}"
+    paths = re.findall(r"`((?:config|docs|test|tools)/[\w/]+\.\w+)`", text)
+    assert [path for path in paths if not (ROOT / path).exists()] == []

@@ -25,7 +25,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import MultiDOFJointState
 
 from humansim_ros import HumansimError, Scene
-from humansim_ros.messages import header, to_nanoseconds
+from humansim_ros.data import messages
 
 try:
     from geometry_msgs.msg import TransformStamped
@@ -118,7 +118,7 @@ class World:
 
     def odometry(self, stamp: int) -> Odometry:
         """Pose and velocity of the robot, in the frame of its start."""
-        message = Odometry(header=header(stamp, "odom"), child_frame_id="base_link")
+        message = Odometry(header=messages.header(stamp, "odom"), child_frame_id="base_link")
         free = self.data.joint("mujoco_free")
         start, turn = np.zeros(3), np.zeros(4)
         mujoco.mju_negPose(start, turn, self.start, self.turn)
@@ -157,7 +157,7 @@ class MujocoRobot(Node):
     def on_joints(self, person: str, message: MultiDOFJointState) -> None:
         """Go on when all people have the stamp of a new frame; a frame that comes again is answered again."""
         self.joints[person] = message
-        stamps = {to_nanoseconds(each.header.stamp) for each in self.joints.values()}
+        stamps = {messages.to_nanoseconds(each.header.stamp) for each in self.joints.values()}
         if len(self.joints) < len(self.scene.actors) or len(stamps) > 1:
             return
         if (stamp := stamps.pop()) > self.stamp:

@@ -24,7 +24,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import MultiDOFJointState, PointCloud2
 from std_msgs.msg import Float64MultiArray, String
 
-from humansim_ros.messages import read_joint_view
+from humansim_ros.data import messages
 
 VISIBLE = 2
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -81,7 +81,7 @@ class Tracker(Node):
 
     def on_pixels(self, camera: str, message: PointCloud2) -> None:
         self.sending.add(camera)
-        points = read_joint_view(message)
+        points = messages.read_joint_view(message)
         points = points[points["human"] == self.label]
         pixels = np.stack([points["u"], points["v"]], axis=1)
         pixels[points["visible"] != VISIBLE] = np.nan

@@ -22,7 +22,7 @@ from scipy.optimize import linear_sum_assignment
 from tracking import Detections, Person, Settings, Tracker
 
 from humansim_ros import Scene, Simulation
-from humansim_ros.truth import VISIBLE
+from humansim_ros.scene import VISIBLE
 
 Array = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ import numpy as np
 from detectors import Array, Faults
 from sensor_msgs.msg import Image
 
-from humansim_ros.keypoints import keypoint_set
+from humansim_ros.people import keypoint_set
 
 #: Least visibility, as MediaPipe says it, of a joint that counts as found.
 MIN_VISIBILITY = 0.5

@@ -13,8 +13,8 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
 
 from humansim_ros import HumansimError
-from humansim_ros.messages import read_joint_view, to_nanoseconds
-from humansim_ros.truth import VISIBLE
+from humansim_ros.data import messages
+from humansim_ros.scene import VISIBLE
 
 LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 
@@ -54,7 +54,7 @@ class TruthDetector:
 
     def detect(self, camera: str, message: PointCloud2, size: tuple[int, int]) -> Array:
         try:
-            points = read_joint_view(message)
+            points = messages.read_joint_view(message)
         except HumansimError as error:
             raise ValueError(str(error)) from None
         people = []
@@ -66,4 +66,4 @@ class TruthDetector:
             pixels = np.full((len(self._names), 2), np.nan)
             pixels[np.array(indices, dtype=int)[own["joint"]]] = np.column_stack([own["u"], own["v"]])
             people.append(pixels)
-        return noisy_people(people, size, self._faults, camera, to_nanoseconds(message.header.stamp))
+        return noisy_people(people, size, self._faults, camera, messages.to_nanoseconds(message.header.stamp))

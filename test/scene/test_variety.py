@@ -21,7 +21,7 @@ from humansim_ros.scene import Finding, Scene, Simulation, check_scene
 from humansim_ros.scene.config.config import HumanConfig, load_config
 from humansim_ros.scene.core.draft import Draft
 from humansim_ros.scene.core.source import SceneSource
-from humansim_ros.scene.features.room import furnished_room, furniture_plan
+from humansim_ros.scene.features.room.meshes import furnished_room, furniture_plan
 from humansim_ros.scene.features.variety.feature import FEATURE
 
 CAMERA = {"eye": {"size": [160, 120], "position": [3.2, 2.9, 2.2], "look_at": [0, 0, 1]}}

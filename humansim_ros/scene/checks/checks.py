@@ -17,9 +17,9 @@ from humansim_ros.scene.checks.camera_checks import (
     cpu_ms,
     has_gpu,
 )
+from humansim_ros.scene.core.features import features_of
 from humansim_ros.scene.core.findings import Finding, Obstacle, SceneSamples, motion_key, numbers
 from humansim_ros.scene.core.scene import Scene
-from humansim_ros.scene.features.protocol import features_of
 from humansim_ros.types import Array
 
 #: Seconds between two times, most poses and most humans of a complete check and of a quick one.

@@ -36,7 +36,7 @@ from humansim_ros.scene.config.about_config import AboutConfig
 from humansim_ros.scene.config.adapter_config import AdaptersConfig, HriConfig
 from humansim_ros.scene.config.camera_config import Bounded, BoundedVector3, CameraConfig, RigConfig, Vector3
 from humansim_ros.scene.features.crowd.keys import CrowdConfig
-from humansim_ros.scene.features.face_keys import FaceKey
+from humansim_ros.scene.features.face.keys import FaceKey
 from humansim_ros.scene.features.held.keys import HoldConfig
 from humansim_ros.scene.features.robot.keys import ROBOT, RobotConfig
 from humansim_ros.scene.features.scanners.keys import ScannerConfig

@@ -56,7 +56,7 @@ from humansim_ros.scene.config.config import LIVE, HumanConfig, MotionConfig
 from humansim_ros.scene.core.human_state import HumanState
 from humansim_ros.scene.core.layers import BodyPoses, PoseLayer, layers_of
 from humansim_ros.scene.core.source import STANDING, SceneSource
-from humansim_ros.scene.features.face_tracks import Face, GazeTarget
+from humansim_ros.scene.features.face.tracks import Face, GazeTarget
 from humansim_ros.types import Array
 
 _NO_HANDS_MOVE = "moves nothing: the body has no fingers, or the motion moves them all"

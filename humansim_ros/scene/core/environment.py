@@ -30,7 +30,7 @@ from humansim_ros.render.interface import Backdrop, Lighting, tone_mapped
 from humansim_ros.scene.config.config import LightConfig, RoomConfig, SceneConfig, WorldMeshConfig
 from humansim_ros.scene.core.randomise import random_light
 from humansim_ros.scene.core.source import SceneSource
-from humansim_ros.scene.features.room import furnished_room
+from humansim_ros.scene.features.room.meshes import furnished_room
 
 #: Sizes in metres beyond which the unit of a mesh file is probably wrong.
 _LARGE, _SMALL = 1000.0, 0.02

@@ -17,7 +17,7 @@ from humansim_ros.scene.config.config import SceneConfig
 from humansim_ros.scene.core.actor import Actor
 from humansim_ros.scene.core.draft import Draft
 from humansim_ros.scene.core.seats import Sitting, find_sittings, seat_footprint
-from humansim_ros.scene.features.room import furniture_plan
+from humansim_ros.scene.features.room.meshes import furniture_plan
 from humansim_ros.types import Array
 
 #: Seconds between two poses of a footprint, and most poses of a footprint.

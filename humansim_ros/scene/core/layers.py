@@ -10,7 +10,7 @@ from humansim_ros.motion.body import JointPoses, Rated
 from humansim_ros.motion.files import KeyframeSpace
 from humansim_ros.motion.pose import PoseStage, SceneQuery
 from humansim_ros.people.humans import Human
-from humansim_ros.scene.features.face_tracks import Looker
+from humansim_ros.scene.features.face.tracks import Looker
 from humansim_ros.types import Array
 
 #: Features with a layer, in the order of their stages.

@@ -28,14 +28,14 @@ from humansim_ros.scene.core.actor import Actor
 from humansim_ros.scene.core.camera import SceneCamera
 from humansim_ros.scene.core.draft import Draft
 from humansim_ros.scene.core.environment import Environment
+from humansim_ros.scene.core.features import features_of
 from humansim_ros.scene.core.names import check_node_names
 from humansim_ros.scene.core.objects import SceneObject
 from humansim_ros.scene.core.randomise import random_looks
 from humansim_ros.scene.core.source import SceneSource, name_objects
 from humansim_ros.scene.core.world import World
-from humansim_ros.scene.features.faces import with_faces
-from humansim_ros.scene.features.protocol import features_of
-from humansim_ros.scene.features.reaching import with_reaches
+from humansim_ros.scene.features.face.feature import with_faces
+from humansim_ros.scene.features.reach.feature import with_reaches
 from humansim_ros.scene.features.robot.robot import Robot
 from humansim_ros.scene.features.scanners.scanner import SceneScanner
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.motion.pose import true_runs
 from humansim_ros.scene.config.config import SceneConfig
-from humansim_ros.scene.features.room import furniture_tops
+from humansim_ros.scene.features.room.meshes import furniture_tops
 from humansim_ros.types import Array
 
 #: Masses of trunk with head and arms, of both thighs, and of both shins with feet [Winter 2009, table 4.1].

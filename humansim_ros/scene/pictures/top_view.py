@@ -128,7 +128,7 @@ def _outlines(scene: Scene, seconds: float) -> Iterator[Array]:
     """Outlines (N, 2) of furniture and objects."""
     square = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) / 2
     if scene.environment.room is not None:
-        from humansim_ros.scene.features.room import furniture_plan
+        from humansim_ros.scene.features.room.meshes import furniture_plan
 
         for center, size in furniture_plan(scene.environment.room.size[:2]).values():
             yield center + square * size

@@ -10,7 +10,7 @@ from humansim_ros.motion.body import JointPoses, Rated, swing_at_rest
 from humansim_ros.motion.pose import PoseStage
 from humansim_ros.people.humans import Human
 from humansim_ros.scene.core.layers import BodyPoses, Owner, PoseLayer
-from humansim_ros.scene.features.loose_swing import LOOSE_JOINT, LooseSwing, check_swing, swing_joints
+from humansim_ros.scene.features.cloth.swing import LOOSE_JOINT, LooseSwing, check_swing, swing_joints
 from humansim_ros.types import Array
 
 

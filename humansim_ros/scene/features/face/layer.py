@@ -21,7 +21,7 @@ from humansim_ros.motion.body import (
 from humansim_ros.motion.pose import PoseStage
 from humansim_ros.people.humans import Human
 from humansim_ros.scene.core.layers import BodyPoses, Owner, PoseLayer
-from humansim_ros.scene.features.face_tracks import FACE_JOINT, Face, FacePoses, carried_face, check_face
+from humansim_ros.scene.features.face.tracks import FACE_JOINT, Face, FacePoses, carried_face, check_face
 from humansim_ros.types import Array
 
 

@@ -20,10 +20,10 @@ from humansim_ros.geometry import (
 from humansim_ros.motion.pose import PALM, WITHOUT_REACH
 from humansim_ros.scene.core.actor import Actor
 from humansim_ros.scene.core.draft import Draft
+from humansim_ros.scene.core.features import Feature
 from humansim_ros.scene.core.objects import SHAPES, SceneObject
 from humansim_ros.scene.core.world import World
 from humansim_ros.scene.features.held.keys import HoldConfig
-from humansim_ros.scene.features.protocol import Feature
 from humansim_ros.types import Array
 
 #: Half the thickness of a hand, metres.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from humansim_ros.scene.core.draft import Draft
-from humansim_ros.scene.features.protocol import Feature
+from humansim_ros.scene.core.features import Feature
 from humansim_ros.scene.features.robot.keys import ROBOT
 
 

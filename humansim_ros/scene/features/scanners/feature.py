@@ -8,8 +8,8 @@ import numpy as np
 
 from humansim_ros.cameras.scanner import Poses
 from humansim_ros.scene.core.draft import Draft
+from humansim_ros.scene.core.features import Feature
 from humansim_ros.scene.core.findings import Finding, SceneSamples, misplaced
-from humansim_ros.scene.features.protocol import Feature
 from humansim_ros.scene.features.scanners.scanner import SceneScanner, build_scanners
 from humansim_ros.types import Array
 

@@ -15,12 +15,12 @@ from humansim_ros.motion.pose import PathMotion
 from humansim_ros.scene.config.config import LIVE, MotionConfig, ObjectConfig, SceneConfig
 from humansim_ros.scene.core.actor import Actor
 from humansim_ros.scene.core.draft import Draft
+from humansim_ros.scene.core.features import Feature
 from humansim_ros.scene.core.findings import Finding, SceneSamples, motion_key, numbers
 from humansim_ros.scene.core.objects import SceneObject
 from humansim_ros.scene.core.seats import HIGHEST_HIPS, SEAT_HEIGHT, TO_TABLE, Sitting, find_sittings
 from humansim_ros.scene.core.source import SceneSource
-from humansim_ros.scene.features.protocol import Feature
-from humansim_ros.scene.features.room import furniture_tops
+from humansim_ros.scene.features.room.meshes import furniture_tops
 from humansim_ros.types import Array
 
 #: Seconds between two times, and most seconds, in which people are watched.

@@ -17,7 +17,7 @@ from humansim_ros.files.reading import read_table
 from humansim_ros.geometry import quaternion_to_matrix
 from humansim_ros.motion.body import ACTIONS, both_sides, expression, face_weights, gaze_angles, with_looks
 from humansim_ros.motion.files import Track, find_animation, frame_times, node_tracks, sample_track
-from humansim_ros.scene.features.face_tracks import VOWELS, WeightTrack, linear
+from humansim_ros.scene.features.face.tracks import VOWELS, WeightTrack, linear
 from humansim_ros.types import Array
 
 #: Rounding may put a weight outside 0 to 1 by this much.

@@ -15,9 +15,9 @@ from humansim_ros.scene.core.actor import Actor
 from humansim_ros.scene.core.camera import SceneCamera
 from humansim_ros.scene.core.randomise import RandomNumbers, random_numbers
 from humansim_ros.scene.core.source import SceneSource
-from humansim_ros.scene.features.face_files import read_face_file
-from humansim_ros.scene.features.face_keys import AHEAD
-from humansim_ros.scene.features.face_tracks import Face, Gaze, blinks, glances, key_tracks
+from humansim_ros.scene.features.face.files import read_face_file
+from humansim_ros.scene.features.face.keys import AHEAD
+from humansim_ros.scene.features.face.tracks import Face, Gaze, blinks, glances, key_tracks
 
 
 def face_of(name: str, config: HumanConfig, source: SceneSource) -> Face:

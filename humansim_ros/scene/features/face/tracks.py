@@ -30,7 +30,7 @@ from humansim_ros.motion.body import (
     face_weights,
     with_looks,
 )
-from humansim_ros.scene.features.face_keys import FaceKey
+from humansim_ros.scene.features.face.keys import FaceKey
 from humansim_ros.types import Array
 
 #: Names of joints that carry a face in a motion begin with this text.

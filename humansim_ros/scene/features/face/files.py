@@ -13,7 +13,7 @@ from humansim_ros.errors import MotionError, unknown
 from humansim_ros.files.reading import read_bytes
 from humansim_ros.motion.body import ACTIONS
 from humansim_ros.motion.files import motion_format
-from humansim_ros.scene.features.face_tracks import WeightTrack, linear
+from humansim_ros.scene.features.face.tracks import WeightTrack, linear
 from humansim_ros.types import Array
 
 #: Largest file that is read, bytes, and most frames.
@@ -42,7 +42,7 @@ def read_face_file(path: str | os.PathLike[str], animation: str | None = None) -
     known = motion_format(path)
     if known is not None and known.name in ("gltf", "vrma"):
         # imported here, since most faces are CSV files
-        from humansim_ros.scene.features.gltf_faces import read_gltf_face
+        from humansim_ros.scene.features.face.gltf import read_gltf_face
 
         return read_gltf_face(path, animation)
     return _read_live_link(path)

@@ -24,7 +24,7 @@ PACKAGES: Mapping[str, tuple[int, tuple[str, ...]]] = {
     "cameras": (2, ("camera", "formats", "sensor", "scanner")),
     "people": (3, ("rigging", "humans", "makehuman", "loading", "keypoints")),
     "render": (3, ("interface", "device", "frame", "pictures")),
-    "scene": (4, ("truth", "features", "config", "core", "checks", "pictures")),
+    "scene": (4, ("truth", "config", "core", "features", "checks", "pictures")),
     "data": (5, ("bags", "messages", "engine", "formats", "datasets", "evaluation")),
     "photographs": (5, ()),
     "ros": (6, ("graph", "processes", "playing", "nodes", "challenge", "tools")),
@@ -38,6 +38,8 @@ BASE = frozenset({"errors", "geometry", "lazy", "pictures", "types"})
 ALIASES = frozenset(
     {"apps", "bags", "body", "camera", "humans", "keypoints", "mesh", "messages", "sensor", "truth"}
 )
+#: The keys of a feature belong to the configuration, which has a field for each feature.
+KEYS_OF_FEATURES = re.compile(r"scene/features/\w+/keys")
 #: Arrows of today that lead up, or against the order of subpackages. An entry goes with its last import.
 EXCEPTIONS = frozenset(
     {
@@ -45,9 +47,8 @@ EXCEPTIONS = frozenset(
         "base -> scene/pictures",
         # the process that starts nodes imports them by name
         "ros/processes -> ros/nodes",
-        # until each feature is a folder that knows only the protocol of features
-        "scene/features -> scene/config",
-        "scene/features -> scene/core",
+        # the tables of features and of layers load their modules by name
+        "scene/core -> scene/features",
     }
 )
 #: Imports by name that close a circle of modules.
@@ -99,6 +100,8 @@ def new_name(name: str) -> str:
 def part_of(new: str) -> str | None:
     """Part that a new name belongs to; empty for the base, None if there is no such part."""
     package, *rest = new.split("/")
+    if KEYS_OF_FEATURES.fullmatch(new):
+        return "scene/config"
     if package in BASE:
         return "" if not rest else None
     if package not in PACKAGES:

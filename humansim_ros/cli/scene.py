@@ -58,13 +58,13 @@ class SceneOptions:
 
         from humansim_ros.errors import SceneError
         from humansim_ros.scene.config import LIVE, load_config, map_files
-        from humansim_ros.scene.core import Draft, SceneSource, found_name
+        from humansim_ros.scene.core import SceneSource, begin_draft, found_name
         from humansim_ros.scene.features import Variety
 
         source, scene = SceneSource.of_file(path), load_config(path)
         if scene.variety is not None:
             with source.locating_errors():
-                draft = Draft.begin(scene, source)
+                draft = begin_draft(scene, source)
                 Variety().expand(draft)
             scene = draft.config
         config = map_files(scene.model_dump(exclude_none=True), lambda name: found_name(source.folder, name))

@@ -242,7 +242,7 @@ BAD: list[tuple[list[str], str]] = [
     (["info", "empty.bvh"], "empty"),
     (["info", "binary.bvh"], "binary"),
     (["info", "walk", "--up", "w"], "axis"),
-    (["info", "walk", "--joint-names", "nobody"], "no joint table 'nobody'"),
+    (["info", "walk", "--joint-names", "nobody"], "no joint table and no YAML file 'nobody'"),
     (["info", "walk", "--positions", "perhaps"], "perhaps"),
     (["retarget", "walk", "--root-scale", "arms"], "--root-scale"),
     (["retarget", "walk", "--root-scale", "-1"], "root scale"),

@@ -18,12 +18,12 @@ from humansim_ros.motion.pose.soles import find_stances, slide_distances
 from humansim_ros.scene import Scene, Simulation
 from humansim_ros.scene.config.config import check_config
 from humansim_ros.scene.core.actor import joint_poses_of
-from humansim_ros.scene.core.draft import Draft
+from humansim_ros.scene.core.features import begin_draft
 from humansim_ros.scene.core.playback import Playback
 from humansim_ros.scene.core.source import SceneSource
 from humansim_ros.scene.features.crowd.feature import FEATURE
 from humansim_ros.scene.features.crowd.walk_grid import WalkGrid
-from humansim_ros.scene.features.room.meshes import furniture_plan
+from humansim_ros.scene.features.room.meshes import fixtures
 
 CAMERA = {"eye": {"size": [160, 120], "position": [3.2, 2.9, 2.2], "look_at": [0, 0, 1]}}
 ROOM = (12.0, 10.0, 2.8)
@@ -37,7 +37,7 @@ QUEUE: dict[str, Any] = {"position": [4.0, -3.5], "direction_deg": 180, "count":
 def paths(room: Any = ROOM, objects: Any = None, robot: Any = None, **crowd: Any) -> dict[str, WalkPath]:
     content = {"cameras": CAMERA, "room": room and {"size": list(room)}, "crowd": {"seed": 5, **crowd}}
     content["robot"] = robot
-    draft = Draft.begin(check_config(content | {"objects": objects or {}}), SceneSource())
+    draft = begin_draft(check_config(content | {"objects": objects or {}}), SceneSource())
     FEATURE.expand(draft)
     motions = {name: actor.motion for name, actor in draft.actors.items()}
     return {name: motion.path for name, motion in motions.items() if isinstance(motion, PathMotion)}
@@ -66,7 +66,8 @@ def test_nobody_walks_into_walls_or_furniture() -> None:
     points = sampled(busy()).reshape(-1, 2)
     half = np.array(ROOM[:2]) / 2
     assert (np.abs(points) < half - 0.3 + 0.03).all()
-    for middle, size in furniture_plan(ROOM[:2]).values():
+    for each in fixtures(ROOM[:2]).values():
+        middle, size = each.center, each.size
         outside = np.maximum(np.abs(points - middle) - np.array(size) / 2, 0)
         assert np.linalg.norm(outside, axis=1).min() > 0.3 - 0.06
 

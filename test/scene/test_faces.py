@@ -82,7 +82,7 @@ def test_keys_change_expression_and_actions_which_are_added() -> None:
 
 def test_a_scene_without_faces_has_none() -> None:
     stiff = anna(None)
-    assert stiff.face is None and stiff.at(0.5).face is None
+    assert stiff.settings("face") is None and stiff.at(0.5).face is None
     assert not any(name.startswith("face/") for name in stiff.joint_poses(0.5).names)
     resting = anna({})
     np.testing.assert_array_equal(stiff.at(0.5).vertices, resting.at(0.5).vertices)
@@ -444,7 +444,7 @@ def test_a_human_is_pickled_without_those_that_it_looks_at() -> None:
 
 def test_the_neck_stays_within_its_limits_and_never_jumps() -> None:
     actor = anna({"head": 1, "keys": [{"gaze": [1, 0, 1]}]})
-    assert actor.face is not None and actor._eyes is not None
+    assert actor.settings("face") is not None and actor._eyes is not None
     skeleton, eyes = actor.human.skeleton, actor._eyes
     limits = load_limits(skeleton=skeleton)
     joints = actor.joints_at(np.zeros(1))

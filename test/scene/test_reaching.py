@@ -144,8 +144,7 @@ def test_a_hand_touches_however_the_motion_is_retargeted(motion: str, keys: Any)
     times = np.linspace(0.1, 1.0, 4)
     assert np.linalg.norm(actor.palms_at("right", times) - reach["to"], axis=1).max() < CONTACT
     if "clamp" in keys:
-        assert actor.reaches is not None
-        poses = actor.reaches.apply(actor.motion.sample(times), times, actor.others)
+        poses = actor.settings("reach").apply(actor.motion.sample(times), times, actor.others)
         rotations, _ = actor.retargeter.apply(poses)
         assert not load_limits().for_skeleton(actor.human.skeleton).report(rotations)
 
@@ -256,8 +255,7 @@ def example() -> Scene:
 def test_hands_of_the_example_hold_what_they_reach_for(example: Scene) -> None:
     reached = 0
     for actor in example.actors.values():
-        assert actor.reaches is not None
-        for reach in actor.reaches.reaches:
+        for reach in actor.settings("reach").reaches:
             times = reach.holds(np.linspace(0, 16, 161))
             error = np.linalg.norm(
                 actor.palms_at(reach.side, times) - reach.goal(times, actor.others).place, axis=1
@@ -271,8 +269,7 @@ def test_hands_of_the_example_hold_what_they_reach_for(example: Scene) -> None:
 def test_joints_of_the_example_stay_within_their_limits(example: Scene) -> None:
     times = np.linspace(0, 8, 161)
     for actor in example.actors.values():
-        assert actor.reaches is not None
-        poses = actor.reaches.apply(actor.motion.sample(times + actor.offset), times, actor.others)
+        poses = actor.settings("reach").apply(actor.motion.sample(times + actor.offset), times, actor.others)
         rotations, _ = actor.retargeter.apply(poses)
         assert not load_limits().for_skeleton(actor.human.skeleton).report(rotations)
 
@@ -294,9 +291,8 @@ def test_the_cart_goes_ahead_of_who_pushes_it_and_stands_on_the_floor(example: S
 def test_feet_of_the_example_stand_as_their_motions_do(example: Scene) -> None:
     times = np.linspace(0, 6, 91)
     for actor in example.actors.values():
-        assert actor.reaches is not None
         poses = actor.motion.sample(times + actor.offset)
-        moved = actor.reaches.apply(poses, times, actor.others)
+        moved = actor.settings("reach").apply(poses, times, actor.others)
         skeleton, pose = actor.human.skeleton, actor.retargeter.pose
         np.testing.assert_allclose(
             sole_points(skeleton, pose(moved)), sole_points(skeleton, pose(poses)), atol=1e-9
@@ -358,7 +354,7 @@ def test_reaches_of_one_hand_do_not_overlap(reaches: Any, problem: str | None) -
     keys = ("start", "end", "repeat")
     given = [{"to": [0.4, -0.2, 1.1], **dict(zip(keys, each, strict=True))} for each in reaches]
     if problem is None:
-        assert scene(given).actors["anna"].reaches is not None
+        assert scene(given).actors["anna"].settings("reach") is not None
         return
     with pytest.raises(SceneError, match=problem):
         scene(given)
@@ -434,15 +430,14 @@ def doorway() -> Scene:
 
 def test_a_man_opens_a_door_wide_with_his_hand_on_the_handle(doorway: Scene) -> None:
     actor, door = doorway.actors["visitor"], doorway.objects["door"]
-    assert actor.reaches is not None
-    (reach,) = actor.reaches.reaches
+    (reach,) = actor.settings("reach").reaches
     times = reach.holds(np.linspace(0, 25.6, 513))
     turns = np.array([2 * np.degrees(np.arctan2(*door.at(time).rotation[2:])) for time in times])
     assert np.ptp(turns) > 80
     error = np.linalg.norm(actor.palms_at(reach.side, times) - reach.goal(times, actor.others).place, axis=1)
     assert error.max() < CONTACT
     assert check_scene(doorway) == []
-    poses = actor.reaches.apply(actor.motion.sample(times), times, actor.others)
+    poses = actor.settings("reach").apply(actor.motion.sample(times), times, actor.others)
     rotations, _ = actor.retargeter.apply(poses)
     assert not load_limits().for_skeleton(actor.human.skeleton).report(rotations)
 

@@ -19,9 +19,9 @@ from humansim_ros.people.makehuman.population import PeopleLimits, draw_people
 from humansim_ros.ros.processes.node_processes import scene_processes
 from humansim_ros.scene import Finding, Scene, Simulation, check_scene
 from humansim_ros.scene.config.config import HumanConfig, load_config
-from humansim_ros.scene.core.draft import Draft
+from humansim_ros.scene.core.features import begin_draft
 from humansim_ros.scene.core.source import SceneSource
-from humansim_ros.scene.features.room.meshes import furnished_room, furniture_plan
+from humansim_ros.scene.features.room.meshes import fixtures, furnished_room
 from humansim_ros.scene.features.variety.feature import FEATURE
 
 CAMERA = {"eye": {"size": [160, 120], "position": [3.2, 2.9, 2.2], "look_at": [0, 0, 1]}}
@@ -29,7 +29,7 @@ CAMERA = {"eye": {"size": [160, 120], "position": [3.2, 2.9, 2.2], "look_at": [0
 
 def drawn(folder: Path, **variety: Any) -> dict[str, HumanConfig]:
     path = scene(folder, **variety)
-    draft = Draft.begin(load_config(path), SceneSource.of_file(path))
+    draft = begin_draft(load_config(path), SceneSource.of_file(path))
     FEATURE.expand(draft)
     return draft.config.humans
 
@@ -219,7 +219,10 @@ def test_an_object_around_everybody_is_a_room(tmp_path: Path) -> None:
 
 def test_the_plan_of_the_furniture_is_that_of_the_room() -> None:
     size = (7.0, 6.4, 2.8)
-    rectangles = [(np.array(c), np.array(s)) for c, s in furniture_plan(size[:2]).values()]
+    rectangles = [
+        (np.array(c), np.array(s))
+        for c, s in ((each.center, each.size) for each in fixtures(size[:2]).values())
+    ]
     for mesh in furnished_room(size):
         points = np.asarray(mesh.vertices, dtype=float)
         near_wall = (np.abs(points[:, :2]) > np.array(size[:2]) / 2 - 0.02).any(axis=1)

@@ -58,6 +58,7 @@ from humansim_ros.scene.config import LIVE
 from humansim_ros.scene.core import (
     Actor,
     CameraPose,
+    Carrier,
     DepthCapture,
     Frame,
     FrameFaults,
@@ -67,7 +68,7 @@ from humansim_ros.scene.core import (
     SceneCamera,
     SceneObject,
 )
-from humansim_ros.scene.features import ROBOT, Robot, SceneScanner, Sweep
+from humansim_ros.scene.features import ROBOT, SceneScanner, Sweep
 from humansim_ros.scene.pictures import color_image
 from humansim_ros.scene.truth import REQUIRED_CHANNELS, CameraTruth
 
@@ -255,7 +256,7 @@ class RobotTopics:
         base: Transform from the frame of its odometry to ``base_link``. It has the content of ``odom``.
     """
 
-    def __init__(self, robot: Robot) -> None:
+    def __init__(self, robot: Carrier) -> None:
         self.odom: Topic[ObjectPose] = Topic(
             "odom",
             Odometry,

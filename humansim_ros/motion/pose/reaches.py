@@ -86,6 +86,7 @@ class Reach:
         blend: Seconds of the way to the goal, and of the way back.
         goal: The goal over scene time.
         repeat: Seconds after which the reach begins again. If infinite, it happens once.
+        key: Key of the section of the human that asks for it.
     """
 
     side: Literal["left", "right"]
@@ -94,6 +95,7 @@ class Reach:
     blend: float
     goal: GoalAt
     repeat: float = np.inf
+    key: str = ""
 
     def shares(self, times: Array) -> Array:
         """How far (N,) the hand has gone, from 0 to 1, with minimum jerk [Flash, Hogan 1985]."""

@@ -16,8 +16,7 @@ from humansim_ros.geometry import ObjectPose
 from humansim_ros.ros.graph.qos import NEWEST
 from humansim_ros.ros.playing.playing import FramePlayer
 from humansim_ros.ros.processes.transforms import TransformSender
-from humansim_ros.scene.core import Playback, SceneState, Tick
-from humansim_ros.scene.features import Robot
+from humansim_ros.scene.core import Carrier, Playback, SceneState, Tick
 
 #: A robot is moved at the velocity of its newest odometry for at most this time, seconds.
 _MOST_AHEAD = 0.3
@@ -35,7 +34,7 @@ class RobotPort:
         robot: The robot.
     """
 
-    def __init__(self, node: FramePlayer, playback: Playback, robot: Robot) -> None:
+    def __init__(self, node: FramePlayer, playback: Playback, robot: Carrier) -> None:
         self._node, self._playback, self._robot = node, playback, robot
         self._odom: Any = None
         #: Stamp and pose of the newest odometry of another node, and of the previous one.

@@ -18,7 +18,14 @@ from humansim_ros.scene.checks.camera_checks import (
     has_gpu,
 )
 from humansim_ros.scene.core.features import features_of
-from humansim_ros.scene.core.findings import Finding, Obstacle, SceneSamples, motion_key, numbers
+from humansim_ros.scene.core.findings import (
+    CheckedFeature,
+    Finding,
+    Obstacle,
+    SceneSamples,
+    motion_key,
+    numbers,
+)
 from humansim_ros.scene.core.scene import Scene
 from humansim_ros.types import Array
 
@@ -59,7 +66,12 @@ def check_scene(scene: Scene, quick: bool = False, processors: int | None = None
     found = [
         *check_cameras(samples, samples.obstacles),
         *check_people(samples, samples.obstacles),
-        *(each for feature in features_of(scene.config) for each in feature.check(samples)),
+        *(
+            each
+            for feature in features_of(scene.config)
+            if isinstance(feature, CheckedFeature)
+            for each in feature.check(samples)
+        ),
         *check_faults(samples),
         *_rate(samples, processors),
     ]
@@ -124,10 +136,6 @@ _SPINE = ("HumanoidRoot", "sacroiliac", "vl5", "vt3", "vt3_end")
 _POINTS, _DEPTH = 9, 0.12
 
 
-#: Share of the time in which eyes reach what they look at.
-_SEEN = 0.5
-
-
 def check_people(samples: SceneSamples, obstacles: Sequence[Obstacle]) -> Iterator[Finding]:
     """Check all humans."""
     outside: dict[str, NDArray[np.bool_]] = {}
@@ -138,66 +146,7 @@ def check_people(samples: SceneSamples, obstacles: Sequence[Obstacle]) -> Iterat
             yield Finding("error", motion_key(samples, name), found)
     for name, joints in samples.joints.items():
         yield from _in_obstacles(name, joints, outside[name], samples, obstacles)
-    yield from _out_of_sight(samples)
-    yield from _out_of_reach(samples)
     yield from _in_each_other(samples)
-
-
-def _out_of_sight(samples: SceneSamples) -> Iterator[Finding]:
-    """Findings about gazes at what the eyes do not reach."""
-    for name in samples.joints:
-        actor, config = samples.scene.actors[name], samples.scene.config.humans[name].face
-        if actor.face is None or config is None:
-            continue
-        keys = sorted(
-            (key.time, number, key.gaze) for number, key in enumerate(config.keys) if key.gaze is not None
-        )
-        ends = [*(time for time, *_ in keys), np.inf][1:]
-        for gaze, (time, number, target), end in zip(actor.face.gazes, keys, ends, strict=True):
-            times = samples.times[(samples.times >= time) & (samples.times < end)]
-            if gaze.target is None or not len(times):
-                continue
-            share = float(actor.sees(gaze.target, times).mean())
-            if share < _SEEN:
-                shown = target if isinstance(target, str) else numbers(target)
-                head = (
-                    "even with the head: "
-                    if config.head
-                    else f"and the head does not turn with them: let it turn (humans.{name}.face.head: 1), "
-                )
-                text = (
-                    f"the eyes of {name} reach {shown} in {share:.0%} of the time, {head}"
-                    "turn the human (motion.yaw_deg), or let it look at what is before it"
-                )
-                yield Finding("warning", f"humans.{name}.face.keys.{number}.gaze", text)
-
-
-#: Metres to which a palm must come, times at which it is measured, and the longest contact that is measured.
-_TOUCHES, _MEASURED, _LONGEST = 0.005, 40, 60.0
-
-
-def _out_of_reach(samples: SceneSamples) -> Iterator[Finding]:
-    """Findings about hands that do not come to what they reach for."""
-    for name in samples.joints:
-        actor, configs = samples.scene.actors[name], samples.scene.config.humans[name].reach
-        if actor.reaches is None or actor.others is None:
-            continue
-        for number, (reach, config) in enumerate(zip(actor.reaches.reaches, configs, strict=True)):
-            first = reach.start + reach.blend
-            times = np.linspace(first, min(reach.end - reach.blend, first + _LONGEST), _MEASURED)
-            lacks = np.linalg.norm(
-                actor.palms_at(reach.side, times) - reach.goal(times, actor.others).place, axis=-1
-            )
-            if lacks.max() < _TOUCHES:
-                continue
-            worst, never = int(np.argmax(lacks)), bool(lacks.min() >= _TOUCHES)
-            target = config.to if isinstance(config.to, str) else numbers(config.to)
-            text = (
-                f"the {reach.side} hand of {name} does not reach {target}"
-                f"{' at any time' if never else ''}: it lacks {lacks[worst]:.2g} m at {times[worst]:.1f} s; "
-                "move the human nearer (motion.position), or the place that it touches (at)"
-            )
-            yield Finding("error" if never else "warning", f"humans.{name}.reach.{number}.to", text)
 
 
 def _far(name: str, joints: Array) -> str | None:

@@ -10,10 +10,8 @@ from humansim_ros.scene.config.config import LIVE as LIVE
 from humansim_ros.scene.config.config import MAX_LICENSE as MAX_LICENSE
 from humansim_ros.scene.config.config import RECIPE as RECIPE
 from humansim_ros.scene.config.config import HumanConfig as HumanConfig
-from humansim_ros.scene.config.config import KeyframesConfig as KeyframesConfig
 from humansim_ros.scene.config.config import MotionConfig as MotionConfig
 from humansim_ros.scene.config.config import ObjectConfig as ObjectConfig
-from humansim_ros.scene.config.config import RoomConfig as RoomConfig
 from humansim_ros.scene.config.config import SceneConfig as SceneConfig
 from humansim_ros.scene.config.config import TimeConfig as TimeConfig
 from humansim_ros.scene.config.config import check_config as check_config
@@ -25,3 +23,5 @@ from humansim_ros.scene.config.config import map_files as map_files
 from humansim_ros.scene.config.config import schema_text as schema_text
 from humansim_ros.scene.config.timing import CameraTiming as CameraTiming
 from humansim_ros.scene.config.timing import PictureTimer as PictureTimer
+from humansim_ros.scene.features.keyframes.keys import KeyframesConfig as KeyframesConfig
+from humansim_ros.scene.features.room.keys import RoomConfig as RoomConfig

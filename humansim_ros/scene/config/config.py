@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field, StringConstraints, field_validator, model_validator
 
-from humansim_ros.errors import MAX_FRAMES, MotionError, SceneError, printable
+from humansim_ros.errors import MAX_FRAMES, SceneError, printable
 from humansim_ros.files.yaml import (
     Axis,
     ByteColor,
@@ -19,7 +18,6 @@ from humansim_ros.files.yaml import (
     NamedFile,
     SceneName,
     Section,
-    Share,
     ShortSection,
     TopicName,
     alone_in_list,
@@ -28,17 +26,19 @@ from humansim_ros.files.yaml import (
     read_yaml,
     validated,
 )
-from humansim_ros.motion.body import ExpressionName, face_weights
 from humansim_ros.motion.files import MOTION_TITLES
-from humansim_ros.motion.pose import HandKey, HandPoseName, HandSide
 from humansim_ros.render.interface import Lighting, RendererName
 from humansim_ros.scene.config.about_config import AboutConfig
 from humansim_ros.scene.config.adapter_config import AdaptersConfig, HriConfig
 from humansim_ros.scene.config.camera_config import Bounded, BoundedVector3, CameraConfig, RigConfig, Vector3
 from humansim_ros.scene.features.crowd.keys import CrowdConfig
-from humansim_ros.scene.features.face.keys import FaceKey
+from humansim_ros.scene.features.face.keys import FaceConfig
+from humansim_ros.scene.features.hands.keys import HandKeyConfig
 from humansim_ros.scene.features.held.keys import HoldConfig
+from humansim_ros.scene.features.keyframes.keys import KeyframesConfig
+from humansim_ros.scene.features.reach.keys import ReachConfig
 from humansim_ros.scene.features.robot.keys import ROBOT, RobotConfig
+from humansim_ros.scene.features.room.keys import RoomConfig
 from humansim_ros.scene.features.scanners.keys import ScannerConfig
 from humansim_ros.scene.features.variety.keys import VarietyConfig
 
@@ -68,170 +68,6 @@ _NodeName = Annotated[
     StringConstraints(pattern=r"^/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*$", max_length=255),
     Expected("the name of a node, such as tracker"),
 ]
-
-
-class HandKeyConfig(ShortSection):
-    """Pose of the hands from a time of the motion on."""
-
-    short_key: ClassVar[str] = "pose"
-
-    pose: HandPoseName = Field(description="name of the hand pose")
-    time: float = Field(default=0.0, ge=0, description="start of the change, seconds of the file")
-    side: HandSide = Field(default="both", description="the hand")
-    blend: float = Field(default=0.3, ge=0, le=1e4, description="duration of the change, seconds of the file")
-    over_motion: bool = Field(default=False, description="also move fingers that the motion moves")
-
-    @property
-    def key(self) -> HandKey:
-        """The key as the motion plays it."""
-        return HandKey(self.pose, self.time, self.side, self.blend, self.over_motion)
-
-
-class FaceKeyConfig(ShortSection):
-    """What a face does from a time on; what a key does not name goes on."""
-
-    short_key: ClassVar[str] = "expression"
-
-    time: float = Field(default=0.0, ge=0, le=1e6, description="when it begins, seconds of the scene")
-    expression: ExpressionName | None = Field(default=None, description="name of the expression")
-    strength: Share = Field(default=1.0, description="strength of the expression")
-    actions: dict[str, float] | None = Field(
-        default=None,
-        description="weights from 0 to 1 of actions in ARKit's names, beside the expression; {} ends them",
-    )
-    gaze: BoundedVector3 | str | None = Field(
-        default=None,
-        description="what the eyes look at: a point in map, the name of a human or a camera, or ahead",
-    )
-    speak: float | None = Field(default=None, gt=0, le=3600, description="seconds for which it speaks")
-    blend: float = Field(
-        default=0.3, ge=0, le=1e4, description="duration of the change of expression and actions, seconds"
-    )
-
-    @field_validator("actions")
-    @classmethod
-    def _known_actions(cls, actions: dict[str, float] | None) -> dict[str, float] | None:
-        try:
-            face_weights(actions or {})
-        except MotionError as error:
-            raise ValueError(error.message) from None
-        return actions
-
-    @property
-    def key(self) -> FaceKey:
-        """The key as the face plays it."""
-        return FaceKey(
-            self.time, self.expression, self.strength, self.actions, self.gaze, self.speak, self.blend
-        )
-
-
-class FaceConfig(ShortSection):
-    """Face of a human over the time of the scene."""
-
-    short_key: ClassVar[str] = "keys"
-
-    alive: bool = Field(default=False, description="blink, and let the eyes glance around")
-    seed: int = Field(default=1, ge=0, description="the same seed gives a human the same life and speech")
-    head: float = Field(
-        default=0.0,
-        ge=0,
-        le=1,
-        description="how far the head turns with a gaze: 0 not at all, 1 as people turn it",
-    )
-    mouth: bool = Field(default=False, description="show teeth and tongue in an open mouth")
-    keys: Annotated[tuple[FaceKeyConfig, ...], BeforeValidator(alone_in_list)] = Field(
-        default=(),
-        max_length=1000,
-        description="expressions, actions, gaze and speech over time",
-        json_schema_extra=one_or_more,
-    )
-    file: FileName | None = Field(
-        default=None,
-        description="recording of a face, from time 0 on, or with the motion of the same file: the CSV file "
-        "of Live Link Face, or the animated face of a .glb, .gltf, .vrm or .vrma file (take.glb#Name)",
-    )
-
-
-class ReachConfig(Section):
-    """A hand that goes to something, stays there, and goes back."""
-
-    hand: Literal["left", "right"] = Field(default="right", description="the hand")
-    to: BoundedVector3 | str = Field(
-        description="a point in map, the name of an object, or of a human: without at one who reaches for "
-        "this one, so that their palms meet"
-    )
-    at: BoundedVector3 | str | None = Field(
-        default=None,
-        description="place that the palm touches: of an object a point in its own axes, metres from its "
-        "origin (0 0 0 if absent); of a human the name of a joint",
-    )
-    start: float = Field(
-        default=0.0, ge=0, le=1e6, description="when the hand leaves the motion, seconds of the scene"
-    )
-    end: float | None = Field(
-        default=None, gt=0, le=1e6, description="when it is back, seconds of the scene; never if absent"
-    )
-    repeat: float | None = Field(
-        default=None, gt=0, le=1e6, description="seconds after which it begins again; once if absent"
-    )
-    blend: float = Field(
-        default=0.8, ge=0, le=1e4, description="time of the way there, and of the way back, seconds"
-    )
-    palm: BoundedVector3 | None = Field(
-        default=None,
-        description="direction that the palm faces, in map or in the axes of the object; if absent, as the "
-        "forearm turns it",
-    )
-    fingers: BoundedVector3 | None = Field(
-        default=None,
-        description="direction of the fingers, in map or in the axes of the object; if absent, along the "
-        "forearm, or up where the palm allows it",
-    )
-    pose: HandPoseName | None = Field(
-        default=None,
-        description="pose of the hand while it is there, such as grip; of motion.hands if absent",
-    )
-    shake: float = Field(
-        default=0.03, ge=0, le=0.2, description="metres by which right hands, or left ones, that meet shake"
-    )
-
-    @property
-    def until(self) -> float:
-        """End, seconds; infinite without."""
-        return math.inf if self.end is None else self.end
-
-    @property
-    def span(self) -> str:
-        """Start and end for messages."""
-        return f"{self.start:g} s on" if self.end is None else f"{self.start:g} to {self.end:g} s"
-
-    @model_validator(mode="after")
-    def _is_possible(self) -> ReachConfig:
-        if self.end is not None and self.end <= self.start:
-            raise ValueError(f"end ({self.end:g} s) must come after start ({self.start:g} s)")
-        if self.until - self.start < 2 * self.blend:
-            raise ValueError(
-                f"from {self.span} there is no time for the way there and back, of {self.blend:g} s each: "
-                "give a later end, or a shorter blend"
-            )
-        if self.repeat is not None and self.until - self.start > self.repeat:
-            raise ValueError(
-                f"what lasts from {self.span} cannot begin again after {self.repeat:g} s: give an end and a "
-                "longer repeat"
-            )
-        for name, line in (("palm", self.palm), ("fingers", self.fingers)):
-            if line is not None and not math.hypot(*line) > 1e-6:
-                raise ValueError(f"{name} is a direction: it must not be 0 0 0")
-        if self.palm is not None and self.fingers is not None:
-            cosine = sum(a * b for a, b in zip(self.palm, self.fingers, strict=True))
-            if abs(cosine) > 0.99 * math.hypot(*self.palm) * math.hypot(*self.fingers):
-                raise ValueError("palm and fingers must not be parallel: fingers point across the palm")
-        return self
-
-
-def living_face(alive: bool, seed: int) -> FaceConfig | None:
-    """Face of a random human: alive, or stiff."""
-    return FaceConfig(alive=True, seed=seed) if alive else None
 
 
 class MotionConfig(ShortSection):
@@ -307,15 +143,6 @@ class MotionConfig(ShortSection):
     )
 
 
-class KeyframesConfig(ShortSection):
-    """Keyframes that move, rotate and scale a human or an object: a file, and one of its objects."""
-
-    file: FileName = Field(description="a keyframe animation file (XML)")
-    object: str | None = Field(
-        default=None, description="name in the file; the name of the human or object if absent"
-    )
-
-
 class HumanConfig(ShortSection):
     """One human."""
 
@@ -380,21 +207,6 @@ class ObjectConfig(ShortSection):
     def _moves_in_one_way(self) -> ObjectConfig:
         if self.keyframes is not None and self.held_by is not None:
             raise ValueError("give keyframes or held_by, not both")
-        return self
-
-
-class RoomConfig(Section):
-    """The furnished room."""
-
-    size: tuple[float, float, float] = Field(
-        default=(7.0, 6.4, 2.8), description="length along x, width along y, height; metres"
-    )
-    seed: int = Field(default=1, ge=0, description="the same seed gives the same room")
-
-    @model_validator(mode="after")
-    def _big_enough(self) -> RoomConfig:
-        if min(self.size[:2]) < 5.0 or max(self.size) > 100 or self.size[2] < 2.2:
-            raise ValueError("the furniture needs a room of at least 5 x 5 x 2.2 m (and at most 100 m)")
         return self
 
 

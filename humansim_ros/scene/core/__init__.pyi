@@ -10,11 +10,12 @@ from humansim_ros.scene.core.capturing import DepthCapture as DepthCapture
 from humansim_ros.scene.core.capturing import capture_depth as capture_depth
 from humansim_ros.scene.core.capturing import capture_rectified_depth as capture_rectified_depth
 from humansim_ros.scene.core.capturing import observe as observe
-from humansim_ros.scene.core.draft import Draft as Draft
+from humansim_ros.scene.core.carriers import Carrier as Carrier
 from humansim_ros.scene.core.faults import FOLLOWING as FOLLOWING
 from humansim_ros.scene.core.faults import NO_FAULTS as NO_FAULTS
 from humansim_ros.scene.core.faults import FaultSchedule as FaultSchedule
 from humansim_ros.scene.core.faults import FrameFaults as FrameFaults
+from humansim_ros.scene.core.features import begin_draft as begin_draft
 from humansim_ros.scene.core.findings import Obstacle as Obstacle
 from humansim_ros.scene.core.findings import find_obstacles as find_obstacles
 from humansim_ros.scene.core.findings import without_enclosures as without_enclosures

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence, Set
+from collections.abc import Mapping, Set
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -24,42 +24,31 @@ from humansim_ros.geometry import (
     transform,
     unit_vectors,
 )
-from humansim_ros.motion.body import Eyes, JointPoses, Motion, Rated, within_limits
+from humansim_ros.motion.body import Eyes, JointPoses, Motion, Rated
 from humansim_ros.motion.files import KeyframeSpace, KeyframeTrack
 from humansim_ros.motion.matching import detect_file_frame, match_motion
 from humansim_ros.motion.pose import (
     BODY,
-    BUILT_IN_HANDS,
-    ON_SKIN,
     WITHOUT_REACH,
-    FootContacts,
     Gait,
-    HandKey,
-    HandKeys,
     Palm,
     PathMotion,
     Placement,
     PoseStage,
-    Reaches,
     Retargeter,
     SceneQuery,
-    SkinContact,
     WalkPath,
     WorldMotion,
     playing_warnings,
     sample_together,
-    skin_on_floor,
 )
 from humansim_ros.people.humans import Human
 from humansim_ros.render.interface import Body
-from humansim_ros.scene.config.config import LIVE, HumanConfig, MotionConfig
+from humansim_ros.scene.config.config import HumanConfig, MotionConfig
 from humansim_ros.scene.core.human_state import HumanState
-from humansim_ros.scene.core.layers import BodyPoses, PoseLayer, layers_of
+from humansim_ros.scene.core.layers import BodyPoses, Fitted, PoseLayer, layer_types, layers_of
 from humansim_ros.scene.core.source import STANDING, SceneSource
-from humansim_ros.scene.features.face.tracks import Face, GazeTarget
 from humansim_ros.types import Array
-
-_NO_HANDS_MOVE = "moves nothing: the body has no fingers, or the motion moves them all"
 
 
 @dataclass(frozen=True)
@@ -99,6 +88,7 @@ class Actor:
         config: MotionConfig,
         source: SceneSource,
         motion: Motion | None = None,
+        before: Actor | None = None,
     ) -> Actor:
         """Create a human with a motion.
 
@@ -109,6 +99,7 @@ class Actor:
             config: Section ``motion`` of a scene file.
             source: Finds the motion and the joint table.
             motion: The motion, if it has been read already.
+            before: The same human with another motion, if there is one: its layers stay.
 
         Raises:
             HumansimError: The human cannot play the motion; ``key`` is relative to the section.
@@ -145,23 +136,23 @@ class Actor:
         for warning in source.once(lambda: playing_warnings(world), "warnings", *of_file):
             warn_about(motion.path, warning)
         retargeter = cls._fit(world, human, config, source)
-        if config.pin_feet:
-            world = replace(world, correction=FootContacts.detect(world, retargeter))
-        if config.floor == "skin" or (config.floor is None and config.file in ON_SKIN):
-            placed = world
+        fitted = Fitted(config, retargeter, source)
+        for kind in layer_types():
+            world = kind.corrected(world, human, fitted)
+        if before is not None:
+            actor = replace(before, motion=world, retargeter=retargeter, offset=config.offset, ahead=0.0)
+        else:
+            actor = cls(name, instance, human, world, retargeter, config.offset, layers=layers_of(human))
+        return actor._fitted(config)
 
-            def settle() -> SkinContact:
-                return SkinContact.of(placed, retargeter, _lowest_skin(human))
+    def _fitted(self, config: MotionConfig) -> Actor:
+        """The same human, whose layers follow its motion."""
+        actor = replace(self, layers=tuple(layer.fitted(self, config) for layer in self.layers))
+        return actor._joined()
 
-            shared = config.model_dump_json(exclude={"position", "yaw_deg", "offset", "speed", "hands"})
-            settled = source.once(settle, "floor", id(human.mesh.vertices), shared)
-            world = replace(world, correction=replace(settled, before=placed.correction))
-        with in_section("hands"):
-            hands = HandKeys.of(_hand_keys(config), human.skeleton, world, retargeter.match)
-        if config.hands and hands is None:
-            warn_about(name, f"'hands' {_NO_HANDS_MOVE}")
-        actor = cls(name, instance, human, world, retargeter, config.offset, layers=layers_of(human))
-        return actor.with_layer("hands", settings=hands)
+    def _joined(self) -> Actor:
+        """The same human, whose layers follow each other."""
+        return replace(self, layers=tuple(layer.joined(self) for layer in self.layers))
 
     @classmethod
     def load(
@@ -196,79 +187,38 @@ class Actor:
 
     def with_motion(self, config: MotionConfig, source: SceneSource, motion: Motion | None = None) -> Actor:
         """The same human with another motion; parameters as in :meth:`build`."""
-        changed = Actor.build(self.name, self.instance, self.human, config, source, motion)
-        hands = changed.hands
-        changed = replace(changed, levels=self.levels, layers=self.layers, others=self.others)
-        changed = changed.with_layer("hands", settings=hands)
-        return changed if self.reaches is None else changed.with_reaches(self.reaches)
+        return Actor.build(self.name, self.instance, self.human, config, source, motion, self)
 
-    def with_hands(self, config: MotionConfig) -> Actor:
-        """The same human, whose motion goes on, with the hands of a section ``motion``.
+    def with_changed_keys(self, keys: Set[str], config: MotionConfig) -> Actor | None:
+        """The same human, whose motion goes on, after some keys of its section have changed.
 
-        Raises:
-            MotionError: The keys do not fit the motion, or move nothing.
-        """
-        with in_section("hands"):
-            if config.hands and config.file == LIVE:
-                raise MotionError("the sender of live joints poses the hands, too (docs/keyframes.md)")
-            motion = self.motion if self.hands is None else self.hands.motion
-            hands = HandKeys.of(_hand_keys(config), self.human.skeleton, motion, self.retargeter.match)
-            if config.hands and hands is None:
-                raise MotionError(_NO_HANDS_MOVE)
-        changed = self.with_layer("hands", settings=hands)
-        return changed if self.reaches is None else changed.with_reaches(self.reaches)
-
-    def with_reaches(self, reaches: Reaches) -> Actor:
-        """This human with hands that reach, whatever its motion is.
+        Returns:
+            The human. None if no layer reads these keys alone: then another motion is needed.
 
         Raises:
-            MotionError: The motion has no arms, or the poses of the hands move nothing.
+            HumansimError: The keys do not fit the motion, or change nothing.
         """
-        reaches = replace(reaches, motion=self.motion.motion, retargeter=self.retargeter)
-        poses = reaches.poses
-        if not poses:
-            hands = self.hands and replace(self.hands, reaching=())
-            return self.with_layer("reach", settings=reaches).with_layer("hands", settings=hands)
-        hands = self.hands
-        if hands is None:
-            keys = [HandKey("relaxed", self.motion.start, each.side) for each in poses]
-            hands = HandKeys.of(keys, self.human.skeleton, self.motion, self.retargeter.match)
-        if hands is None:
-            raise MotionError(_NO_HANDS_MOVE, key="pose")
-        reaching = self.with_layer("reach", settings=reaches)
-        return reaching.with_layer("hands", settings=hands.reaching_for(poses))
+        own = next((layer for layer in self.layers if keys <= layer.keys), None)
+        return None if own is None else self._with(own, own.changed(self, config))._joined()
 
     def with_layer(self, name: str, **changes: Any) -> Actor:
-        """The same human with other fields of one of its layers."""
-        layers = (replace(layer, **changes) if layer.name == name else layer for layer in self.layers)
-        return replace(self, layers=tuple(layers))
+        """The same human with other fields of one of its layers. Raises HumansimError if other layers do not
+        fit it."""
+        own = next(layer for layer in self.layers if layer.name == name)
+        return self._with(own, replace(own, **changes))._joined()
 
-    def _settings(self, name: str) -> Any:
+    def _with(self, old: PoseLayer, new: PoseLayer) -> Actor:
+        return replace(self, layers=tuple(new if layer is old else layer for layer in self.layers))
+
+    def settings(self, name: str) -> Any:
+        """Settings of one of its layers; None for nothing."""
         return next((layer.settings for layer in self.layers if layer.name == name), None)
 
     @property
     def keyframes(self) -> KeyframeTrack | None:
         """Keyframes that move, rotate and scale the space of the motion over scene time."""
-        track: KeyframeTrack | None = self._settings("keyframes")
+        track: KeyframeTrack | None = self.settings("keyframes")
         return track
-
-    @property
-    def hands(self) -> HandKeys | None:
-        """Keys of the hands over the motion; None without."""
-        keys: HandKeys | None = self._settings("hands")
-        return keys
-
-    @property
-    def face(self) -> Face | None:
-        """Its face over scene time; None for a stiff face."""
-        face: Face | None = self._settings("face")
-        return face
-
-    @property
-    def reaches(self) -> Reaches | None:
-        """What its hands reach for over scene time; None for nothing."""
-        reaches: Reaches | None = self._settings("reach")
-        return reaches
 
     @staticmethod
     def _fit(world: WorldMotion, human: Human, config: MotionConfig, source: SceneSource) -> Retargeter:
@@ -452,23 +402,6 @@ class Actor:
         """Whether its motion is of a file."""
         return self.motion.motion.path == path
 
-    def seen(self, target: GazeTarget, times: Array, turned: bool) -> Array:
-        """Points (N, 3) of what it looks at, at scene times (N,). ``turned``: see :class:`SceneQuery`."""
-        if not isinstance(target, str):
-            return np.broadcast_to(np.array(target), (len(times), 3))
-        others = self.asking()
-        if others.is_human(target):
-            return others.eyes(target, times, turned)
-        return others.camera_position(target, times)
-
-    def sees(self, target: GazeTarget, times: Array) -> NDArray[np.bool_]:
-        """Whether eyes and head can turn to a target at scene times (N,); always without eyes."""
-        if self._eyes is None:
-            return np.ones(len(times), dtype=bool)
-        joints = self.joints_at(times, WITHOUT_REACH | {PoseStage.HEAD})
-        angles = self._eyes.angles_to(joints, self.seen(target, times, turned=True))
-        return np.asarray((angles == within_limits(angles)).all(axis=(1, 2)))
-
     @cached_property
     def _eyes(self) -> Eyes | None:
         return Eyes.of(self.human.skeleton)
@@ -531,25 +464,6 @@ class Actor:
                 body.poses = rest
                 carried.append((layer, layer.before_fit(body, own)))
         return body, carried
-
-
-def _lowest_skin(human: Human) -> Callable[[Array], Array]:
-    """Function from posed bones (N, B, 4, 4) to the heights (N,) of the lowest skin, metres."""
-    vertices = np.asarray(human.mesh.vertices, dtype=float)
-    skin = np.flatnonzero(skin_on_floor(human.skeleton, vertices, human.weights))
-
-    def lowest(posed: Array) -> Array:
-        return np.array([float(human.pose(bones)[skin, 2].min()) for bones in posed])
-
-    return lowest
-
-
-def _hand_keys(config: MotionConfig) -> Sequence[HandKey]:
-    """Keys of the hands of a motion: of the scene, or of a built-in motion that plays from its start."""
-    if config.hands is not None:
-        return [key.key for key in config.hands]
-    whole = config.start == 0 and config.end is None
-    return BUILT_IN_HANDS.get(config.file, ()) if whole else ()
 
 
 def joint_poses_of(actors: Mapping[str, Actor], seconds: float) -> dict[str, JointPoses]:

@@ -12,6 +12,7 @@ from humansim_ros.errors import SceneError, in_section
 from humansim_ros.geometry import VELOCITY_STEP, ObjectPose, Velocity
 from humansim_ros.scene.config.camera_config import TrajectoryConfig
 from humansim_ros.scene.core.source import SceneSource
+from humansim_ros.scene.features.robot.keys import RobotConfig
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,15 +50,63 @@ class Route:
         return ObjectPose(*self.path.in_map(time), velocity=velocity.scaled(self.speed))
 
 
+class Drive(Protocol):
+    """What moves a carrier that follows commands. The same commands give the same way."""
+
+    def at(self, seconds: float) -> ObjectPose:
+        """Pose and velocity of ``base_link`` at a scene time in seconds."""
+
+    def command(self, seconds: float, speed: float, turn: float) -> None:
+        """Drive from a scene time on: metres per second, and radians per second to the left."""
+
+    def place(self, seconds: float, x: float, y: float, yaw: float) -> None:
+        """Stand somewhere else from a scene time on.
+
+        Args:
+            seconds: The scene time.
+            x: Metres in ``map``.
+            y: Metres in ``map``.
+            yaw: Heading in radians from +x to the left.
+        """
+
+    def reset(self) -> None:
+        """Forget all commands: it stands at its start."""
+
+
 class Carrier(Protocol):
-    """A thing that carries cameras and scanners, such as the robot."""
+    """A thing that carries cameras and scanners: the robot."""
+
+    @property
+    def config(self) -> RobotConfig:
+        """Its settings."""
+
+    @property
+    def route(self) -> Route | None:
+        """Its way, if the way is the same in each run."""
 
     @property
     def base_frame(self) -> str:
-        """Name of the frame in which it carries them."""
+        """Name of the frame ``base_link`` in messages."""
+
+    @property
+    def takes_commands(self) -> bool:
+        """Whether it follows ``cmd_vel``."""
+
+    @property
+    def start(self) -> ObjectPose:
+        """Pose of ``base_link`` at the start of the scene."""
+
+    def base_at(self, seconds: float) -> ObjectPose:
+        """Pose and velocity of ``base_link`` at a scene time."""
 
     def body_at(self, seconds: float, base: ObjectPose | None = None) -> ObjectPose:
         """Pose and velocity of its body at a scene time. ``base``: where ``base_link`` is, if it is known."""
+
+    def base_of(self, body: ObjectPose, seconds: float) -> ObjectPose:
+        """Pose of ``base_link`` at a scene time from the pose of its body, without velocity."""
+
+    def drive(self) -> Drive | None:
+        """What moves it by commands; None if it takes none."""
 
 
 def robot_of_mount(mount: str | None, robot: Carrier | None) -> Carrier | None:

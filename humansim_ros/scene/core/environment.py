@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from pathlib import Path
 
 import cv2
@@ -27,13 +27,41 @@ from humansim_ros.files.reading import (
 from humansim_ros.geometry import from_degrees
 from humansim_ros.render.device import ImageBackdrop, Panorama, ambient
 from humansim_ros.render.interface import Backdrop, Lighting, tone_mapped
-from humansim_ros.scene.config.config import LightConfig, RoomConfig, SceneConfig, WorldMeshConfig
+from humansim_ros.scene.config.config import LightConfig, SceneConfig, WorldMeshConfig
 from humansim_ros.scene.core.randomise import random_light
 from humansim_ros.scene.core.source import SceneSource
-from humansim_ros.scene.features.room.meshes import furnished_room
+from humansim_ros.scene.features.room.keys import RoomConfig
 
 #: Sizes in metres beyond which the unit of a mesh file is probably wrong.
 _LARGE, _SMALL = 1000.0, 0.02
+
+
+@dataclass(frozen=True)
+class Fixture:
+    """Furniture of the room that stands on the floor.
+
+    Attributes:
+        center: Center x and y in ``map``, metres.
+        size: Size along x and y, metres.
+        top: Height of a surface that somebody may sit on, metres; None for none.
+    """
+
+    center: tuple[float, float]
+    size: tuple[float, float]
+    top: float | None = None
+
+
+@dataclass(frozen=True)
+class Furnishing:
+    """Furniture of the room.
+
+    Attributes:
+        fixtures: What stands on the floor, by name.
+        build: Makes the meshes of the room in ``map``.
+    """
+
+    fixtures: Mapping[str, Fixture] = field(default_factory=dict)
+    build: Callable[[], Sequence[Mesh]] = tuple
 
 
 @dataclass(frozen=True)
@@ -45,15 +73,17 @@ class Environment:
         room: Size and seed of the furnished room; None for no room.
         lighting: Light, shadows and tone mapping.
         backdrop: Image behind everything; a plain colour if None.
+        furnishing: Furniture of the room.
     """
 
     mesh_files: tuple[Mesh, ...] = ()
     room: RoomConfig | None = None
     lighting: Lighting = field(default_factory=Lighting)
     backdrop: Backdrop | None = None
+    furnishing: Furnishing = field(default_factory=Furnishing)
 
     @classmethod
-    def load(cls, config: SceneConfig, source: SceneSource) -> Environment:
+    def load(cls, config: SceneConfig, source: SceneSource, furnishing: Furnishing) -> Environment:
         """Load the environment of a scene. Raises HumansimError, which names the key."""
         world, files = config.world, enumerate(config.world.meshes)
         meshes = tuple(mesh for n, item in files for mesh in _load_meshes(item, source, f"world.meshes.{n}"))
@@ -75,19 +105,12 @@ class Environment:
                 backdrop = load_backdrop(source.find(world.background))
         elif world.background is not None:
             lighting = replace(lighting, background=world.background)
-        return cls(meshes, config.room, lighting, backdrop)
+        return cls(meshes, config.room, lighting, backdrop, furnishing)
 
     @cached_property
     def meshes(self) -> tuple[Mesh, ...]:
         """Meshes of the room and of the mesh files."""
-        room = () if self.room is None else _furnished(self.room.size, self.room.seed)
-        return (*room, *self.mesh_files)
-
-
-@lru_cache(maxsize=2)
-def _furnished(size: tuple[float, float, float], seed: int) -> tuple[Mesh, ...]:
-    """Meshes of a room; kept, because an editor makes a scene again after each edit."""
-    return tuple(furnished_room(size, seed))
+        return (*self.furnishing.build(), *self.mesh_files)
 
 
 def _lighting(light: LightConfig) -> Lighting:

@@ -5,7 +5,7 @@ Obstacles are furniture, mesh files and objects, in which no camera and no human
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -19,10 +19,10 @@ from humansim_ros.files.mesh import Mesh
 from humansim_ros.geometry import segments_crossing
 from humansim_ros.motion.body import body_joints
 from humansim_ros.scene.config.config import LIVE
+from humansim_ros.scene.core.features import Feature
 from humansim_ros.scene.core.objects import SceneObject
 from humansim_ros.scene.core.scene import Scene
 from humansim_ros.scene.core.source import SceneSource
-from humansim_ros.scene.features.robot.keys import ROBOT
 from humansim_ros.types import Array, Indices
 
 #: Vertices closer than this share of the size of a mesh are one vertex.
@@ -222,6 +222,14 @@ class SceneSamples:
         return np.asarray(np.mean([joints.mean(axis=(0, 1)) for joints in self.joints.values()], axis=0))
 
 
+class CheckedFeature(Feature):
+    """A feature that finds mistakes in a scene that is made."""
+
+    def check(self, samples: SceneSamples) -> Iterator[Finding]:
+        """Find probable mistakes."""
+        yield from ()
+
+
 def motion_key(samples: SceneSamples, name: str) -> str:
     """Key that places a human."""
     if name in samples.scene.random_humans:
@@ -408,19 +416,11 @@ def find_obstacles(scene: Scene, room: bool = True) -> list[Obstacle]:
         key = f"world.meshes.{number}" if len(scene.config.world.meshes) > number else "world.meshes"
         found.append(Obstacle(key, "a mesh of world.meshes", mesh, _FURNITURE))
     for name, item in scene.objects.items():
-        key = ROBOT if name == ROBOT else _key_of_extra(scene, name)
-        key = f"objects.{name}" if name in scene.config.objects else key
         largest = np.inf if item.shape in ("box", "sphere", "cylinder") else _FURNITURE
         mesh = item.mesh if item.moves else item.static_mesh()
-        found.append(Obstacle(key, f"the object {name}", mesh, largest, moving=item if item.moves else None))
+        moving = item if item.moves else None
+        found.append(Obstacle(item.key, f"the object {name}", mesh, largest, moving=moving))
     return found
-
-
-def _key_of_extra(scene: Scene, name: str) -> str:
-    """Key that makes an object which is not in the scene file: the seat of a human, or clutter."""
-    humans = (human for human in scene.config.humans if name.startswith((f"{human}_chair", f"{human}_table")))
-    human = next(humans, None)
-    return "randomise.clutter" if human is None else f"humans.{human}.seat"
 
 
 def without_enclosures(obstacles: Sequence[Obstacle], points: Array) -> list[Obstacle]:

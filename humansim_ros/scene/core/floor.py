@@ -17,7 +17,6 @@ from humansim_ros.scene.config.config import SceneConfig
 from humansim_ros.scene.core.actor import Actor
 from humansim_ros.scene.core.draft import Draft
 from humansim_ros.scene.core.seats import Sitting, find_sittings, seat_footprint
-from humansim_ros.scene.features.room.meshes import furniture_plan
 from humansim_ros.types import Array
 
 #: Seconds between two poses of a footprint, and most poses of a footprint.
@@ -222,18 +221,17 @@ def things_on_floor(draft: Draft, area: Array) -> Array:
     Raises:
         HumansimError: With the key, if a mesh cannot be read.
     """
-    points = [np.zeros((0, 2)), *_furniture(draft.config), *_objects(draft, area)]
+    points = [np.zeros((0, 2)), *_furniture(draft), *_objects(draft, area)]
     points += [_seen_from_above(_samples(mesh), area) for mesh in draft.environment.mesh_files]
     return _on_grid(np.concatenate(points))
 
 
-def _furniture(config: SceneConfig) -> Iterator[Array]:
+def _furniture(draft: Draft) -> Iterator[Array]:
     """Points on the furniture of the room."""
-    if config.room is None:
-        return
-    for center, size in furniture_plan(config.room.size[:2]).values():
+    for each in draft.furnishing.fixtures.values():
         x, y = (
-            np.linspace(c - s / 2, c + s / 2, 2 + int(s / _CELL)) for c, s in zip(center, size, strict=True)
+            np.linspace(c - s / 2, c + s / 2, 2 + int(s / _CELL))
+            for c, s in zip(each.center, each.size, strict=True)
         )
         yield np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
 

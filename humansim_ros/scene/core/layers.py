@@ -8,16 +8,18 @@ from typing import Any, ClassVar, Protocol
 
 from humansim_ros.motion.body import JointPoses, Rated
 from humansim_ros.motion.files import KeyframeSpace
-from humansim_ros.motion.pose import PoseStage, SceneQuery
+from humansim_ros.motion.motion import WorldMotion
+from humansim_ros.motion.pose import PoseStage, Retargeter, SceneQuery
 from humansim_ros.people.humans import Human
-from humansim_ros.scene.features.face.tracks import Looker
+from humansim_ros.scene.config.config import MotionConfig
+from humansim_ros.scene.core.source import SceneSource
 from humansim_ros.types import Array
 
 #: Features with a layer, in the order of their stages.
-LAYERS = ("reach", "keyframes", "hands", "face", "cloth")
+LAYERS = ("floor", "reach", "keyframes", "hands", "face", "cloth")
 
 
-class Owner(Looker, Protocol):
+class Owner(Protocol):
     """The human that a layer belongs to, as far as layers use it."""
 
     @property
@@ -40,6 +42,17 @@ class Owner(Looker, Protocol):
     def memory(self) -> dict[str, Any]:
         """What its layers remember, by their names, until the human changes."""
 
+    @property
+    def motion(self) -> WorldMotion:
+        """The motion in ``map``."""
+
+    @property
+    def retargeter(self) -> Retargeter:
+        """Retargeting of the motion onto the skeleton."""
+
+    def settings(self, name: str) -> Any:
+        """Settings of one of its layers; None for nothing."""
+
     def asking(self) -> SceneQuery:
         """Knows the others of the scene. Raises MotionError if the human is in no scene."""
 
@@ -48,6 +61,15 @@ class Owner(Looker, Protocol):
 
     def bones_at(self, times: Array) -> Array:
         """Frames (N, B, 4, 4) of the bones, scaled, without reach, at scene times (N,)."""
+
+    def eye_rays(self, times: Array) -> tuple[Array, Array]:
+        """Middle of its eyes (N, 3), and direction ahead (N, 3), before the head turns."""
+
+    def played(self, times: Array) -> Array:
+        """Seconds (N,) in the file of the motion that play at scene times (N,)."""
+
+    def plays(self, path: str) -> bool:
+        """Whether its motion comes from the file ``path``."""
 
 
 @dataclass
@@ -69,6 +91,21 @@ class BodyPoses:
     joints: Array = field(init=False)
     sizes: Array = field(init=False)
     values: dict[str, tuple[Rated, Array]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A motion that is fitted to a body, for layers that correct the motion.
+
+    Attributes:
+        config: Section of the motion.
+        retargeter: Retargeting of the motion onto the skeleton.
+        source: Keeps what has been computed.
+    """
+
+    config: MotionConfig
+    retargeter: Retargeter
+    source: SceneSource
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,6 +136,40 @@ class PoseLayer:
     def rest(self) -> Rated | None:
         """Values at rest that travel next to the joints; None for none."""
         return None
+
+    # --- when a human gets a motion
+
+    @classmethod
+    def corrected(cls, motion: WorldMotion, human: Human, fitted: Fitted) -> WorldMotion:
+        """The motion of a human with the corrections of this layer.
+
+        Args:
+            motion: The motion with the corrections of the layers before.
+            human: The body.
+            fitted: The section of the motion, and its fit.
+        """
+        return motion
+
+    def fitted(self, human: Owner, config: MotionConfig) -> PoseLayer:
+        """This layer after the human has got the motion of a section.
+
+        Raises:
+            HumansimError: The layer does not fit the motion; ``key`` is relative to the section.
+        """
+        return self
+
+    def joined(self, human: Owner) -> PoseLayer:
+        """This layer after another layer of the human has changed. Raises HumansimError if both do not fit
+        together."""
+        return self
+
+    #: Keys of the section ``motion`` that only this layer reads.
+    keys: ClassVar[frozenset[str]] = frozenset()
+
+    def changed(self, human: Owner, config: MotionConfig) -> PoseLayer:
+        """This layer after its keys have changed while the motion goes on. Raises HumansimError if they move
+        nothing."""
+        return self
 
     # --- in the motion player
 
@@ -153,8 +224,11 @@ class PoseLayer:
         return bone
 
 
+def layer_types() -> list[type[PoseLayer]]:
+    """All layers, in the order of their stages."""
+    return [import_module(f"humansim_ros.scene.features.{name}.layer").LAYER for name in LAYERS]
+
+
 def layers_of(human: Human) -> tuple[PoseLayer, ...]:
     """Layers of a body, without settings, in the order of their stages."""
-    modules = (import_module(f"humansim_ros.scene.features.{name}.layer") for name in LAYERS)
-    made: list[PoseLayer | None] = [module.LAYER.of(human) for module in modules]
-    return tuple(layer for layer in made if layer is not None)
+    return tuple(layer for kind in layer_types() if (layer := kind.of(human)) is not None)

@@ -10,19 +10,18 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from humansim_ros.errors import MotionError, did_you_mean, in_section, warn_about
+from humansim_ros.errors import did_you_mean, in_section
 from humansim_ros.files.mesh import Material, Mesh, read_mesh_z_up
 from humansim_ros.files.reading import read_table
 from humansim_ros.geometry import ObjectPose, Velocity, from_degrees, multiply_quaternions, normalised
-from humansim_ros.motion.files import Keyframes, KeyframeTrack, read_keyframes
+from humansim_ros.motion.files import KeyframeTrack
 from humansim_ros.render.interface import Body
-from humansim_ros.scene.config.config import ObjectConfig, SceneConfig
+from humansim_ros.scene.config.config import ObjectConfig
 from humansim_ros.scene.core.source import SceneSource
 from humansim_ros.types import Array, Color
 
@@ -44,6 +43,7 @@ class SceneObject:
         instance: Instance label; 0 for none.
         pose_at: Pose and velocity at a scene time in seconds of an object that something else moves.
         held_by: Name of the human who holds it in both hands; None if nobody does.
+        key: Key of the scene file that makes it.
     """
 
     name: str
@@ -55,6 +55,7 @@ class SceneObject:
     instance: int = 0
     pose_at: Callable[[float], ObjectPose] | None = None
     held_by: str | None = None
+    key: str = ""
 
     @classmethod
     def build(
@@ -97,7 +98,7 @@ class SceneObject:
             mesh = replace(mesh, colors=np.tile(np.array(color, np.uint8), (len(mesh.vertices), 1)))
         turn = from_degrees(config.rotation_deg).as_quat()
         pose = ObjectPose(np.array(config.position), turn, np.array(config.size))
-        return cls(name, shape, color, mesh, pose, keyframes, instance)
+        return cls(name, shape, color, mesh, pose, keyframes, instance, key=f"objects.{name}")
 
     @property
     def moves(self) -> bool:
@@ -157,53 +158,6 @@ class SceneObject:
     @cached_property
     def _parts(self) -> NDArray[np.uint8]:
         return np.zeros(len(self.mesh.triangles), np.uint8)
-
-
-def load_tracks(config: SceneConfig, source: SceneSource) -> dict[tuple[str, str], KeyframeTrack]:
-    """Read the keyframes of humans and objects, each file once.
-
-    A HumansimWarning names what a file moves that is not in the scene.
-
-    Returns:
-        Keyframes by section ("humans", "objects") and name.
-
-    Raises:
-        HumansimError: With the key, if a file cannot be read, does not move the human or object, or scales a
-            human differently along x, y and z.
-    """
-    files: dict[Path, Keyframes] = {}
-    used: set[tuple[Path, str]] = set()
-    tracks = {}
-    for section, name, keyframes in (
-        *(("humans", name, human.keyframes) for name, human in config.humans.items()),
-        *(("objects", name, item.keyframes) for name, item in config.objects.items()),
-    ):
-        if keyframes is None:
-            continue
-        with in_section(f"{section}.{name}.keyframes.file"):
-            path = source.find(keyframes.file)
-            if path not in files:
-                files[path] = read_keyframes(path)
-            target = keyframes.object or name
-            track = files[path].track(target)
-            if section == "humans":
-                _check_uniform(track, target, path)
-        used.add((path, target))
-        tracks[section, name] = track
-    for path, content in files.items():
-        unused = [name for name in content.tracks if (path, name) not in used]
-        if unused:
-            origin = "the scene" if source.path is None else source.path
-            warn_about(path, f"nothing in {origin} is moved by {', '.join(unused[:20])}")
-    return tracks
-
-
-def _check_uniform(track: KeyframeTrack, target: str, path: Path) -> None:
-    """Raise MotionError if keyframes scale a human differently along x, y and z."""
-    if np.ptp(track.sizes, axis=1).any():
-        frame = int(track.frames[np.argmax(np.ptp(track.sizes, axis=1) > 0)])
-        message = f"{target!r} moves a person: its size must be the same along x, y and z (frame {frame})"
-        raise MotionError(message, path=path)
 
 
 def _box() -> Mesh:

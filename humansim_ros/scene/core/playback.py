@@ -21,14 +21,13 @@ from humansim_ros.motion.pose import WorldMotion
 from humansim_ros.scene.config.config import MotionConfig
 from humansim_ros.scene.core.actor import Actor, joint_poses_of
 from humansim_ros.scene.core.camera import CameraPose
+from humansim_ros.scene.core.followers import followed
 from humansim_ros.scene.core.scene import Scene
 from humansim_ros.scene.core.source import SceneSource
 from humansim_ros.scene.core.stands import standing_in
 from humansim_ros.scene.core.state import SceneState
 from humansim_ros.scene.core.world import World
-from humansim_ros.scene.features.held.feature import followed
 from humansim_ros.scene.features.robot.keys import ROBOT
-from humansim_ros.scene.features.robot.robot import CommandedDrive
 from humansim_ros.types import Array
 
 #: Keys that describe the motion file; another file starts with their defaults.
@@ -208,7 +207,7 @@ class Playback:
         #: Rotation and translation of each object that was put somewhere else than its keyframes do.
         self._shifts: dict[str, tuple[scipy.spatial.transform.Rotation, Array]] = {}
         robot = scene.robot
-        self.drive = CommandedDrive(robot) if robot is not None and robot.takes_commands else None
+        self.drive = None if robot is None else robot.drive()
         #: Moving objects by name; those that a human takes along follow its present motion.
         self._moving = {name: followed(item, self.world) for name, item in scene.moving_objects.items()}
 
@@ -321,8 +320,8 @@ class Playback:
         different |= {"file"} & set(settings)
         if different <= {"speed"}:
             actor = replace(before, motion=replace(before.motion, speed=new.speed))
-        elif different <= {"hands"}:
-            actor = before.with_hands(new)
+        elif (changed := before.with_changed_keys(different, new)) is not None:
+            actor = changed
         else:
             read_again = different & {"file", "positions"}
             actor = before.with_motion(new, source, None if read_again else before.motion.motion)

@@ -15,7 +15,7 @@ import numpy as np
 
 from humansim_ros.files.mesh import Mesh
 from humansim_ros.scene.config.config import LightConfig, RandomiseConfig
-from humansim_ros.scene.features.room.meshes import pattern
+from humansim_ros.scene.core.textures import pattern
 from humansim_ros.types import Image
 
 #: Returns the next random number, from 0 to 1.

@@ -26,18 +26,14 @@ from humansim_ros.scene.config.config import SceneConfig, check_config, frame_ti
 from humansim_ros.scene.config.timing import CameraTiming
 from humansim_ros.scene.core.actor import Actor
 from humansim_ros.scene.core.camera import SceneCamera
-from humansim_ros.scene.core.draft import Draft
+from humansim_ros.scene.core.carriers import Carrier
 from humansim_ros.scene.core.environment import Environment
-from humansim_ros.scene.core.features import features_of
+from humansim_ros.scene.core.features import begin_draft, features_of
 from humansim_ros.scene.core.names import check_node_names
 from humansim_ros.scene.core.objects import SceneObject
 from humansim_ros.scene.core.randomise import random_looks
 from humansim_ros.scene.core.source import SceneSource, name_objects
 from humansim_ros.scene.core.world import World
-from humansim_ros.scene.features.face.feature import with_faces
-from humansim_ros.scene.features.reach.feature import with_reaches
-from humansim_ros.scene.features.robot.robot import Robot
-from humansim_ros.scene.features.scanners.scanner import SceneScanner
 
 if TYPE_CHECKING:
     from humansim_ros.render.frame import GLRenderer, PyrenderRenderer
@@ -70,7 +66,7 @@ class Scene(Pictured):
         objects: Objects by name.
         environment: Static surroundings.
         random_humans: Names of the humans from ``variety`` and ``crowd``.
-        scanners: Laser scanners by name.
+        scanners: Laser scanners (``SceneScanner`` of :mod:`humansim_ros.scene.features`) by name.
         robot: What moves the object ``robot``; None without a robot.
 
     Example:
@@ -94,8 +90,8 @@ class Scene(Pictured):
     objects: dict[str, SceneObject] = field(default_factory=dict)
     environment: Environment = field(default_factory=Environment)
     random_humans: frozenset[str] = frozenset()
-    scanners: dict[str, SceneScanner] = field(default_factory=dict)
-    robot: Robot | None = None
+    scanners: dict[str, Any] = field(default_factory=dict)
+    robot: Carrier | None = None
 
     @classmethod
     def load(cls, path: str | os.PathLike[str] | None = None) -> Scene:
@@ -167,29 +163,33 @@ class Scene(Pictured):
 
     @classmethod
     def _from_config(cls, config: SceneConfig, source: SceneSource) -> Scene:
-        features = features_of(config)
-        draft = Draft.begin(config, source)
+        draft = begin_draft(config, source)
         # random people keep away from the humans and objects of the file
-        for feature in features:
+        for feature in features_of(config):
             feature.expand(draft)
         # whoever holds an object or sits on nothing is known now; clutter keeps away from everything
-        for feature in features:
+        for feature in features_of(draft.config):
             feature.furnish(draft)
-        actors, objects, cameras, scanners = draft.actors, draft.objects, draft.cameras, draft.scanners
-        check_node_names(actors, cameras, scanners, bool(config.adapter_settings))
+        cameras, scanners = draft.cameras, draft.scanners
+        check_node_names(draft.actors, cameras, scanners, bool(config.adapter_settings))
         distorted = [name for name, camera in cameras.items() if camera.camera.distorted]
         if config.renderer == "pyrender" and distorted:
             raise SceneError(
                 f"pyrender does not render distorted lenses, as of {distorted[0]}: use moderngl",
                 key="renderer",
             )
-        humans = draft.config.humans
-        actors = with_reaches(actors, humans, objects)
-        actors = with_faces(actors, humans, cameras, source)
-        actors = {name: replace(actor, others=draft.world) for name, actor in actors.items()}
-        random = frozenset(humans.keys() - config.humans.keys())
+        actors = {name: replace(actor, others=draft.world) for name, actor in draft.actors.items()}
+        random = frozenset(draft.config.humans.keys() - config.humans.keys())
         scene = cls(
-            source, draft.config, actors, cameras, objects, draft.environment, random, scanners, draft.robot
+            source,
+            draft.config,
+            actors,
+            cameras,
+            draft.objects,
+            draft.environment,
+            random,
+            scanners,
+            draft.robot,
         )
         scene._fill_world()
         return scene

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.motion.pose import true_runs
 from humansim_ros.scene.config.config import SceneConfig
-from humansim_ros.scene.features.room.meshes import furniture_tops
+from humansim_ros.scene.core.environment import Fixture
 from humansim_ros.types import Array
 
 #: Masses of trunk with head and arms, of both thighs, and of both shins with feet [Winter 2009, table 4.1].
@@ -156,8 +156,11 @@ class Seat:
         return -_LOWER < self.height - sitting.height < _HIGHER
 
 
-def seats_of(config: SceneConfig) -> list[Seat]:
-    """Chairs that stand on the floor of a scene, and both places of the sofa of its room."""
+def seats_of(config: SceneConfig, fixtures: Mapping[str, Fixture]) -> list[Seat]:
+    """Chairs that stand on the floor of a scene, and both places of the sofa of its room.
+
+    ``fixtures``: furniture of the room by name.
+    """
     found = []
     for item in config.objects.values():
         level = item.rotation_deg[:2] == (0.0, 0.0) and abs(item.position[2]) < 0.02
@@ -165,8 +168,8 @@ def seats_of(config: SceneConfig) -> list[Seat]:
             middle, size = np.array(item.position[:2]), np.array(item.size[:2]) * (0.44, 0.43)
             height = item.position[2] + SEAT_HEIGHT * item.size[2]
             found.append(Seat(middle, float(np.radians(item.rotation_deg[2])), height, middle, size))
-    if config.room is not None:
-        (x, y), (depth, width), top = furniture_tops(config.room.size[:2])["sofa"]
+    if (sofa := fixtures.get("sofa")) is not None and sofa.top is not None:
+        (x, y), (depth, width), top = sofa.center, sofa.size, sofa.top
         middle, hips = np.array([x, y]), x + depth / 2 - _SOFA_DEPTH
         found += [
             Seat(np.array([hips, y + side]), 0.0, top, middle, np.array([depth, width]), _SOFA_DEPTH)

@@ -43,7 +43,6 @@ from humansim_ros.scene.core.human_state import HumanState
 from humansim_ros.scene.core.scene import Scene, short_list
 from humansim_ros.scene.core.state import Exposure, OnAccess, SceneState
 from humansim_ros.scene.core.states import SceneStates
-from humansim_ros.scene.features.scanners.sweeps import Sweep
 from humansim_ros.scene.truth.camera_truth import BodyBox, CameraTruth, JointView, KeypointView
 from humansim_ros.types import Array, Float32Array, Image
 
@@ -80,7 +79,7 @@ class Frame(Pictured):
         models: Humans without pose by name.
         faults: Faults of cameras that have any, by camera. ``views`` show the faults of the image; ``sent``
             says whether and when it is sent.
-        sweeps: By laser scanner: sweeps that ended after the previous frame and not after this frame.
+        sweeps: By laser scanner: each ``Sweep`` that ended after the previous frame and not after this frame.
     """
 
     index: int
@@ -101,7 +100,7 @@ class Frame(Pictured):
     published_cameras: Mapping[str, Camera] = field(default_factory=dict)
     encodings: Mapping[str, str] = field(default_factory=dict)
     depth_sensors: Mapping[str, DepthCapture] = field(default_factory=dict)
-    sweeps: Mapping[str, Sequence[Sweep]] = field(default_factory=dict)
+    sweeps: Mapping[str, Sequence[Any]] = field(default_factory=dict)
     robot: ObjectPose | None = None
 
     def __repr__(self) -> str:

@@ -3,18 +3,44 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from typing import Any, Protocol
 
 from humansim_ros.render.interface import ADJACENT_NAMES, AdjacentName
 from humansim_ros.scene.config.config import frame_at
+from humansim_ros.scene.core.features import Feature, features_of
 from humansim_ros.scene.core.playback import Playback
 from humansim_ros.scene.core.scene import Scene
 from humansim_ros.scene.core.state import SceneState
-from humansim_ros.scene.features.scanners.sweeps import Scanning, Sweep
 
 #: Pictures of a camera from the present one to each of the adjacent ones.
 _DIRECTIONS = dict(zip(ADJACENT_NAMES, (1, -1), strict=True))
+
+
+class SweepMaker(Protocol):
+    """What measures a scene in sweeps, which begin at times of their own: a laser scanner."""
+
+    @property
+    def period(self) -> float:
+        """Nanoseconds from the begin of a sweep to the next."""
+
+    def begin(self, number: int) -> int:
+        """Scene time at which a sweep begins, nanoseconds."""
+
+    def due(self, after: int, until: int) -> range:
+        """Numbers of the sweeps that end after one scene time, and not after another, nanoseconds."""
+
+    def sweep(self, number: int, states: Sequence[SceneState], origin: int) -> Any:
+        """Make a sweep from the states around it. ``origin``: stamp of the begin of sweep 0."""
+
+
+class MeasuringFeature(Feature):
+    """A feature with devices that measure the scene."""
+
+    def scanning(self, scene: Scene) -> Mapping[str, SweepMaker]:
+        """What measures a scene, by name."""
+        return {}
 
 
 class SceneStates:
@@ -33,8 +59,14 @@ class SceneStates:
         self.playback = Playback(scene)
         self._scene, self._start = scene, start
         self._directions = {name: _DIRECTIONS[name] for name in compared}
-        self._scanning = {name: Scanning(scene, scanner) for name, scanner in scene.scanners.items()}
-        longest = max((scanner.pattern.period for scanner in scene.scanners.values()), default=0.0)
+        #: What measures at times of its own, by name.
+        self.scanning: Mapping[str, SweepMaker] = {
+            name: scanning
+            for feature in features_of(scene.config)
+            if isinstance(feature, MeasuringFeature)
+            for name, scanning in feature.scanning(scene).items()
+        }
+        longest = max((scanning.period for scanning in self.scanning.values()), default=0.0)
         #: Frames before the present one that sweeps need.
         self._sweep_frames = 1 + math.ceil(longest * 1e-9 / scene.period)
         #: States that are needed again, by scene time and version of the motions.
@@ -51,7 +83,7 @@ class SceneStates:
         state = self.playback.show(elapsed)
         humans = {name: actor.state(state.motions[name]) for name, actor in state.actors.items()}
         state = replace(state, stamp=self._start + elapsed, humans=humans)
-        if self._scanning or self._directions:
+        if self.scanning or self._directions:
             self._kept[key] = state
         return state
 
@@ -66,16 +98,17 @@ class SceneStates:
             for step in steps
         }
 
-    def sweeps(self, scanner: str, index: int) -> list[Sweep]:
+    def sweeps(self, scanner: str, index: int) -> list[Any]:
         """Sweeps of a scanner that end after the frame before, and not after frame ``index``."""
         if index == 0:
             return []
         self._forget(index)
-        scanning, frame_time = self._scanning[scanner], self._scene.frame_time
+        scanning, frame_time = self.scanning[scanner], self._scene.frame_time
         sweeps = []
         for number in scanning.due(frame_time(index - 1), frame_time(index)):
-            first = frame_at(scanning.scanner.pattern.start(number), self._scene.config.rate)
-            first -= frame_time(first) > scanning.scanner.pattern.start(number)
+            begin = scanning.begin(number)
+            first = frame_at(begin, self._scene.config.rate)
+            first -= frame_time(first) > begin
             states = [self.at(each) for each in range(first, index + 1)]
             sweeps.append(scanning.sweep(number, states, self._start))
         return sweeps
@@ -84,7 +117,7 @@ class SceneStates:
         """Forget the states that frames from frame ``index`` on do not need, if they follow each other."""
         if not self._kept:
             return
-        frames = set(range(index - self._sweep_frames, index + 1)) if self._scanning else set()
+        frames = set(range(index - self._sweep_frames, index + 1)) if self.scanning else set()
         for timing in {camera.timing for camera in self._scene.scene_cameras.values()}:
             number = timing.number(index)
             frames |= {timing.frame(number + each) for each in (0, *self._directions.values())}

@@ -128,9 +128,8 @@ def _outlines(scene: Scene, seconds: float) -> Iterator[Array]:
     """Outlines (N, 2) of furniture and objects."""
     square = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) / 2
     if scene.environment.room is not None:
-        from humansim_ros.scene.features.room.meshes import furniture_plan
-
-        for center, size in furniture_plan(scene.environment.room.size[:2]).values():
+        for each in scene.environment.furnishing.fixtures.values():
+            center, size = each.center, each.size
             yield center + square * size
     meshes = [mesh.vertices for mesh in scene.environment.mesh_files]
     meshes += [item.at(seconds).apply(item.mesh.vertices) for item in scene.objects.values()]

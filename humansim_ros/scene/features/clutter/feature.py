@@ -67,7 +67,7 @@ class Clutter(Feature):
                 f"only {len(placed)} of {randomise.clutter} objects find a position on the floor where "
                 "nobody walks",
             )
-        draft.add_objects(placed)
+        draft.add_objects(placed, "randomise.clutter")
 
 
 def _joints(draft: Draft) -> Array:

@@ -2,22 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 
+import numpy as np
+from numpy.typing import NDArray
+
 from humansim_ros.errors import SceneError, in_section, unknown
-from humansim_ros.motion.body import EYE_BONES
+from humansim_ros.motion.body import EYE_BONES, Eyes, within_limits
 from humansim_ros.motion.files import split_motion_name
+from humansim_ros.motion.pose import WITHOUT_REACH, PoseStage
 from humansim_ros.people.makehuman import has_mouth, jaw_of, with_mouth
-from humansim_ros.scene.config.config import LIVE, FaceConfig, HumanConfig
+from humansim_ros.scene.config.config import LIVE, HumanConfig
 from humansim_ros.scene.core.actor import Actor
 from humansim_ros.scene.core.camera import SceneCamera
+from humansim_ros.scene.core.draft import Draft
+from humansim_ros.scene.core.findings import CheckedFeature, Finding, SceneSamples, numbers
 from humansim_ros.scene.core.randomise import RandomNumbers, random_numbers
 from humansim_ros.scene.core.source import SceneSource
 from humansim_ros.scene.features.face.files import read_face_file
-from humansim_ros.scene.features.face.keys import AHEAD
-from humansim_ros.scene.features.face.tracks import Face, Gaze, blinks, glances, key_tracks
+from humansim_ros.scene.features.face.keys import AHEAD, FaceConfig
+from humansim_ros.scene.features.face.tracks import Face, Gaze, GazeTarget, blinks, glances, key_tracks, seen
+from humansim_ros.types import Array
+
+#: Share of the time in which eyes reach what they look at.
+_SEEN = 0.5
 
 
 def face_of(name: str, config: HumanConfig, source: SceneSource) -> Face:
@@ -53,49 +63,77 @@ def face_of(name: str, config: HumanConfig, source: SceneSource) -> Face:
     )
 
 
-def with_faces(
-    actors: Mapping[str, Actor],
-    configs: Mapping[str, HumanConfig],
-    cameras: Mapping[str, SceneCamera],
-    source: SceneSource,
-) -> dict[str, Actor]:
-    """Humans with their faces.
+class LivingFaces(CheckedFeature):
+    """The key ``face`` of humans."""
 
-    Args:
-        actors: Humans by name.
-        configs: Their sections.
-        cameras: Cameras by name, which they may look at.
-        source: Finds the files.
+    def furnish(self, draft: Draft) -> None:
+        """Give humans their faces. Raises HumansimError, which names the key, as of a gaze at nobody."""
+        configs, source = draft.config.humans, draft.source
+        for name, config in configs.items():
+            if config.face is None:
+                continue
+            with in_section(f"humans.{name}.face"):
+                for number, key in enumerate(config.face.keys):
+                    with in_section(f"keys.{number}.gaze"):
+                        _check_gaze(name, key.gaze, configs, draft.cameras)
+                draft.actors[name] = _with_face(draft.actors[name], config, source)
 
-    Raises:
-        HumansimError: With the key, as of a gaze at nobody.
-    """
-    faces = {name: config.face for name, config in configs.items()}
-    if not any(faces.values()):
-        return dict(actors)
-    out = dict(actors)
-    for name, config in faces.items():
-        if config is None:
-            continue
-        with in_section(f"humans.{name}.face"):
-            for number, key in enumerate(config.keys):
-                with in_section(f"keys.{number}.gaze"):
-                    _check_gaze(name, key.gaze, configs, cameras)
-            face = face_of(name, configs[name], source)
-            human = actors[name].human
-            jaw = source.once(partial(jaw_of, human), "jaw", id(human.mesh.vertices))
-            face = replace(face, body_file=actors[name].motion.motion.path)
-            out[name] = actors[name].with_layer("face", settings=face, jaw=jaw)
-            if configs[name].motion.file == LIVE and config != FaceConfig(mouth=config.mouth):
-                source.warn(
-                    f"humans.{name}.face", "another node moves this human, and its face: nothing else does"
-                )
-            if config.mouth:
-                out[name] = _with_mouth(out[name], source)
-            if human.shapes is None:
-                eyes = "only its eyes move" if EYE_BONES[0] in human.skeleton.names else "nothing moves"
-                source.warn(f"humans.{name}.face", f"the body has no actions of the face: {eyes}")
-    return out
+    def check(self, samples: SceneSamples) -> Iterator[Finding]:
+        """Find gazes at what the eyes do not reach."""
+        for name in samples.joints:
+            actor, config = samples.scene.actors[name], samples.scene.config.humans[name].face
+            face: Face | None = actor.settings("face")
+            if face is None or config is None:
+                continue
+            keys = sorted(
+                (key.time, number, key.gaze) for number, key in enumerate(config.keys) if key.gaze is not None
+            )
+            ends = [*(time for time, *_ in keys), np.inf][1:]
+            for gaze, (time, number, target), end in zip(face.gazes, keys, ends, strict=True):
+                times = samples.times[(samples.times >= time) & (samples.times < end)]
+                if gaze.target is None or not len(times):
+                    continue
+                share = float(sees(actor, gaze.target, times).mean())
+                if share < _SEEN:
+                    shown = target if isinstance(target, str) else numbers(target)
+                    head = (
+                        "even with the head: "
+                        if config.head
+                        else "and the head does not turn with them: let it turn "
+                        f"(humans.{name}.face.head: 1), "
+                    )
+                    text = (
+                        f"the eyes of {name} reach {shown} in {share:.0%} of the time, {head}"
+                        "turn the human (motion.yaw_deg), or let it look at what is before it"
+                    )
+                    yield Finding("warning", f"humans.{name}.face.keys.{number}.gaze", text)
+
+
+def sees(actor: Actor, target: GazeTarget, times: Array) -> NDArray[np.bool_]:
+    """Whether eyes and head can turn to a target at scene times (N,); always without eyes."""
+    eyes = Eyes.of(actor.human.skeleton)
+    if eyes is None:
+        return np.ones(len(times), dtype=bool)
+    joints = actor.joints_at(times, WITHOUT_REACH | {PoseStage.HEAD})
+    angles = eyes.angles_to(joints, seen(actor, target, times, turned=True))
+    return np.asarray((angles == within_limits(angles)).all(axis=(1, 2)))
+
+
+def _with_face(actor: Actor, config: HumanConfig, source: SceneSource) -> Actor:
+    """A human with its face."""
+    assert config.face is not None
+    human, key = actor.human, f"humans.{actor.name}.face"
+    jaw = source.once(partial(jaw_of, human), "jaw", id(human.mesh.vertices))
+    face = replace(face_of(actor.name, config, source), body_file=actor.motion.motion.path)
+    actor = actor.with_layer("face", settings=face, jaw=jaw)
+    if config.motion.file == LIVE and config.face != FaceConfig(mouth=config.face.mouth):
+        source.warn(key, "another node moves this human, and its face: nothing else does")
+    if config.face.mouth:
+        actor = _with_mouth(actor, source)
+    if human.shapes is None:
+        eyes = "only its eyes move" if EYE_BONES[0] in human.skeleton.names else "nothing moves"
+        source.warn(key, f"the body has no actions of the face: {eyes}")
+    return actor
 
 
 def _with_mouth(actor: Actor, source: SceneSource) -> Actor:
@@ -127,3 +165,6 @@ def _check_gaze(
         raise SceneError(f"{unknown('human and no camera', gaze, known)}; {AHEAD} ends a gaze")
     if gaze in humans and humans[gaze].motion.file == LIVE:
         raise SceneError(f"another node moves {gaze}, so that its place is not known: give a point")
+
+
+FEATURE = LivingFaces()

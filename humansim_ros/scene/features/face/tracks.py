@@ -14,7 +14,6 @@ import statistics
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Protocol
 
 import numpy as np
 
@@ -30,6 +29,7 @@ from humansim_ros.motion.body import (
     face_weights,
     with_looks,
 )
+from humansim_ros.scene.core.layers import Owner
 from humansim_ros.scene.features.face.keys import FaceKey
 from humansim_ros.types import Array
 
@@ -207,21 +207,21 @@ def _mouth(mouths: Sequence[Mapping[str, float]], uniform: Uniform) -> Array:
     return face_weights(both_sides(chosen))
 
 
-class Looker(Protocol):
-    """The human who has the face."""
+def seen(human: Owner, target: GazeTarget, times: Array, turned: bool) -> Array:
+    """Points (N, 3) of a target that a human looks at.
 
-    def seen(self, target: GazeTarget, times: Array, turned: bool) -> Array:
-        """Points (N, 3) of a target at scene times (N,). ``turned``: if the target is a human, take it with
-        its head turned."""
-
-    def eye_rays(self, times: Array) -> tuple[Array, Array]:
-        """Middle of the human's own eyes (N, 3), and direction ahead (N, 3), before the head turns."""
-
-    def played(self, times: Array) -> Array:
-        """Seconds (N,) in the file of the motion that play at scene times (N,)."""
-
-    def plays(self, path: str) -> bool:
-        """Whether the motion comes from the file ``path``."""
+    Args:
+        human: Who looks.
+        target: The target.
+        times: Scene times (N,).
+        turned: If the target is a human, take it with its head turned.
+    """
+    if not isinstance(target, str):
+        return np.broadcast_to(np.array(target), (len(times), 3))
+    others = human.asking()
+    if others.is_human(target):
+        return others.eyes(target, times, turned)
+    return others.camera_position(target, times)
 
 
 @dataclass(frozen=True)
@@ -281,7 +281,7 @@ class Face:
         """Whether the head turns with the gaze at any time."""
         return bool(self.gazes) and self.head > 0
 
-    def add(self, poses: JointPoses, seconds: float, human: Looker) -> JointPoses:
+    def add(self, poses: JointPoses, seconds: float, human: Owner) -> JointPoses:
         """Add the joints that carry the face to poses (N = 1) of the motion of a human at a scene time."""
         if not self.joints:
             return poses
@@ -301,7 +301,7 @@ class Face:
                 positions[number], linear[number] = points[1], (points[2] - points[0]) / step
         return poses.with_joints(self.joints, rotations, angular, positions, linear)
 
-    def _weights(self, times: Array, shares: Array, human: Looker) -> Array:
+    def _weights(self, times: Array, shares: Array, human: Owner) -> Array:
         """Weights (N, 52) at times (N,), where the gaze has the shares (N,)."""
         weights = np.zeros((len(times), len(ACTIONS)))
         for track in self.tracks:
@@ -319,7 +319,7 @@ class Face:
             weights[:, self.glances.actions] += left[:, None] * self.glances.at(times)
         return np.clip(weights, 0.0, 1.0)
 
-    def head_at(self, times: Array, human: Looker) -> tuple[Array, Array]:
+    def head_at(self, times: Array, human: Owner) -> tuple[Array, Array]:
         """Shares (N,) of the turn of the head, and points (N, 3) that it turns to, at times (N,)."""
         shares, points = np.zeros(len(times)), np.zeros((len(times), 3))
         begun = np.searchsorted([gaze.time for gaze in self.gazes], times, side="right")
@@ -328,26 +328,26 @@ class Face:
             shares[now], points[now] = self._head(times[now], human)
         return shares, points
 
-    def _head(self, times: Array, human: Looker) -> tuple[Array, Array]:
+    def _head(self, times: Array, human: Owner) -> tuple[Array, Array]:
         """Do the same as :meth:`_gaze` for the head."""
-        shares, points = self._attended(partial(human.seen, turned=False), turn_seconds, times, human)
+        shares, points = self._attended(partial(seen, human, turned=False), turn_seconds, times, human)
         return self.head * shares, points
 
-    def _gaze(self, times: Array, human: Looker) -> tuple[Array, Array]:
+    def _gaze(self, times: Array, human: Owner) -> tuple[Array, Array]:
         """Shares (N,) of the gaze, and its points (N, 3), at times (N,) around a frame."""
-        return self._attended(partial(human.seen, turned=True), saccade_seconds, times, human)
+        return self._attended(partial(seen, human, turned=True), saccade_seconds, times, human)
 
     def _attended(
         self,
-        seen: Callable[[GazeTarget, Array], Array],
+        seen_at: Callable[[GazeTarget, Array], Array],
         seconds: Callable[[float], float],
         times: Array,
-        human: Looker,
+        human: Owner,
     ) -> tuple[Array, Array]:
         """Shares (N,) and points (N, 3) of a gaze at times (N,) around a frame.
 
         Args:
-            seen: Returns the points of a target.
+            seen_at: Returns the points of a target.
             seconds: Function that returns the duration of a change by an angle in degrees.
             times: Times. All are between the same two gazes.
             human: The human who has the gaze.
@@ -361,17 +361,17 @@ class Face:
         done = np.ones(len(times))
         # a gaze that begins with the scene does not need time to turn
         if time > 0 and times.min() < time + seconds(180):
-            lasts = seconds(_change(np.array([time]), before, after, seen, human))
+            lasts = seconds(_change(np.array([time]), before, after, seen_at, human))
             done = smooth_step((times - time) / lasts)
         if after is None or before is None:
             target = before if after is None else after
             if target is not None:
-                shares, points = done if after is not None else 1 - done, seen(target, times)
+                shares, points = done if after is not None else 1 - done, seen_at(target, times)
             return shares, points
         if done.min() == 1:
-            return np.ones(len(times)), seen(after, times)
+            return np.ones(len(times)), seen_at(after, times)
         eyes = human.eye_rays(times)[0]
-        start, end = seen(before, times) - eyes, seen(after, times) - eyes
+        start, end = seen_at(before, times) - eyes, seen_at(after, times) - eyes
         near, far = (np.linalg.norm(line, axis=-1) for line in (start, end))
         return np.ones(len(times)), eyes + (near + done * (far - near))[:, None] * _turned(start, end, done)
 
@@ -380,13 +380,13 @@ def _change(
     times: Array,
     before: GazeTarget | None,
     after: GazeTarget | None,
-    seen: Callable[[GazeTarget, Array], Array],
-    human: Looker,
+    seen_at: Callable[[GazeTarget, Array], Array],
+    human: Owner,
 ) -> float:
     """Degrees by which a gaze changes at a time (1,)."""
     eyes, ahead = human.eye_rays(times)
     start, end = (
-        ahead if target is None else unit_vectors(seen(target, times) - eyes) for target in (before, after)
+        ahead if target is None else unit_vectors(seen_at(target, times) - eyes) for target in (before, after)
     )
     return float(np.degrees(angle_between(start, end))[0])
 

@@ -2,12 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
+from humansim_ros.errors import MotionError, in_section, warn_about
 from humansim_ros.motion.body import JointPoses
-from humansim_ros.motion.pose import HAND_JOINT, HAND_JOINTS, HandKeys, PoseStage
+from humansim_ros.motion.pose import (
+    BUILT_IN_HANDS,
+    HAND_JOINT,
+    HAND_JOINTS,
+    HandKey,
+    HandKeys,
+    PoseStage,
+    Reaches,
+)
+from humansim_ros.scene.config.config import LIVE, MotionConfig
 from humansim_ros.scene.core.layers import BodyPoses, Owner, PoseLayer
+
+_NOTHING_MOVES = "moves nothing: the body has no fingers, or the motion moves them all"
 
 
 @dataclass(frozen=True, eq=False)
@@ -16,7 +29,39 @@ class HandLayer(PoseLayer):
 
     name: ClassVar[str] = "hands"
     stage: ClassVar[PoseStage] = PoseStage.FINGERS
+    keys: ClassVar[frozenset[str]] = frozenset({"hands"})
     settings: HandKeys | None = None
+
+    def fitted(self, human: Owner, config: MotionConfig) -> HandLayer:
+        with in_section("hands"):
+            hands = HandKeys.of(_keys(config), human.human.skeleton, human.motion, human.retargeter.match)
+        if config.hands and hands is None:
+            warn_about(human.name, f"'hands' {_NOTHING_MOVES}")
+        return replace(self, settings=hands)
+
+    def changed(self, human: Owner, config: MotionConfig) -> HandLayer:
+        with in_section("hands"):
+            if config.hands and config.file == LIVE:
+                raise MotionError("the sender of live joints poses the hands, too (docs/keyframes.md)")
+            motion = human.motion if self.settings is None else self.settings.motion
+            hands = HandKeys.of(_keys(config), human.human.skeleton, motion, human.retargeter.match)
+            if config.hands and hands is None:
+                raise MotionError(_NOTHING_MOVES)
+        return replace(self, settings=hands)
+
+    def joined(self, human: Owner) -> HandLayer:
+        reaches: Reaches | None = human.settings("reach")
+        poses = () if reaches is None else reaches.poses
+        hands = self.settings
+        if not poses:
+            bare = hands is None or not hands.reaching
+            return self if bare else replace(self, settings=hands and replace(hands, reaching=()))
+        if hands is None:
+            keys = [HandKey("relaxed", human.motion.start, each.side) for each in poses]
+            hands = HandKeys.of(keys, human.human.skeleton, human.motion, human.retargeter.match)
+        if hands is None:
+            raise MotionError(_NOTHING_MOVES, key="pose")
+        return replace(self, settings=hands.reaching_for(poses))
 
     def encode(self, poses: JointPoses, seconds: float, human: Owner) -> JointPoses:
         if self.settings is None:
@@ -29,6 +74,14 @@ class HandLayer(PoseLayer):
     def before_fit(self, body: BodyPoses, own: JointPoses) -> None:
         bones = (name.removeprefix(HAND_JOINT) for name in own.names)
         body.turns = dict(zip(bones, own.rotations.swapaxes(0, 1), strict=True))
+
+
+def _keys(config: MotionConfig) -> Sequence[HandKey]:
+    """Keys of the hands of a motion: of the scene, or of a built-in motion that plays from its start."""
+    if config.hands is not None:
+        return [key.key for key in config.hands]
+    whole = config.start == 0 and config.end is None
+    return BUILT_IN_HANDS.get(config.file, ()) if whole else ()
 
 
 LAYER = HandLayer

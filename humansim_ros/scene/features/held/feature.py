@@ -8,19 +8,11 @@ from functools import cached_property
 import numpy as np
 
 from humansim_ros.errors import SceneError, in_section, unknown
-from humansim_ros.geometry import (
-    AROUND,
-    VELOCITY_STEP,
-    ObjectPose,
-    Velocity,
-    matrix_to_quaternion,
-    quaternion_to_matrix,
-    unit_vectors,
-)
+from humansim_ros.geometry import unit_vectors
 from humansim_ros.motion.pose import PALM, WITHOUT_REACH
-from humansim_ros.scene.core.actor import Actor
 from humansim_ros.scene.core.draft import Draft
 from humansim_ros.scene.core.features import Feature
+from humansim_ros.scene.core.followers import Follower, path_frames
 from humansim_ros.scene.core.objects import SHAPES, SceneObject
 from humansim_ros.scene.core.world import World
 from humansim_ros.scene.features.held.keys import HoldConfig
@@ -28,60 +20,19 @@ from humansim_ros.types import Array
 
 #: Half the thickness of a hand, metres.
 _THICK = 0.018
-#: Most poses that are kept.
-_KNOWN = 10_000
-#: Seconds around a time over which a path is smoothed, which three strides fill.
-_SMOOTHED = np.linspace(-1.5, 1.5, 31)
-
-
-def _smoothing() -> Array:
-    """Weights (31,): they keep a path of constant acceleration, and little of strides of a second."""
-    bell = 1 + np.cos(np.pi * _SMOOTHED / _SMOOTHED[-1])
-    moments = [(bell * _SMOOTHED**power).sum() for power in (0, 2, 4)]
-    a, b = np.linalg.solve([moments[:2], moments[1:]], [1.0, 0.0])
-    return np.asarray(bell * (a + b * _SMOOTHED**2))
 
 
 @dataclass(frozen=True, eq=False)
-class Hold:
+class Hold(Follower):
     """A human that takes an object along, in the hands or on the path.
 
+    ``own`` is the pose of the object in the frame between the palms, or below the hips.
+
     Attributes:
-        world: Knows the human by name.
-        config: Which human, when, and by what.
-        own: Pose of the object in the frame between the palms, or below the hips.
+        config: When, and by what.
     """
 
-    world: World
     config: HoldConfig
-    own: ObjectPose
-
-    def __call__(self, seconds: float) -> ObjectPose:
-        """Pose and velocity at a scene time in seconds."""
-        key = self.world.version, seconds
-        if key not in self._known:
-            if len(self._known) >= _KNOWN:
-                self._known.clear()
-            self._known[key] = self._at(seconds)
-        return self._known[key]
-
-    @cached_property
-    def _known(self) -> dict[tuple[int, float], ObjectPose]:
-        """Poses by version of the motions and scene time: humans that reach for the object ask again."""
-        return {}
-
-    @property
-    def _human(self) -> Actor:
-        return self.world.human(self.config.human)
-
-    def _at(self, seconds: float) -> ObjectPose:
-        times = seconds + AROUND
-        positions, rotations = self.frames(times)
-        turn = quaternion_to_matrix(self.own.rotation)
-        places = positions + rotations @ self.own.position
-        quaternions = matrix_to_quaternion(rotations @ turn)
-        velocity = Velocity.between(places, quaternions, 2 * VELOCITY_STEP)
-        return ObjectPose(places[1], quaternions[1], self.own.size, velocity)
 
     def frames(self, times: Array) -> tuple[Array, Array]:
         """Middles of the palms (N, 3), and axes (N, 3, 3): x ahead, y to the left palm.
@@ -89,27 +40,17 @@ class Hold:
         Of a path, points of the floor below the hips, without the sway of steps; y to the left.
         """
         if self.config.by == "path":
-            return self._path(self._held(times))
+            return path_frames(self.actor, self._held(times), self._held)
         left, right = self.palms(self._held(times))
         y = unit_vectors(left - right)
         up = np.array([0.0, 0.0, 1.0]) - y[:, 2:] * y
         z = unit_vectors(up)
         return (left + right) / 2, np.stack([np.cross(y, z), y, z], axis=-1)
 
-    def _path(self, times: Array) -> tuple[Array, Array]:
-        weights = _smoothing()
-        around = self._held(np.add.outer(times, _SMOOTHED).ravel())
-        middle, left = (
-            np.einsum("w,nwd->nd", weights, each.reshape(len(times), len(weights), 3)) * (1.0, 1.0, 0.0)
-            for each in self._human.hips_at(around)
-        )
-        y, z = unit_vectors(left), np.broadcast_to([0.0, 0.0, 1.0], left.shape)
-        return middle, np.stack([np.cross(y, z), y, z], axis=-1)
-
     def palms(self, times: Array) -> tuple[Array, Array]:
         """Left and right palm (N, 3) at scene times (N,)."""
-        joints = self._human.joints_at(times, WITHOUT_REACH)[..., :3, 3]
-        names = self._human.human.skeleton.joint_names
+        joints = self.actor.joints_at(times, WITHOUT_REACH)[..., :3, 3]
+        names = self.actor.human.skeleton.joint_names
         wrists, tips = (
             joints[:, [names.index(f"{side}_{part}") for side in "lr"]] for part in ("wrist", "wrist_end")
         )
@@ -124,7 +65,7 @@ class Hold:
 
     def _held(self, times: Array) -> Array:
         """Clamp scene times (N,) to the part of the cycle in which the hands hold the object."""
-        human, motion = self._human, self._human.motion
+        human, motion = self.actor, self.actor.motion
         end = motion.cycle_length if self.config.end is None else self.config.end
         played = motion.file_times(times + human.offset, human.ahead)
         length = motion.cycle_length
@@ -141,7 +82,7 @@ def held(item: SceneObject, config: HoldConfig, world: World) -> SceneObject:
     actors = world.people
     if config.human not in actors:
         raise SceneError(unknown("human", config.human, actors))
-    hold = Hold(world, config, item.initial_pose)
+    hold = Hold(world, config.human, item.initial_pose, config)
     if config.by == "path":
         return replace(item, pose_at=hold)
     if not {"l_wrist_end", "r_wrist_end"} <= set(actors[config.human].human.skeleton.joint_names):
@@ -150,12 +91,6 @@ def held(item: SceneObject, config: HoldConfig, world: World) -> SceneObject:
         x, _, z = item.initial_pose.size.tolist()
         hold = replace(hold, own=replace(item.initial_pose, size=np.array([x, hold.width, z])))
     return replace(item, initial_pose=hold.own, pose_at=hold, held_by=config.human)
-
-
-def followed(item: SceneObject, world: World) -> SceneObject:
-    """An object that follows the human of another world who takes it along. It keeps its size and place."""
-    hold = item.pose_at
-    return replace(item, pose_at=replace(hold, world=world)) if isinstance(hold, Hold) else item
 
 
 class Held(Feature):

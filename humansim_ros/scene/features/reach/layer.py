@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from humansim_ros.motion.body import JointPoses
 from humansim_ros.motion.pose import PoseStage, Reaches
+from humansim_ros.scene.config.config import MotionConfig
 from humansim_ros.scene.core.layers import Owner, PoseLayer
 from humansim_ros.types import Array
 
@@ -18,6 +19,12 @@ class ReachLayer(PoseLayer):
     name: ClassVar[str] = "reach"
     stage: ClassVar[PoseStage] = PoseStage.ARMS
     settings: Reaches | None = None
+
+    def fitted(self, human: Owner, config: MotionConfig) -> ReachLayer:
+        if self.settings is None:
+            return self
+        reaches = replace(self.settings, motion=human.motion.motion, retargeter=human.retargeter)
+        return replace(self, settings=reaches)
 
     def encode(self, poses: JointPoses, seconds: float, human: Owner) -> JointPoses:
         if self.settings is None:

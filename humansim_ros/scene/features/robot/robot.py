@@ -106,6 +106,10 @@ class Robot:
         """Whether it follows ``cmd_vel``."""
         return self.route is None and self.config.odometry is None
 
+    def drive(self) -> CommandedDrive | None:
+        """What moves it by commands; None if it takes none."""
+        return CommandedDrive(self) if self.takes_commands else None
+
     @cached_property
     def start(self) -> ObjectPose:
         """Pose of ``base_link`` at the start of the scene, where its odometry begins."""
@@ -147,7 +151,7 @@ def robot_object(robot: Robot, source: SceneSource) -> SceneObject:
     section = ObjectConfig(mesh=config.mesh, size=config.size, **color)
     item = SceneObject.build(ROBOT, section, source, None, 0)
     start = replace(robot.body_at(0.0), size=item.initial_pose.size)
-    return replace(item, initial_pose=start, pose_at=robot.body_at)
+    return replace(item, initial_pose=start, pose_at=robot.body_at, key=ROBOT)
 
 
 class _Command(NamedTuple):

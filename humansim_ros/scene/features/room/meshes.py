@@ -8,17 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import lru_cache
 
 import cv2
 import numpy as np
-import scipy.fft
 
 from humansim_ros.files.mesh import Mesh
+from humansim_ros.scene.core.environment import Fixture
 from humansim_ros.scene.core.objects import BOOKS
+from humansim_ros.scene.core.textures import Rng, noise, planks, plaster, poster, shaded, weave
 from humansim_ros.types import Array, Image
 
-_Rng = np.random.Generator
 #: x and y.
 _Point = tuple[float, float]
 
@@ -27,12 +26,12 @@ def furnished_room(size: tuple[float, float, float] = (7.0, 6.4, 2.8), seed: int
     """Meshes of a room of ``size`` (x, y, z) metres around the origin; the same seed gives the same room."""
     rng = np.random.default_rng(seed)
     length, width, height = size
-    plan = furniture_plan((length, width))
+    plan = {name: (each.center, each.size) for name, each in fixtures((length, width)).items()}
     x, y = length / 2, width / 2
-    wood, pale, dark = _planks(rng, (150, 112, 78)), _planks(rng, (196, 172, 138)), _planks(rng, (92, 66, 48))
-    cloth = _weave(rng, (74, 98, 92))
+    wood, pale, dark = planks(rng, (150, 112, 78)), planks(rng, (196, 172, 138)), planks(rng, (92, 66, 48))
+    cloth = weave(rng, (74, 98, 92))
     meshes = [
-        _floor(length, width, _planks(rng, (168, 138, 104), rows=12)),
+        _floor(length, width, planks(rng, (168, 138, 104), rows=12)),
         *_walls(x, y, height, rng),
         _quad(
             [(-1.9, -1.35, 0.004), (1.9, -1.35, 0.004), (1.9, 1.35, 0.004), (-1.9, 1.35, 0.004)], _rug(rng)
@@ -58,10 +57,10 @@ def furnished_room(size: tuple[float, float, float] = (7.0, 6.4, 2.8), seed: int
     return meshes
 
 
-def furniture_plan(size: tuple[float, float]) -> dict[str, tuple[_Point, _Point]]:
-    """Center and size along x and y of what stands on the floor of a room of ``size``, by name; metres."""
+def fixtures(size: tuple[float, float]) -> dict[str, Fixture]:
+    """What stands on the floor of a room of ``size`` (x, y), by name; metres."""
     x, y = size[0] / 2, size[1] / 2
-    return {
+    plan = {
         "table": ((x - 0.62, -0.5), (0.9, 1.7)),
         "sofa": ((-x + 0.52, 0.4), (0.95, 2.0)),
         "shelf": ((-0.7, y - 0.19), (1.5, 0.34)),
@@ -70,12 +69,7 @@ def furniture_plan(size: tuple[float, float]) -> dict[str, tuple[_Point, _Point]
         "small carton": ((1.1, -y + 0.26), (0.45, 0.45)),
         "door": ((-1.3, -y + 0.03), (0.92, 0.05)),
     }
-
-
-def furniture_tops(size: tuple[float, float]) -> dict[str, tuple[_Point, _Point, float]]:
-    """As :func:`furniture_plan`, with the height of the surface that somebody may sit on; metres."""
-    plan = furniture_plan(size)
-    return {name: (*plan[name], top) for name, top in _TOPS.items()}
+    return {name: Fixture(*place, _TOPS.get(name)) for name, place in plan.items()}
 
 
 #: Heights of the furniture that has a free surface; of the sofa its seat.
@@ -88,13 +82,13 @@ def _floor(length: float, width: float, image: Image) -> Mesh:
     return _quad(corners, image, repeat=(length / 2.0, width / 2.0))
 
 
-def _walls(x: float, y: float, height: float, rng: _Rng) -> list[Mesh]:
-    plaster = _plaster(rng, (214, 208, 196))
-    accent = _plaster(rng, (156, 172, 176))
-    trim = _plaster(rng, (236, 234, 228))
+def _walls(x: float, y: float, height: float, rng: Rng) -> list[Mesh]:
+    plain = plaster(rng, (214, 208, 196))
+    accent = plaster(rng, (156, 172, 176))
+    trim = plaster(rng, (236, 234, 228))
     corners = [(x, y), (-x, y), (-x, -y), (x, -y)]
     meshes: list[Mesh] = [_quad([(-x, -y, height), (-x, y, height), (x, y, height), (x, -y, height)], trim)]
-    for i, image in enumerate((plaster, accent, plaster, plaster)):
+    for i, image in enumerate((plain, accent, plain, plain)):
         (ax, ay), (bx, by) = corners[i], corners[(i + 1) % 4]
         span = float(np.hypot(bx - ax, by - ay))
         wall = [(ax, ay, 0), (bx, by, 0), (bx, by, height), (ax, ay, height)]
@@ -123,7 +117,7 @@ def _sofa(at: _Point, size: _Point, image: Image) -> list[Mesh]:
     ]
 
 
-def _shelf(at: _Point, size: _Point, h: float, image: Image, rng: _Rng) -> list[Mesh]:
+def _shelf(at: _Point, size: _Point, h: float, image: Image, rng: Rng) -> list[Mesh]:
     (x, y), (w, d) = at, size
     meshes = [_box((x + s * (w / 2 - 0.015), y, h / 2), (0.03, d, h), image) for s in (-1, 1)]
     levels = np.linspace(0.04, h - 0.015, 6)
@@ -136,16 +130,16 @@ def _shelf(at: _Point, size: _Point, h: float, image: Image, rng: _Rng) -> list[
             if rng.random() < 0.82:
                 color = BOOKS[int(rng.integers(len(BOOKS)))]
                 center = (x + left + book / 2, y - 0.03, float(z) + 0.015 + tall / 2)
-                meshes.append(_box(center, (book, 0.22, tall), _plaster(rng, color, 64)))
+                meshes.append(_box(center, (book, 0.22, tall), plaster(rng, color, 64)))
             left += book + 0.004
     return meshes
 
 
-def _picture(at: Sequence[float], along: Sequence[float], size: tuple[float, float], rng: _Rng) -> Mesh:
+def _picture(at: Sequence[float], along: Sequence[float], size: tuple[float, float], rng: Rng) -> Mesh:
     centre, right, up = np.array(at), np.array(along, dtype=float), np.array([0.0, 0.0, 1.0])
     w, h = right * size[0] / 2, up * size[1] / 2
     corners = [centre - w - h, centre + w - h, centre + w + h, centre - w + h]
-    picture = _quad(corners, _poster(rng, (int(360 * size[1]), int(360 * size[0]))))
+    picture = _quad(corners, poster(rng, (int(360 * size[1]), int(360 * size[0]))))
     inwards = np.cross(right, up) @ centre < 0
     return picture if inwards else _turned(picture)
 
@@ -189,80 +183,7 @@ def _box(centre: Sequence[float], size: Sequence[float], image: Image) -> Mesh:
     return Mesh(np.array(vertices), faces, np.array(uv), faces, texture=image)
 
 
-def pattern(seed: int, color: Sequence[int], side: int) -> Image:
-    """Random pattern (side, side, 3): planks, weave, plaster, picture, checks, stripes or dots."""
-    rng = np.random.default_rng(seed)
-    kind = int(rng.integers(7))
-    if kind < 3:
-        if kind == 0:
-            return _planks(rng, color, side=side)
-        return (_weave if kind == 1 else _plaster)(rng, color, side)
-    if kind == 3:
-        return _poster(rng, (side, side))
-    count = int(rng.integers(2, 9))
-    y, x = np.mgrid[:side, :side] * (count / side)
-    where = (
-        (np.floor(x) + np.floor(y)) % 2 > 0,
-        np.mod(x if rng.random() < 0.5 else y, 1) < rng.uniform(0.2, 0.8),
-        np.hypot(np.mod(x, 1) - 0.5, np.mod(y, 1) - 0.5) < rng.uniform(0.15, 0.45),
-    )[kind - 4]
-    other = rng.integers(30, 240, 3)
-    image = np.where(where[..., None], np.array(color), other)
-    return np.clip(image * (1 + 0.04 * _noise(rng, (side, side), 2)[..., None]), 0, 255).astype(np.uint8)
-
-
-def _noise(rng: _Rng, shape: tuple[int, int], scale: float) -> Array:
-    """Smooth noise with unit deviation that repeats at its edges."""
-    spectrum = scipy.fft.rfft2(rng.standard_normal(shape).astype(np.float32), overwrite_x=True)
-    spectrum *= _smoothing(shape, scale)
-    out = scipy.fft.irfft2(spectrum, shape, overwrite_x=True)
-    out /= max(float(cv2.meanStdDev(out)[1][0, 0]), 1e-9)
-    return np.asarray(out)
-
-
-@lru_cache(maxsize=8)
-def _smoothing(shape: tuple[int, int], scale: float) -> Array:
-    """Share of each frequency that remains in smooth noise."""
-    fy, fx = np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])[None]
-    return np.exp(-((fx**2 + fy**2) * (scale * np.pi) ** 2)).astype(np.float32)
-
-
-def _shade(color: Sequence[int], amount: Array) -> Image:
-    light = 1 + amount.astype(np.float32)
-    channels = [np.clip(value * light, 0, 255).astype(np.uint8) for value in np.array(color, np.float32)]
-    return np.asarray(cv2.merge(channels), np.uint8)
-
-
-def _plaster(rng: _Rng, color: Sequence[int], side: int = 256) -> Image:
-    return _shade(color, 0.008 * _noise(rng, (side, side), 3) + 0.008 * _noise(rng, (side, side), 24))
-
-
-def _planks(rng: _Rng, color: Sequence[int], rows: int = 8, side: int = 1024) -> Image:
-    """Boards along x with different shades, grain and dark joints."""
-    grain = cv2.resize(_noise(rng, (side, side // 16), 2), (side, side), interpolation=cv2.INTER_LINEAR)
-    amount = 0.05 * grain + 0.03 * _noise(rng, (side, side), 30)
-    board = side // rows
-    for row in range(rows):
-        band = slice(row * board, (row + 1) * board)
-        cut = int(rng.integers(0, side))
-        for part in (slice(0, cut), slice(cut, side)):
-            amount[band, part] += float(rng.normal(0, 0.07))
-        amount[row * board : row * board + 3] -= 0.3
-        amount[band, cut : cut + 3] -= 0.3
-    return _shade(color, amount)
-
-
-def _weave(rng: _Rng, color: Sequence[int], side: int = 512) -> Image:
-    y, x = np.mgrid[:side, :side] * (2 * np.pi * 64 / side)
-    return _shade(
-        color,
-        0.08 * np.sin(x) * np.sin(y)
-        + 0.05 * _noise(rng, (side, side), 2)
-        + 0.04 * _noise(rng, (side, side), 20),
-    )
-
-
-def _rug(rng: _Rng) -> Image:
+def _rug(rng: Rng) -> Image:
     h, w = shape = 720, 1024
     image = np.full((h, w, 3), (172, 160, 140), np.uint8)
     for inset, color in (
@@ -280,38 +201,18 @@ def _rug(rng: _Rng) -> Image:
                 diamond = centre + radius * np.array([[1, 0], [0, 1.15], [-1, 0], [0, -1.15]])
                 cv2.fillPoly(image, [np.rint(diamond).astype(np.int32)], color, cv2.LINE_AA)
     return np.clip(
-        image * (1 + 0.06 * _noise(rng, shape, 1.5) + 0.03 * _noise(rng, shape, 20))[..., None], 0, 255
+        image * (1 + 0.06 * noise(rng, shape, 1.5) + 0.03 * noise(rng, shape, 20))[..., None], 0, 255
     ).astype(np.uint8)
 
 
-def _cardboard(rng: _Rng) -> Image:
-    image = _shade((176, 138, 96), 0.03 * _noise(rng, (256, 256), 3) + 0.03 * _noise(rng, (256, 256), 30))
+def _cardboard(rng: Rng) -> Image:
+    image = shaded((176, 138, 96), 0.03 * noise(rng, (256, 256), 3) + 0.03 * noise(rng, (256, 256), 30))
     image[:, 56:76] = (image[:, 56:76] * 0.4 + np.array([214, 198, 160]) * 0.6).astype(np.uint8)
     return image
 
 
-def _door(rng: _Rng) -> Image:
-    image = cv2.resize(_planks(rng, (188, 164, 132), rows=1), (512, 1024))
+def _door(rng: Rng) -> Image:
+    image = cv2.resize(planks(rng, (188, 164, 132), rows=1), (512, 1024))
     for top in (80, 560):
         cv2.rectangle(image, (80, top), (400, top + 380), (150, 128, 100), 6)
     return np.asarray(image, dtype=np.uint8)
-
-
-def _poster(rng: _Rng, shape: tuple[int, int]) -> Image:
-    """Framed abstract picture with many image features."""
-    h, w = shape
-    palette = np.array(
-        [(212, 96, 66), (236, 190, 92), (66, 104, 132), (92, 138, 112), (40, 48, 60), (222, 216, 200)]
-    )
-    image = np.full((h, w, 3), palette[rng.integers(len(palette))], np.uint8)
-    for _ in range(26):
-        color = tuple(int(c) for c in palette[rng.integers(len(palette))])
-        x, y = int(rng.integers(0, w)), int(rng.integers(0, h))
-        if rng.random() < 0.5:
-            cv2.circle(image, (x, y), int(rng.integers(8, max(9, min(h, w) // 5))), color, -1, cv2.LINE_AA)
-        else:
-            a, b = int(rng.integers(10, w // 3)), int(rng.integers(10, h // 3))
-            cv2.rectangle(image, (x, y), (x + a, y + b), color, -1)
-    cv2.rectangle(image, (0, 0), (w - 1, h - 1), (236, 232, 224), max(6, w // 22))
-    cv2.rectangle(image, (0, 0), (w - 1, h - 1), (58, 48, 42), max(3, w // 60))
-    return np.ascontiguousarray(image[::-1])

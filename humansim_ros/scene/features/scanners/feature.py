@@ -2,27 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
 from humansim_ros.cameras.scanner import Poses
 from humansim_ros.scene.core.draft import Draft
-from humansim_ros.scene.core.features import Feature
-from humansim_ros.scene.core.findings import Finding, SceneSamples, misplaced
+from humansim_ros.scene.core.findings import CheckedFeature, Finding, SceneSamples, misplaced
+from humansim_ros.scene.core.scene import Scene
+from humansim_ros.scene.core.states import MeasuringFeature
 from humansim_ros.scene.features.scanners.scanner import SceneScanner, build_scanners
+from humansim_ros.scene.features.scanners.sweeps import Scanning
 from humansim_ros.types import Array
 
 #: Flesh around joints, metres, and degrees of azimuth that rays may be apart.
 _FLESH, _APART = 0.15, 5.0
 
 
-class Scanners(Feature):
+class Scanners(CheckedFeature, MeasuringFeature):
     """The section ``scanners``."""
 
     def furnish(self, draft: Draft) -> None:
         """Add the scanners."""
         draft.scanners = build_scanners(draft.config, draft.source, draft.robot)
+
+    def scanning(self, scene: Scene) -> Mapping[str, Scanning]:
+        """Makers of the sweeps of its scanners, by name."""
+        return {name: Scanning(scene, scanner) for name, scanner in scene.scanners.items()}
 
     def check(self, samples: SceneSamples) -> Iterator[Finding]:
         """Find scanners that are in something, or that never meet anybody."""

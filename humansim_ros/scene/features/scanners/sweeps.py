@@ -103,6 +103,15 @@ class Scanning:
         self._static: tuple[Rays, Hits, Array] | None = None
         self._triangles: dict[int, tuple[Mesh, Indices]] = {}
 
+    @property
+    def period(self) -> float:
+        """Nanoseconds from the begin of a sweep to the next."""
+        return self.scanner.pattern.period
+
+    def begin(self, number: int) -> int:
+        """Scene time at which a sweep begins, nanoseconds."""
+        return self.scanner.pattern.start(number)
+
     def due(self, after: int, until: int) -> range:
         """Numbers of the sweeps that end after one scene time, and not after another, nanoseconds."""
         pattern = self.scanner.pattern

@@ -15,12 +15,11 @@ from humansim_ros.motion.pose import PathMotion
 from humansim_ros.scene.config.config import LIVE, MotionConfig, ObjectConfig, SceneConfig
 from humansim_ros.scene.core.actor import Actor
 from humansim_ros.scene.core.draft import Draft
-from humansim_ros.scene.core.features import Feature
-from humansim_ros.scene.core.findings import Finding, SceneSamples, motion_key, numbers
+from humansim_ros.scene.core.environment import Environment
+from humansim_ros.scene.core.findings import CheckedFeature, Finding, SceneSamples, motion_key, numbers
 from humansim_ros.scene.core.objects import SceneObject
 from humansim_ros.scene.core.seats import HIGHEST_HIPS, SEAT_HEIGHT, TO_TABLE, Sitting, find_sittings
 from humansim_ros.scene.core.source import SceneSource
-from humansim_ros.scene.features.room.meshes import furniture_tops
 from humansim_ros.types import Array
 
 #: Seconds between two times, and most seconds, in which people are watched.
@@ -48,28 +47,26 @@ class Seats:
     Attributes:
         config: The scene.
         objects: Objects of the scene.
-        meshes: Static meshes of the world in ``map``.
+        environment: Static surroundings.
     """
 
     config: SceneConfig
     objects: Mapping[str, SceneObject]
-    meshes: Sequence[Mesh]
+    environment: Environment
 
     def below(self, sitting: Sitting) -> bool:
         """Whether something is below a person who sits: an object, a mesh, or furniture of the room."""
         static = [item.static_mesh() for item in self.objects.values() if not item.moves]
-        if is_above(sitting.hips, [*self.meshes, *static]):
+        if is_above(sitting.hips, [*self.environment.mesh_files, *static]):
             return True
         for item in self.objects.values():
             if item.moves:
                 point = item.to_mesh(sitting.hips[None, None], np.array([sitting.time]))[0, 0]
                 if is_above(point * item.initial_pose.size, [_sized(item)]):
                     return True
-        if self.config.room is None:
-            return False
-        for (x, y), (width, depth), top in furniture_tops(self.config.room.size[:2]).values():
-            apart = np.abs(sitting.hips[:2] - (x, y))
-            if (apart < (width / 2, depth / 2)).all() and _BELOW[0] < sitting.hips[2] - top < _BELOW[1]:
+        for each in self.environment.furnishing.fixtures.values():
+            on_it = (np.abs(sitting.hips[:2] - each.center) < np.array(each.size) / 2).all()
+            if each.top is not None and on_it and _BELOW[0] < sitting.hips[2] - each.top < _BELOW[1]:
                 return True
         return False
 
@@ -106,8 +103,8 @@ def _bends(actor: Actor, times: Array) -> bool:
 
 def furniture_for(
     actors: Mapping[str, Actor], seats: Seats, source: SceneSource
-) -> Iterator[tuple[str, ObjectConfig]]:
-    """Chairs and tables, with names, for those who sit where nothing is below them.
+) -> Iterator[tuple[str, str, ObjectConfig]]:
+    """Chairs and tables for those who sit where nothing is below them: who needs it, its name, and itself.
 
     The chair is as high as the person sits. Somebody who writes or eats gets a table in front.
     """
@@ -122,9 +119,13 @@ def furniture_for(
             number += 1
             suffix = "" if number == 1 else f"_{number}"
             factor = max(sitting.height, 0.1) / SEAT_HEIGHT
-            yield _free(f"{name}_chair{suffix}", seats.objects), _at(sitting, "chair", 0.0, factor)
+            yield name, _free(f"{name}_chair{suffix}", seats.objects), _at(sitting, "chair", 0.0, factor)
             if needs_table(human.motion.file):
-                yield _free(f"{name}_table{suffix}", seats.objects), _at(sitting, "table", TO_TABLE, factor)
+                yield (
+                    name,
+                    _free(f"{name}_table{suffix}", seats.objects),
+                    _at(sitting, "table", TO_TABLE, factor),
+                )
 
 
 def _free(name: str, taken: Mapping[str, object]) -> str:
@@ -143,18 +144,19 @@ def _at(sitting: Sitting, mesh: str, ahead: float, factor: float) -> ObjectConfi
     )
 
 
-class ChairsAndTables(Feature):
+class ChairsAndTables(CheckedFeature):
     """Furniture for people who sit on nothing."""
 
     def furnish(self, draft: Draft) -> None:
         """Add chairs and tables."""
-        seats = Seats(draft.config, draft.objects, draft.environment.mesh_files)
-        draft.add_objects(dict(furniture_for(draft.actors, seats, draft.source)))
+        seats = Seats(draft.config, draft.objects, draft.environment)
+        for human, name, config in list(furniture_for(draft.actors, seats, draft.source)):
+            draft.add_objects({name: config}, f"humans.{human}.seat")
 
     def check(self, samples: SceneSamples) -> Iterator[Finding]:
         """Find humans who sit where nothing is below them."""
         scene = samples.scene
-        seats = Seats(scene.config, scene.objects, scene.environment.mesh_files)
+        seats = Seats(scene.config, scene.objects, scene.environment)
         for name, joints in samples.joints.items():
             names = scene.actors[name].human.skeleton.joint_names
             for sitting in find_sittings(joints, names, samples.times):

@@ -17,7 +17,7 @@ from humansim_ros.files.reading import built_in_names
 from humansim_ros.motion.files import ACTIVITY, needs_table
 from humansim_ros.people.humans import Human
 from humansim_ros.people.makehuman import PeopleLimits, person_name
-from humansim_ros.scene.config.config import HumanConfig, MotionConfig, SceneConfig, living_face
+from humansim_ros.scene.config.config import HumanConfig, MotionConfig, SceneConfig
 from humansim_ros.scene.core.actor import Actor
 from humansim_ros.scene.core.draft import Draft
 from humansim_ros.scene.core.features import Feature
@@ -26,6 +26,7 @@ from humansim_ros.scene.core.names import variety_names
 from humansim_ros.scene.core.randomise import RandomNumbers, random_numbers
 from humansim_ros.scene.core.seats import Seat, seats_of
 from humansim_ros.scene.core.source import SceneSource
+from humansim_ros.scene.features.face.keys import living_face
 from humansim_ros.scene.features.variety.keys import VarietyConfig
 from humansim_ros.types import Array
 
@@ -84,7 +85,7 @@ class _Placing:
         walls = floor_corners(config, 0.0) - [[-_FROM_WALLS], [_FROM_WALLS]]
         floor, things = Floor(None if config.room is None else walls), things_on_floor(draft, area)
         floor.take("things", things, _FROM_THINGS)
-        seats = seats_of(config) if variety.seats == "scene" else []
+        seats = seats_of(config, draft.furnishing.fixtures) if variety.seats == "scene" else []
         placing = cls(variety, area, floor, things, draft.source, seats=seats)
         for footprint in footprints(draft).values():
             placing.add(footprint)

@@ -1,0 +1,117 @@
+"""Procedural textures: planks, plaster, weave, posters and random patterns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+
+import cv2
+import numpy as np
+import scipy.fft
+
+from humansim_ros.types import Array, Image
+
+Rng = np.random.Generator
+
+
+def pattern(seed: int, color: Sequence[int], side: int) -> Image:
+    """Random pattern (side, side, 3): planks, weave, plaster, picture, checks, stripes or dots."""
+    rng = np.random.default_rng(seed)
+    kind = int(rng.integers(7))
+    if kind < 3:
+        if kind == 0:
+            return planks(rng, color, side=side)
+        return (weave if kind == 1 else plaster)(rng, color, side)
+    if kind == 3:
+        return poster(rng, (side, side))
+    count = int(rng.integers(2, 9))
+    y, x = np.mgrid[:side, :side] * (count / side)
+    where = (
+        (np.floor(x) + np.floor(y)) % 2 > 0,
+        np.mod(x if rng.random() < 0.5 else y, 1) < rng.uniform(0.2, 0.8),
+        np.hypot(np.mod(x, 1) - 0.5, np.mod(y, 1) - 0.5) < rng.uniform(0.15, 0.45),
+    )[kind - 4]
+    other = rng.integers(30, 240, 3)
+    image = np.where(where[..., None], np.array(color), other)
+    return np.clip(image * (1 + 0.04 * noise(rng, (side, side), 2)[..., None]), 0, 255).astype(np.uint8)
+
+
+def noise(rng: Rng, shape: tuple[int, int], scale: float) -> Array:
+    """Smooth noise with unit deviation that repeats at its edges."""
+    spectrum = scipy.fft.rfft2(rng.standard_normal(shape).astype(np.float32), overwrite_x=True)
+    spectrum *= _smoothing(shape, scale)
+    out = scipy.fft.irfft2(spectrum, shape, overwrite_x=True)
+    out /= max(float(cv2.meanStdDev(out)[1][0, 0]), 1e-9)
+    return np.asarray(out)
+
+
+@lru_cache(maxsize=8)
+def _smoothing(shape: tuple[int, int], scale: float) -> Array:
+    """Share of each frequency that remains in smooth noise."""
+    fy, fx = np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])[None]
+    return np.exp(-((fx**2 + fy**2) * (scale * np.pi) ** 2)).astype(np.float32)
+
+
+def shaded(color: Sequence[int], amount: Array) -> Image:
+    """Image of a colour that an amount (H, W) makes brighter."""
+    light = 1 + amount.astype(np.float32)
+    channels = [np.clip(value * light, 0, 255).astype(np.uint8) for value in np.array(color, np.float32)]
+    return np.asarray(cv2.merge(channels), np.uint8)
+
+
+def plaster(rng: Rng, color: Sequence[int], side: int = 256) -> Image:
+    """Plaster with few spots."""
+    return shaded(color, 0.008 * noise(rng, (side, side), 3) + 0.008 * noise(rng, (side, side), 24))
+
+
+def planks(rng: Rng, color: Sequence[int], rows: int = 8, side: int = 1024) -> Image:
+    """Boards along x with different shades, grain and dark joints.
+
+    Args:
+        rng: Random numbers.
+        color: Mean colour, sRGB.
+        rows: Number of boards.
+        side: Pixels of each side.
+    """
+    grain = cv2.resize(noise(rng, (side, side // 16), 2), (side, side), interpolation=cv2.INTER_LINEAR)
+    amount = 0.05 * grain + 0.03 * noise(rng, (side, side), 30)
+    board = side // rows
+    for row in range(rows):
+        band = slice(row * board, (row + 1) * board)
+        cut = int(rng.integers(0, side))
+        for part in (slice(0, cut), slice(cut, side)):
+            amount[band, part] += float(rng.normal(0, 0.07))
+        amount[row * board : row * board + 3] -= 0.3
+        amount[band, cut : cut + 3] -= 0.3
+    return shaded(color, amount)
+
+
+def weave(rng: Rng, color: Sequence[int], side: int = 512) -> Image:
+    """Cloth with threads along x and y."""
+    y, x = np.mgrid[:side, :side] * (2 * np.pi * 64 / side)
+    return shaded(
+        color,
+        0.08 * np.sin(x) * np.sin(y)
+        + 0.05 * noise(rng, (side, side), 2)
+        + 0.04 * noise(rng, (side, side), 20),
+    )
+
+
+def poster(rng: Rng, shape: tuple[int, int]) -> Image:
+    """Framed abstract picture with many image features."""
+    h, w = shape
+    palette = np.array(
+        [(212, 96, 66), (236, 190, 92), (66, 104, 132), (92, 138, 112), (40, 48, 60), (222, 216, 200)]
+    )
+    image = np.full((h, w, 3), palette[rng.integers(len(palette))], np.uint8)
+    for _ in range(26):
+        color = tuple(int(c) for c in palette[rng.integers(len(palette))])
+        x, y = int(rng.integers(0, w)), int(rng.integers(0, h))
+        if rng.random() < 0.5:
+            cv2.circle(image, (x, y), int(rng.integers(8, max(9, min(h, w) // 5))), color, -1, cv2.LINE_AA)
+        else:
+            a, b = int(rng.integers(10, w // 3)), int(rng.integers(10, h // 3))
+            cv2.rectangle(image, (x, y), (x + a, y + b), color, -1)
+    cv2.rectangle(image, (0, 0), (w - 1, h - 1), (236, 232, 224), max(6, w // 22))
+    cv2.rectangle(image, (0, 0), (w - 1, h - 1), (58, 48, 42), max(3, w // 60))
+    return np.ascontiguousarray(image[::-1])

@@ -8,8 +8,7 @@ from typing import Any, ClassVar, Protocol
 
 from humansim_ros.motion.body import JointPoses, Rated
 from humansim_ros.motion.files import KeyframeSpace
-from humansim_ros.motion.motion import WorldMotion
-from humansim_ros.motion.pose import PoseStage, Retargeter, SceneQuery
+from humansim_ros.motion.pose import PoseStage, Retargeter, SceneQuery, WorldMotion
 from humansim_ros.people.humans import Human
 from humansim_ros.scene.config.config import MotionConfig
 from humansim_ros.scene.core.source import SceneSource

@@ -8,8 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from humansim_ros.motion.motion import WorldMotion
-from humansim_ros.motion.pose import ON_SKIN, FootContacts, PoseStage, SkinContact, skin_on_floor
+from humansim_ros.motion.pose import ON_SKIN, FootContacts, PoseStage, SkinContact, WorldMotion, skin_on_floor
 from humansim_ros.people.humans import Human
 from humansim_ros.scene.core.layers import Fitted, PoseLayer
 from humansim_ros.types import Array

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from humansim_ros.cameras.camera import trajectory
+from humansim_ros.cameras import Trajectory
 from humansim_ros.cameras.scanner.models import Layout, Measuring, Pattern, Rays, Returns, spinning
 from humansim_ros.data import messages
 from humansim_ros.data.messages.points import point_rows
@@ -177,7 +177,7 @@ def test_truth_has_labels_and_distances_without_noise() -> None:
 
 def test_a_laser_scan_has_a_range_for_each_ray() -> None:
     plane = spinning(40.0, (0.0,), 21, (-90.0, 90.0))
-    identity = trajectory.Trajectory(np.zeros(1), np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]]))
+    identity = Trajectory(np.zeros(1), np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]]))
     scanner = SceneScanner("flat", plane, Measuring((0.1, 30.0)), "scan", "start", identity)
     seen = sweep(plane.rays(0))
     message = messages.scan_message(seen, scanner, "flat_frame")

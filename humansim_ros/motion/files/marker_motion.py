@@ -13,7 +13,7 @@ from __future__ import annotations
 import functools
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -24,7 +24,9 @@ from numpy.typing import NDArray
 from humansim_ros.errors import MotionError, some_of, unknown, warn_about
 from humansim_ros.files.reading import resource_path
 from humansim_ros.geometry import (
+    angle_between,
     are_rotations,
+    lengths_of,
     nearest_axis,
     perpendicular,
     rotate,
@@ -50,9 +52,12 @@ _MAX_DISTANCE = 1e4
 #: Shortest and longest distance between the acromions, and from their middle to the middle of both ASIS;
 #: metres.
 _SHOULDER_WIDTH, _TRUNK_LENGTH = (0.2, 0.55), (0.25, 0.75)
-#: Parts that a person needs on both sides.
-_NEEDED = ("Hip", "Knee", "Shoulder", "Elbow")
-_NEEDED_MARKERS = ("ASIS", "KneeLateral", "Acromion", "ElbowLateral")
+#: Kind of points -> names of hip, knee, shoulder, elbow and ankle. A person needs the first four of both
+#: sides.
+_KINDS = {
+    "joints": ("Hip", "Knee", "Shoulder", "Elbow", "Ankle"),
+    "markers": ("ASIS", "KneeLateral", "Acromion", "ElbowLateral", "AnkleLateral"),
+}
 #: Letter that Xsens writes before the names of points: ``pLeftASI``.
 _XSENS = re.compile(r"^p(?=(Left|Right|C7|IJ|Sacrum|TopOf|BackOf))")
 #: A side within a name: ``WaistLFront``.
@@ -100,50 +105,55 @@ def _marks(file: MarkerFile, numbers: Sequence[int]) -> _Marks:
     spelt = [_INNER_SIDE.sub(r"\2\1", _XSENS.sub("", label)) for label in labels]
     keys = loose_keys((*spelt, *_other_sides(spelt)))[: len(labels)]
     by_key = dict(reversed(list(zip(keys, numbers, strict=True))))  # of equal keys, the first counts
-    markers, joints = _named("markers", by_key), _named("joints", by_key)
-    markers |= _spare(file, markers, by_key)
-    held_markers = _held(markers, ("Acromion", "ElbowLateral", "AnkleLateral"))
-    held_joints = _held(joints, ("Shoulder", "Elbow", "Ankle"))
+    found = {kind: _named(kind, by_key) for kind in _KINDS}
+    found["markers"] |= _spare(file, found["markers"], by_key)
+    held = {kind: _held(found[kind], *parts[2:]) for kind, parts in _KINDS.items()}
     if len(_named("leg_joints", by_key)) < 6:
-        held_joints = ()
-
-    def missing(found: Mapping[str, int], parts: Sequence[str], held: Sequence[str]) -> list[str]:
-        parts = parts[: len(parts) - len(held)]  # parts are removed from the lower end
-        return [side + part for part in parts for side in _SIDES if side + part not in found]
-
-    lacking_markers = missing(markers, _NEEDED_MARKERS, held_markers)
-    if "Sacrum" not in markers and not {"LeftPSIS", "RightPSIS"} <= markers.keys():
-        lacking_markers.append("Sacrum or both PSIS")
-    lacking_joints = missing(joints, _NEEDED, held_joints)
+        held["joints"] = ()
+    missing = {
+        kind: [
+            name
+            for part in parts[: 4 - len(held[kind])]
+            for name in (f"Left{part}", f"Right{part}")
+            if name not in found[kind]
+        ]
+        for kind, parts in _KINDS.items()
+    }
+    if not _has_back(found["markers"]):
+        missing["markers"].append("Sacrum or both PSIS")
     # joints that the file itself has computed come first. Markers of the pelvis show the kind of the file
-    has_pelvis = {"LeftASIS", "RightASIS"} <= markers.keys()
-    centres = any(key.endswith("hjc") for key in by_key)
-    if not lacking_joints and (centres or not has_pelvis):
-        return _Marks(tuple(labels), "joints", joints, (), held_joints)
-    if has_pelvis or len(lacking_markers) < len(lacking_joints):
-        return _Marks(tuple(labels), "markers", markers, tuple(lacking_markers), held_markers)
-    return _Marks(tuple(labels), "joints", joints, tuple(lacking_joints), held_joints)
+    has_pelvis = {"LeftASIS", "RightASIS"} <= found["markers"].keys()
+    has_centres = any(key.endswith("hjc") for key in by_key) and not missing["joints"]
+    is_skin = has_pelvis or len(missing["markers"]) < len(missing["joints"])
+    kind = "markers" if is_skin and not has_centres else "joints"
+    return _Marks(tuple(labels), kind, found[kind], tuple(missing[kind]), held[kind])
+
+
+def _has_back(markers: Collection[str]) -> bool:
+    """Whether the back of the pelvis has a marker in the middle, or one on each side."""
+    return "Sacrum" in markers or {"LeftPSIS", "RightPSIS"} <= set(markers)
 
 
 def _spare(file: MarkerFile, markers: Mapping[str, int], by_key: Mapping[str, int]) -> dict[str, int]:
-    """Landmarks that ``markers`` lacks, with names in the table of spare markers."""
+    """Landmarks that ``markers`` lacks, with names in the table of spare markers. Acromions must be as far
+    from each other and from the hips as those of a person."""
     free = {key: number for key, number in by_key.items() if number not in markers.values()}
     spare = {name: number for name, number in _named("spare_markers", free).items() if name not in markers}
     if {"LeftPSIS", "RightPSIS"} <= markers.keys():
         spare.pop("Sacrum", None)
-    ends = [{**markers, **spare}.get(side + part) for part in ("Acromion", "ASIS") for side in _SIDES]
-    if None not in ends:
-        points = file.points[:, [number for number in ends if number is not None]]
-        points = points[_is_seen(points).all(axis=1)]
-        left, right, *hips = np.moveaxis(points, 1, 0)
+    all_markers = {**markers, **spare}
+    ends = [side + part for part in ("Acromion", "ASIS") for side in _SIDES]
+    if all(end in all_markers for end in ends):
+        points = file.points[:, [all_markers[end] for end in ends]]
+        left, right, *hips = np.moveaxis(points[_is_seen(points).all(axis=1)], 1, 0)
         lines = (left - right, _SHOULDER_WIDTH), ((left + right - hips[0] - hips[1]) / 2, _TRUNK_LENGTH)
-        lengths = [(np.linalg.norm(line, axis=-1), limits) for line, limits in lines]
-    if None in ends or not all(len(size) and low < np.median(size) < high for size, (low, high) in lengths):
-        spare = {name: number for name, number in spare.items() if "Acromion" not in name}
-    return spare
+        medians = [np.median(lengths_of(line)) if len(line) else np.nan for line, _ in lines]
+        if all(low < size < high for size, (_, (low, high)) in zip(medians, lines, strict=True)):
+            return spare
+    return {name: number for name, number in spare.items() if "Acromion" not in name}
 
 
-def _held(found: Mapping[str, int], parts: tuple[str, str, str]) -> tuple[str, ...]:
+def _held(found: Mapping[str, int], *parts: str) -> tuple[str, ...]:
     """Parts of the upper body that a file of legs has left out on both sides, the lowest first. ``parts``:
     names of shoulder, elbow and ankle."""
     shoulder, elbow, ankle = (sum(side + part in found for side in _SIDES) for part in parts)
@@ -195,9 +205,9 @@ _LEG, _TRUNK, _HEAD, _HALF_WIDTH, _UPPER_ARM, _FOREARM = 0.491, 0.30, 0.10, 0.11
 _HANGING = np.radians(10.0)
 #: An axis of the file is up if the mean direction of the legs differs from it by at most this angle, degrees.
 _MOST_LEAN = 35.0
-#: When a person looks ahead, the line from the neck to a point of the head leans forwards by this angle,
+#: When a person looks ahead, the lines from the neck to the nose and the ears lean forwards by these angles,
 #: degrees.
-_HEAD_LEAN = {"Nose": 37.0, "Ear": 10.0}
+_NOSE_LEAN, _EAR_LEAN = 37.0, 10.0
 #: A point is used if it is seen in at least the first share of the frames. For a needed point that is seen
 #: before and after its gaps, the second share is enough.
 _LEAST_SEEN, _LEAST_NEEDED = 0.5, 0.2
@@ -207,21 +217,25 @@ _MOST_ABSENT = 25
 _UNIT_ERRORS = (1.0, 0.001, 0.01, 0.1, 10.0, 100.0, 1000.0)
 #: A person is mirrored if this share of the signs for left and right is wrong. Larger signs have more weight.
 _MIRRORED = 0.8
-#: Hierarchy of the joints. In the rest pose, each joint is in this direction from its parent: y up, facing
-#: +z.
+#: Joint -> its parent, and its direction from there in the rest pose: y up, facing +z. If the direction is
+#: zero, the joint is at its median place in the parent.
 _TREE = {
-    "Hips": ("", (0.0, 0.0, 0.0)),
-    "Chest": ("Hips", (0.0, 1.0, 0.0)),
-    "Neck": ("Chest", (0.0, 1.0, 0.0)),
-    "Head": ("Neck", (0.0, 1.0, 0.0)),
-    "LeftShoulder": ("Chest", (0.0, 0.0, 0.0)),
-    "LeftElbow": ("LeftShoulder", (1.0, 0.0, 0.0)),
-    "LeftWrist": ("LeftElbow", (1.0, 0.0, 0.0)),
-    "LeftFingers": ("LeftWrist", (1.0, 0.0, 0.0)),
-    "LeftHip": ("Hips", (0.0, 0.0, 0.0)),
-    "LeftKnee": ("LeftHip", (0.0, -1.0, 0.0)),
-    "LeftAnkle": ("LeftKnee", (0.0, -1.0, 0.0)),
-    "LeftToe": ("LeftAnkle", (0.0, -0.4, 0.9165)),
+    name.replace("Left", side): (parent.replace("Left", side), np.array(direction) * (sign, 1.0, 1.0))
+    for name, parent, direction in (
+        ("Hips", "", (0.0, 0.0, 0.0)),
+        ("Chest", "Hips", (0.0, 1.0, 0.0)),
+        ("Neck", "Chest", (0.0, 1.0, 0.0)),
+        ("Head", "Neck", (0.0, 1.0, 0.0)),
+        ("LeftShoulder", "Chest", (0.0, 0.0, 0.0)),
+        ("LeftElbow", "LeftShoulder", (1.0, 0.0, 0.0)),
+        ("LeftWrist", "LeftElbow", (1.0, 0.0, 0.0)),
+        ("LeftFingers", "LeftWrist", (1.0, 0.0, 0.0)),
+        ("LeftHip", "Hips", (0.0, 0.0, 0.0)),
+        ("LeftKnee", "LeftHip", (0.0, -1.0, 0.0)),
+        ("LeftAnkle", "LeftKnee", (0.0, -1.0, 0.0)),
+        ("LeftToe", "LeftAnkle", (0.0, -0.4, 0.9165)),
+    )
+    for side, sign in zip(_SIDES if name.startswith("Left") else ("Left",), (1.0, -1.0), strict=False)
 }
 Points = Mapping[str, Array]
 
@@ -258,15 +272,14 @@ def motion_of_points(path: str | os.PathLike[str], found: MarkerFile, person: st
     complete = {name: marks for name, marks in people.items() if not marks.missing}
     if person is not None and person not in people:
         raise MotionError(unknown("person", person, people), path=path)
-    chosen = people[person] if person is not None else None
-    if chosen is None and len(complete) > 1:
+    if person is None and len(complete) > 1:
         raise MotionError(
             f"the file has {len(complete)} people: name one, such as {file.name}#{next(iter(complete))}; "
             f"they are {some_of(complete)}",
             path=path,
         )
-    if chosen is None:
-        chosen = min(people.values(), key=lambda marks: len(marks.missing))
+    fewest = min(people, key=lambda name: len(people[name].missing))
+    chosen = people[fewest if person is None else person]
     if chosen.missing:
         unseen = np.array(found.labels)[~_is_seen(found.points).any(axis=0)]
         raise MotionError(
@@ -277,9 +290,8 @@ def motion_of_points(path: str | os.PathLike[str], found: MarkerFile, person: st
         )
     points, frames = _filled(file, found, chosen)
     if (scale := likely_scale(np.stack([*points.values()], axis=1), _UNIT_ERRORS)) != 1:
-        warn_about(
-            path, f"no person has this size in the unit of the file: lengths are multiplied by {scale:g}"
-        )
+        text = f"no person has this size in the unit of the file: lengths are multiplied by {scale:g}"
+        warn_about(path, text)
         points = {landmark: scale * place for landmark, place in points.items()}
     if (axis := _mirrored_axis(points, chosen.kind)) is not None:
         warn_about(
@@ -289,11 +301,7 @@ def motion_of_points(path: str | os.PathLike[str], found: MarkerFile, person: st
         )
         signs = np.where(np.arange(3) == axis, -1.0, 1.0)
         points = {landmark: place * signs for landmark, place in points.items()}
-    pelvis = None
-    if chosen.kind == "markers":
-        joints, pelvis = _joint_centres(points)
-    else:
-        joints = _known_joints(points)
+    joints, pelvis = _joint_centres(points) if chosen.kind == "markers" else (_known_joints(points), None)
     if chosen.held:
         joints = _hold(file, joints, chosen.held)
     motion = _motion(file, joints, pelvis, _frame_time(file, found, frames))
@@ -303,15 +311,10 @@ def motion_of_points(path: str | os.PathLike[str], found: MarkerFile, person: st
 def _mirrored_axis(points: Points, kind: str) -> int | None:
     """Number of the axis to negate, so that a mirrored person becomes right. None if the person is not
     mirrored. Toes, the front of the pelvis and the nose show where ahead is. They must agree."""
-    hip, knee, ankle, shoulder = (
-        ("ASIS", "KneeLateral", "AnkleLateral", "Acromion")
-        if kind == "markers"
-        else ("Hip", "Knee", "Ankle", "Shoulder")
-    )
+    hip, knee, shoulder, _, ankle = _KINDS[kind]
     left, hips = points["Left" + hip] - points["Right" + hip], _middle(points, hip)
-    trunk = (
-        _middle(points, shoulder) if "Left" + shoulder in points else 2 * hips - _middle(points, knee)
-    ) - hips
+    has_trunk = "Left" + shoulder in points
+    trunk = (_middle(points, shoulder) if has_trunk else 2 * hips - _middle(points, knee)) - hips
     signs = []  # lines that go up, and lines that go ahead
     for side in _SIDES:
         if {side + ankle, side + "Toe"} <= points.keys():
@@ -338,10 +341,8 @@ def _filled(path: Path, file: MarkerFile, marks: _Marks) -> tuple[dict[str, Arra
     stays = np.split(present, np.flatnonzero(np.diff(present) > _MOST_ABSENT) + 1)
     stay = max(stays, key=np.ptp)
     first, last = int(stay[0]), int(stay[-1]) + 1
-    needed = {*(_NEEDED_MARKERS if marks.kind == "markers" else _NEEDED)}
-    if marks.held:
-        needed |= {"AnkleLateral", "Ankle"}
-    seldom = []
+    needed = _KINDS[marks.kind][: 5 if marks.held else 4]
+    seldom, too_seldom = [], f"is seen in less than {_LEAST_SEEN:.0%} of the frames"
     for landmark, seen in list(known.items()):
         label, here = file.labels[marks.numbers[landmark]], np.flatnonzero(seen[first:last])
         if len(here) >= _LEAST_SEEN * (last - first):
@@ -352,14 +353,11 @@ def _filled(path: Path, file: MarkerFile, marks: _Marks) -> tuple[dict[str, Arra
         elif len(here) < _LEAST_NEEDED * (last - first) or np.ptp(here) + 1 < _LEAST_SEEN * (last - first):
             runs = np.split(here + first, np.flatnonzero(np.diff(here) > 1) + 1)
             where = some_of(f"{run[0]} to {run[-1]}" for run in runs if len(run))
-            raise MotionError(
-                f"{label!r} is seen in less than {_LEAST_SEEN:.0%} of the frames"
-                + (f": in frames {where}. Fill its gaps in the program that wrote the file" if where else ""),
-                path=path,
-            )
+            where = f": in frames {where}. Fill its gaps in the program that wrote the file" if where else ""
+            raise MotionError(f"{label!r} {too_seldom}{where}", path=path)
     if seldom:
-        warn_about(path, f"{some_of(seldom)}: seen in less than {_LEAST_SEEN:.0%} of the frames, not used")
-    if marks.kind == "markers" and "Sacrum" not in known and not {"LeftPSIS", "RightPSIS"} <= known.keys():
+        warn_about(path, f"{some_of(seldom)}: {too_seldom.removeprefix('is ')}, not used")
+    if marks.kind == "markers" and not _has_back(known):
         raise MotionError("no marker at the back of the pelvis is seen in most frames", path=path)
     start = max(first + int(np.argmax(seen[first:last])) for seen in known.values())
     end = min(last - int(np.argmax(seen[first:last][::-1])) for seen in known.values())
@@ -401,6 +399,11 @@ def _middle(points: Points, part: str) -> Array:
     return (points[f"Left{part}"] + points[f"Right{part}"]) / 2
 
 
+def _length(lines: Array) -> float:
+    """Median length of lines (F, 3)."""
+    return float(np.median(np.linalg.norm(lines, axis=1)))
+
+
 def _back(points: Points) -> Array:
     """Middle of the back of the pelvis (F, 3)."""
     return points["Sacrum"] if "Sacrum" in points else _middle(points, "PSIS")
@@ -408,17 +411,19 @@ def _back(points: Points) -> Array:
 
 def _known_joints(points: Points) -> dict[str, Array]:
     """Joints of a file of joints. If hips, neck or head are missing, their neighbours give them."""
-    joints = {name: place for name, place in points.items() if name in _ALL_JOINTS}
+    joints = {name: place for name, place in points.items() if name in _TREE}
     joints.setdefault("Hips", _middle(points, "Hip"))
     if not {"LeftShoulder", "RightShoulder"} <= joints.keys():
         return joints
     joints.setdefault("Neck", _middle(points, "Shoulder"))
     if "Head" not in joints:
-        kind = "Ear" if {"LeftEar", "RightEar"} <= points.keys() else "Nose" if "Nose" in points else None
-        if kind is not None:
-            place = _middle(points, kind) if kind == "Ear" else points[kind]
-            across = joints["LeftShoulder"] - joints["RightShoulder"]
-            joints["Head"] = joints["Neck"] + _raised(place - joints["Neck"], across, _HEAD_LEAN[kind])
+        across = joints["LeftShoulder"] - joints["RightShoulder"]
+        for place, lean in (
+            (_mean(points, "LeftEar", "RightEar"), _EAR_LEAN),
+            (points.get("Nose"), _NOSE_LEAN),
+        ):
+            if place is not None and "Head" not in joints:
+                joints["Head"] = joints["Neck"] + _raised(place - joints["Neck"], across, lean)
     return joints
 
 
@@ -431,7 +436,7 @@ def _raised(vectors: Array, left: Array, degrees: float) -> Array:
 def _hold(path: Path, joints: Mapping[str, Array], held: Sequence[str]) -> dict[str, Array]:
     """Add the parts in ``held``: a trunk upright over the hips, and arms that hang down."""
     links = [
-        float(np.median(np.linalg.norm(joints[side + above] - joints[side + below], axis=1)))
+        _length(joints[side + above] - joints[side + below])
         for side in _SIDES
         for above, below in (("Hip", "Knee"), ("Knee", "Ankle"))
     ]
@@ -441,11 +446,11 @@ def _hold(path: Path, joints: Mapping[str, Array], held: Sequence[str]) -> dict[
         left = unit_vectors(perpendicular(joints["LeftHip"] - joints["RightHip"], up))
         out["Neck"] = joints["Hips"] + _TRUNK * stature * up
         out["Head"] = out["Neck"] + _HEAD * stature * up
-        for side, sign in (("Left", 1.0), ("Right", -1.0)):
+        for side, sign in zip(_SIDES, (1.0, -1.0), strict=True):
             out[f"{side}Shoulder"] = out["Neck"] + sign * _HALF_WIDTH * stature * left
     down = unit_vectors(out["Hips"] - out["Neck"])
     across = unit_vectors(perpendicular(out["LeftShoulder"] - out["RightShoulder"], down))
-    for side, sign in (("Left", 1.0), ("Right", -1.0)):
+    for side, sign in zip(_SIDES, (1.0, -1.0), strict=True):
         arm = np.cos(_HANGING) * down + sign * np.sin(_HANGING) * across
         out[f"{side}Elbow"] = out[f"{side}Shoulder"] + _UPPER_ARM * stature * arm
         out[f"{side}Wrist"] = out[f"{side}Elbow"] + _FOREARM * stature * arm
@@ -456,15 +461,11 @@ def _hold(path: Path, joints: Mapping[str, Array], held: Sequence[str]) -> dict[
 def _up_of_legs(path: Path, joints: Points) -> Array:
     """Axis (3,) of the file along which the legs of people stand."""
     legs = (joints["Hips"] - _middle(joints, "Ankle")).mean(axis=0)
-    axis = np.zeros(3)
-    axis[np.argmax(np.abs(legs))] = np.sign(legs[np.argmax(np.abs(legs))])
-    lean = float(np.degrees(np.arccos(np.clip(axis @ legs / max(float(np.linalg.norm(legs)), 1e-9), -1, 1))))
+    axis = nearest_axis(legs)
+    lean = float(np.degrees(angle_between(axis, legs)))
     if lean > _MOST_LEAN:
-        raise MotionError(
-            f"no points of the trunk, and the legs do not show where up is: they lean by {lean:.0f} degrees "
-            "from the nearest axis",
-            path=path,
-        )
+        text = "no points of the trunk, and the legs do not show where up is: they lean"
+        raise MotionError(f"{text} by {lean:.0f} degrees from the nearest axis", path=path)
     return axis
 
 
@@ -474,70 +475,60 @@ def _joint_centres(points: Points) -> tuple[dict[str, Array], Array]:
     left = unit_vectors(points["LeftASIS"] - points["RightASIS"])
     forward = unit_vectors(perpendicular(front - back, left))
     up = np.cross(forward, left)
-    width = float(np.median(np.linalg.norm(points["LeftASIS"] - points["RightASIS"], axis=1)))
-    depth = float(np.median(np.linalg.norm(front - back, axis=1)))
+    width, depth = _length(points["LeftASIS"] - points["RightASIS"]), _length(front - back)
     centre = front + forward * (-0.24 * depth - 0.0099) + up * (-0.30 * width - 0.0109)
     has_trunk = {"LeftAcromion", "RightAcromion"} <= points.keys()
     shoulders = _middle(points, "Acromion") if has_trunk else centre + up
     trunk = unit_vectors(shoulders - centre)
     joints = {"Hips": centre}
-    for side, sign in (("Left", 1.0), ("Right", -1.0)):
-
-        def at(part: str, side: str = side) -> Array | None:
-            return points.get(side + part)
-
-        hip = centre + sign * left * (0.33 * width + 0.0073)
-        inwards = -sign * left
-        knee = _centre(points[f"{side}KneeLateral"], at("KneeMedial"), hip, inwards, _KNEE)
-        joints |= {f"{side}Hip": hip, f"{side}Knee": knee}
-        heel, toe = at("Heel"), at("Toe")
-        if toe is None and {f"{side}Toe1", f"{side}Toe5"} <= points.keys():
-            toe = (points[f"{side}Toe1"] + points[f"{side}Toe5"]) / 2
-        if (lateral := at("AnkleLateral")) is not None:
+    for side, sign in zip(_SIDES, (1.0, -1.0), strict=True):
+        own = {name.removeprefix(side): place for name, place in points.items() if name.startswith(side)}
+        found = {"Hip": centre + sign * left * (0.33 * width + 0.0073)}
+        found["Knee"] = _centre(own, "Knee", found["Hip"], -sign * left, _KNEE)
+        heel, toe = own.get("Heel"), own.get("Toe", _mean(own, "Toe1", "Toe5"))
+        if "AnkleLateral" in own:
+            inwards = -sign * left
             if heel is not None and toe is not None:  # the foot shows which side is inwards
-                inwards = sign * np.cross(unit_vectors(toe - heel), unit_vectors(knee - lateral))
-            ankle = _centre(lateral, at("AnkleMedial"), knee, inwards, _ANKLE)
-            joints[f"{side}Ankle"] = ankle
+                shin = unit_vectors(found["Knee"] - own["AnkleLateral"])
+                inwards = sign * np.cross(unit_vectors(toe - heel), shin)
+            found["Ankle"] = _centre(own, "Ankle", found["Knee"], inwards, _ANKLE)
             if toe is not None:
-                joints[f"{side}Toe"] = toe
-        if not has_trunk:
-            continue
-        shoulder = joints[f"{side}Shoulder"] = points[f"{side}Acromion"] - _SHOULDER * trunk
-        if (lateral := at("ElbowLateral")) is None:
-            continue
-        wrist, other = at("WristA"), at("WristB")
-        if wrist is not None and other is not None:
-            wrist = (wrist + other) / 2
-        if wrist is not None and at("ElbowMedial") is None:
-            elbow = _hinge(lateral, shoulder, wrist, sign)
-        else:
-            inwards = sign * unit_vectors(
-                perpendicular(points["RightAcromion"] - points["LeftAcromion"], trunk)
-            )
-            elbow = _centre(lateral, at("ElbowMedial"), shoulder, inwards, _ELBOW)
-        joints[f"{side}Elbow"] = elbow
-        if wrist is not None:
-            joints[f"{side}Wrist"] = wrist
-            if (fingers := at("Fingers")) is not None:
-                joints[f"{side}Fingers"] = fingers
-    axes = np.stack([left, up, forward], axis=-1)
-    if not has_trunk:
-        return joints, axes
-    neck = [points[name] for name in ("C7", "Clavicle") if name in points]
-    joints["Neck"] = np.mean(neck, axis=0) if len(neck) == 2 else shoulders
-    head = [points[name] for name in _HEAD_MARKERS if name in points]
-    if len(head) >= 2:
-        joints["Head"] = np.mean(head, axis=0)
-    elif "TopHead" in points:
-        joints["Head"] = points["TopHead"]
-    return joints, axes
+                found["Toe"] = toe
+        if has_trunk:
+            found["Shoulder"] = own["Acromion"] - _SHOULDER * trunk
+        if has_trunk and "ElbowLateral" in own:
+            wrist = _mean(own, "WristA", "WristB") if "WristB" in own else own.get("WristA")
+            if wrist is not None and "ElbowMedial" not in own:
+                found["Elbow"] = _hinge(own["ElbowLateral"], found["Shoulder"], wrist, sign)
+            else:
+                across = perpendicular(points["RightAcromion"] - points["LeftAcromion"], trunk)
+                inwards = sign * unit_vectors(across)
+                found["Elbow"] = _centre(own, "Elbow", found["Shoulder"], inwards, _ELBOW)
+            if wrist is not None:
+                found |= {"Wrist": wrist} | {name: own[name] for name in ("Fingers",) if name in own}
+        joints |= {side + name: place for name, place in found.items()}
+    if has_trunk:
+        neck = _mean(points, "C7", "Clavicle")
+        joints["Neck"] = shoulders if neck is None else neck
+        head = [points[name] for name in _HEAD_MARKERS if name in points]
+        if len(head) >= 2:
+            joints["Head"] = np.mean(head, axis=0)
+        elif "TopHead" in points:
+            joints["Head"] = points["TopHead"]
+    return joints, np.stack([left, up, forward], axis=-1)
 
 
-def _centre(lateral: Array, medial: Array | None, above: Array, inwards: Array, distance: float) -> Array:
-    """Centre (F, 3) of a joint below the joint ``above``: between two markers, or inwards from the lateral
-    one."""
-    if medial is not None:
-        return (lateral + medial) / 2
+def _mean(points: Points, *names: str) -> Array | None:
+    """Mean of points (F, 3). None if a point is missing."""
+    return np.mean([points[name] for name in names], axis=0) if {*names} <= points.keys() else None
+
+
+def _centre(own: Points, joint: str, above: Array, inwards: Array, distance: float) -> Array:
+    """Centre (F, 3) of a joint below the joint ``above``: between the markers ``own`` of its side, or inwards
+    from the lateral one."""
+    between, lateral = _mean(own, f"{joint}Lateral", f"{joint}Medial"), own[f"{joint}Lateral"]
+    if between is not None:
+        return between
     limb = unit_vectors(lateral - above)
     return np.asarray(lateral + distance * unit_vectors(perpendicular(inwards, limb)))
 
@@ -559,68 +550,53 @@ _HEAD_MARKERS = (
     *(f"{side}{end}Head" for side in _SIDES for end in ("Front", "Back")),
     *("FrontHead", "RearHead"),
 )
-_ALL_JOINTS = {name.replace("Left", side) for name in _TREE for side in _SIDES}
 
 
 def _motion(path: Path, joints: dict[str, Array], pelvis: Array | None, frame_time: float) -> Motion:
     """Make the motion of joints (F, 3) with the rest pose of :data:`_TREE`. ``pelvis``: axes (F, 3, 3) of the
     pelvis from its markers: left, up, forward. None if there are no such markers."""
     joints = {**joints, "Chest": (joints["Hips"] + joints["Neck"]) / 2}
-    names, parents, offsets = [], [], []
     trunk = joints["Neck"] - joints["Hips"]
-    own = {
-        "Hips": _axes(joints["LeftHip"] - joints["RightHip"], trunk),
-        "Chest": _axes(joints["LeftShoulder"] - joints["RightShoulder"], trunk),
-    }
+    across = joints["LeftShoulder"] - joints["RightShoulder"]
+    own = {"Hips": _axes(joints["LeftHip"] - joints["RightHip"], trunk), "Chest": _axes(across, trunk)}
     if pelvis is not None:
         own["Hips"] = pelvis @ _standing_tilt(joints, pelvis)
     if "Head" in joints:
-        above = joints["Head"] - joints["Neck"]
-        own["Neck"] = own["Head"] = _axes(joints["LeftShoulder"] - joints["RightShoulder"], above)
-    done: dict[str, Array] = {}
-    for key, (above_key, direction) in _TREE.items():
-        for side in _SIDES if key.startswith("Left") else ("Left",):
-            name, parent = key.replace("Left", side), above_key.replace("Left", side)
-            if name not in joints or (parent and parent not in done):
-                continue
-            way = np.array(direction) * ((-1.0 if side == "Right" else 1.0), 1.0, 1.0)
-            link = joints[name] - joints[parent] if parent else np.zeros((len(trunk), 3))
-            if parent and not way.any():  # hips and shoulders have their median place in the parent
-                way = np.median(rotate(np.swapaxes(done[parent], -1, -2), link), axis=0)
-            else:
-                way = way * float(np.median(np.linalg.norm(link, axis=1)))
-            names.append(name)
-            parents.append(names.index(parent) if parent else -1)
-            offsets.append(way)
-            done[name] = own[name] if name in own else done[parent]
+        own["Neck"] = own["Head"] = _axes(across, joints["Head"] - joints["Neck"])
+    turns: dict[str, Array] = {}
+    offsets: dict[str, Array] = {}
+    for name, (parent, direction) in _TREE.items():
+        if name not in joints or (parent and parent not in offsets):
+            continue
+        link = joints[name] - joints[parent] if parent else np.zeros((len(trunk), 3))
+        if parent and not direction.any():
+            offsets[name] = np.median(rotate(np.swapaxes(turns[parent], -1, -2), link), axis=0)
+        else:
+            offsets[name] = direction * _length(link)
+        turns[name] = own[name] if name in own else turns[parent]
     # a limb turns with its link, by the shortest rotation from its parent
-    for name in names:
-        below = [n for n in names if parents[names.index(n)] == names.index(name)]
+    for name in offsets:
         if name in own:
             continue
-        parent = names[parents[names.index(name)]]
-        done[name] = done[parent]
-        if below:
-            rest = rotate(done[parent], np.broadcast_to(offsets[names.index(below[0])], (len(trunk), 3)))
-            link = joints[below[0]] - joints[name]
-            done[name] = shortest_rotations(unit_vectors(rest), unit_vectors(link)) @ done[parent]
-    rotations, positions = [], {}
-    for number, name in enumerate(names):
-        parent_number = parents[number]
-        if parent_number < 0:
-            rotations.append(done[name])
-            positions[number] = joints[name]
-            continue
-        parent = names[parent_number]
-        back = np.swapaxes(done[parent], -1, -2)
-        rotations.append(back @ done[name])
+        turns[name] = turned = turns[_TREE[name][0]]
+        below = next((other for other in offsets if _TREE[other][0] == name), None)
+        if below is not None:
+            rest = rotate(turned, np.broadcast_to(offsets[below], trunk.shape))
+            link = joints[below] - joints[name]
+            turns[name] = shortest_rotations(unit_vectors(rest), unit_vectors(link)) @ turned
+    names = list(offsets)
+    rotations, positions = [turns["Hips"]], {0: joints["Hips"]}
+    for number, name in enumerate(names[1:], 1):
+        parent = _TREE[name][0]
+        back = np.swapaxes(turns[parent], -1, -2)
+        rotations.append(back @ turns[name])
         positions[number] = rotate(back, joints[name] - joints[parent])
     if not are_rotations(np.stack(rotations, axis=1)):
         raise MotionError("points of the person are at one place or on one line", path=path)
     return motion_of_rotations(
         names,
-        np.array(parents, dtype=np.intp),
-        np.array(offsets),
+        np.array([names.index(_TREE[name][0]) if _TREE[name][0] else -1 for name in names], dtype=np.intp),
+        np.array([*offsets.values()]),
         np.stack(rotations, axis=1),
         positions,
         frame_time,

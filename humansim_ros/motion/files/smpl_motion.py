@@ -7,8 +7,9 @@ follows from the length of the steps (docs/motion.md).
 
 from __future__ import annotations
 
+import itertools
 import os
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -118,48 +119,15 @@ def _joints(features: Array) -> Array:
     return np.concatenate([places[:, None], others], axis=1)
 
 
-#: Arrays of rotations. Either one array has all joints (the best names come first), or each part has its
-#: own array. Arrays of some parts may be missing.
-_POSES = ("pose_world", "poses", "fullpose", "smpl_poses", "pose_aa", "pred_rotmat", "pose")
-_PARTS = (
-    ("root_orient", "global_orient", "poses_root"),
-    ("pose_body", "body_pose", "poses_body"),
-    ("pose_jaw", "jaw_pose"),
-    ("pose_eye", "leye_pose"),
-    ("reye_pose",),
-    ("pose_hand", "left_hand_pose"),
-    ("right_hand_pose",),
-)
-#: Number of values in a frame for the body of SMPL+H and SMPL-X, and for the parts of face and hands.
-_BODY = 63
-_WIDTHS = {
-    **dict.fromkeys(("pose_jaw", "jaw_pose", "leye_pose", "reye_pose"), 3),
-    **dict.fromkeys(("left_hand_pose", "right_hand_pose"), 45),
-    "pose_eye": 6,
-    "pose_hand": 90,
-}
-#: Arrays that these parts combine.
-_HALVES: dict[str, tuple[str, ...]] = {
-    **dict.fromkeys(("pose_jaw", "jaw_pose"), ("jaw",)),
-    "pose_eye": ("left_eye", "right_eye"),
-    "leye_pose": ("left_eye",),
-    "reye_pose": ("right_eye",),
-    "pose_hand": ("left_hand", "right_hand"),
-    "left_hand_pose": ("left_hand",),
-    "right_hand_pose": ("right_hand",),
-}
-#: Array of rotations -> arrays with the places of the person.
-_PLACES = {"pose_world": ("trans_world",), "pred_rotmat": ("pred_trans",)}
-_USUAL_PLACES = ("trans", "transl", "smpl_trans", "global_t", "trans_orig")
-_RATES = ("mocap_frame_rate", "mocap_framerate", "fps", "frame_rate", "framerate")
-_BETAS = ("betas", "beta", "shape", "pred_shape")
+#: Names of arrays, the best first: rotations of all joints or of parts of the body, places, rates and others.
+#: Arrays of some parts may be missing. Each part has the rotations of one or two limbs.
+_NAMES = read_table("smpl_files")
+_POSES: tuple[str, ...] = tuple(_NAMES["poses"])
+_LIMBS: dict[str, list[str]] = {name: limbs for part in _NAMES["parts"] for name, limbs in part.items()}
 _KNOWN = (
-    *(*_POSES, *(name for names in _PARTS for name in names)),
-    *(*_USUAL_PLACES, *(name for names in _PLACES.values() for name in names), *_RATES, *_BETAS),
-    *("smpl_scaling", "frame_ids", "frame"),
+    *(*_POSES, *_LIMBS, *_NAMES["usual_places"], *itertools.chain(*_NAMES["places"].values())),
+    *(*_NAMES["rates"], *_NAMES["betas"], *_NAMES["other"]),
 )
-#: Arrays with rotations in the axes of a camera.
-_OF_CAMERA = ("pose", "pred_rotmat")
 #: Frames per second: of a file that does not state it, of AIST++, of HumanML3D.
 _RATE, _AIST_RATE, _JOINTS_RATE = 30.0, 60.0, 20.0
 #: A track may lack at most this number of frames for each frame that it has.
@@ -187,7 +155,7 @@ _HEAD_TOP = (0.0, 0.18, 0.0)
 def is_smpl_motion(path: str | os.PathLike[str]) -> bool:
     """Whether an archive has poses. False if the archive cannot be read."""
     try:
-        arrays = read_npz(path, MotionError, "SMPL motion", (*_POSES, *_PARTS[0]))
+        arrays = read_npz(path, MotionError, "SMPL motion", (*_POSES, *_NAMES["parts"][0]))
     except HumansimError:
         return False
     return bool(arrays)
@@ -212,7 +180,7 @@ def read_smpl_motion(path: str | os.PathLike[str], person: str | None = None) ->
     is_archive = Path(path).suffix.lower() == ".npz"
     tree = read_npz(path, MotionError, what, _KNOWN) if is_archive else read_pickle(path, MotionError, what)
     try:
-        people = _people_of(tree, (*_POSES, *_PARTS[0], *_PARTS[1], "joints"))
+        people = _people_of(tree, (*_POSES, *_NAMES["parts"][0], *_NAMES["parts"][1], "joints"))
     except (ValueError, IndexError, KeyError, TypeError, AttributeError):
         raise MotionError("the arrays of its people do not fit together", path=path) from None
     if person is not None and person not in people:
@@ -224,35 +192,30 @@ def read_smpl_motion(path: str | os.PathLike[str], person: str | None = None) ->
             found = f"{len(by_size)} people, {some_of(by_size)}: the first, which has most frames, is read"
             warn_about(path, f"{found}; the others are read by name, such as {Path(path).name}#{by_size[1]}")
     arrays = {} if person is None else people[person]
-    if "joints" in arrays and not any(name in arrays for name in _POSES):
+    if "joints" in arrays and _first(arrays, _POSES) is None:
         return _motion_of_joints(path, arrays["joints"])
     poses, name = _poses(Path(path), arrays)
-    frames = len(poses)
-    places = next((arrays[n] for n in _PLACES.get(name, _USUAL_PLACES) if n in arrays), None)
-    if places is None:
+    place = _first(arrays, _NAMES["places"].get(name, _NAMES["usual_places"]))
+    if place is None:
         warn_about(path, "no 'trans': the person stays in place")
-        places = np.zeros((frames, 3))
-    places = _finite(path, _numbers(path, "trans", places), "trans")
-    if places.shape != (frames, 3):
-        raise MotionError(f"{places.shape} numbers for {frames} frames", path=path, key="trans")
-    if is_of_camera := name in _OF_CAMERA or "incam" in str(person):
+    found_places = np.zeros((len(poses), 3)) if place is None else arrays[place]
+    places = _finite(path, _numbers(path, "trans", found_places), "trans")
+    if places.shape != (len(poses), 3):
+        raise MotionError(f"{places.shape} numbers for {len(poses)} frames", path=path, key="trans")
+    if is_of_camera := name in _NAMES["camera_poses"] or "incam" in str(person):
         warn_about(path, "these are axes of a camera: the person leans, and moves, as the camera does")
     poses, places = _without_gaps(path, poses, places, arrays)
-    names, frames = SMPL_MODELS[len(poses[0])], len(poses)
+    names = SMPL_MODELS[len(poses[0])]
     # AIST++ has centimetres, and a factor that converts the metres of the model to them
     scaling = _number(arrays.get("smpl_scaling", np.ones(1)))
     unit = 0.01 if scaling > _SIZES[1] else 1.0
     parents, offsets = _skeleton(names)
-    rotations = Rotation.from_rotvec(poses.reshape(-1, 3)).as_matrix().reshape(frames, -1, 3, 3)
-    order = sorted(range(len(names)), key=lambda joint: _depth(joint, parents))
-    number = {joint: place for place, joint in enumerate(order)}
-    above = [number[parents[joint]] if parents[joint] >= 0 else -1 for joint in order]
-    head = number[names.index("head")]
+    rotations = Rotation.from_rotvec(poses.reshape(-1, 3)).as_matrix()
     motion = motion_of_rotations(
-        [*(names[joint] for joint in order), "head_end"],
-        np.array([*above, head], dtype=np.intp),
-        np.array([*offsets[order], _HEAD_TOP]),
-        rotations[:, order],
+        [*names, "head_end"],
+        np.array(parents, dtype=np.intp),
+        np.array(offsets, dtype=float),
+        rotations.reshape(len(poses), -1, 3, 3),
         {0: unit * places},
         1 / _rate(path, arrays),
         path=os.fspath(path),
@@ -261,12 +224,12 @@ def read_smpl_motion(path: str | os.PathLike[str], person: str | None = None) ->
     motion = replace(motion, up="-y" if is_of_camera else None)
     if _SIZES[0] <= unit * scaling <= _SIZES[1] and "smpl_scaling" in arrays:
         return replace(motion, offsets=unit * scaling * motion.offsets)
-    betas = next((arrays[key] for key in _BETAS if key in arrays), None)
-    if betas is not None and (betas.dtype.kind not in "fiu" or not np.any(betas)):
+    shape = _first(arrays, _NAMES["betas"])
+    if shape is not None and (arrays[shape].dtype.kind not in "fiu" or not np.any(arrays[shape])):
         return motion  # keep the mean person
     size = _size_of_steps(motion)
-    if betas is not None:
-        _warn_of_shape(path, betas, size)
+    if shape is not None:
+        _warn_of_shape(path, arrays[shape], size)
     return motion if size is None else replace(motion, offsets=size * motion.offsets)
 
 
@@ -280,6 +243,11 @@ def _motion_of_joints(path: str | os.PathLike[str], joints: NDArray[Any]) -> Mot
     names = SMPL[: min(22, points.shape[1])]
     times = np.arange(len(points)) / _JOINTS_RATE
     return motion_of_points(path, MarkerFile(names, points[:, : len(names)], times, (), _JOINTS_RATE))
+
+
+def _first(arrays: Mapping[str, NDArray[Any]], names: Iterable[str]) -> str | None:
+    """First of the names that a file has."""
+    return next((name for name in names if name in arrays), None)
 
 
 def _without_gaps(
@@ -302,11 +270,9 @@ def _without_gaps(
 
 def _warn_of_shape(path: str | os.PathLike[str], betas: NDArray[Any], size: float | None) -> None:
     numbers = ", ".join(f"{value:.3g}" for value in betas.ravel()[:_SHOWN_BETAS])
-    stature = (
-        f"a stature of {_STATURE:.2f} m is assumed"
-        if size is None
-        else f"the stature, {size * _STATURE:.2f} m, follows from the steps"
-    )
+    stature = f"the stature, {(size or 1) * _STATURE:.2f} m, follows from the steps"
+    if size is None:
+        stature = f"a stature of {_STATURE:.2f} m is assumed"
     text = f"the shape of this person is not used, {stature}: the motion moves any body."
     text += f" A human of an SMPL model gets it with betas: [{numbers}] in its description (docs/humans.md)"
     warn_about(path, f"betas: {text}")
@@ -337,11 +303,11 @@ def _size_of_steps(motion: Motion) -> float | None:
 def _poses(path: Path, arrays: Mapping[str, NDArray[Any]]) -> tuple[Array, str]:
     """Rotation vectors (F, J, 3), and the name of the array. If there are several arrays, the name of the
     first."""
-    name = next((name for name in _POSES if name in arrays), None)
+    name = _first(arrays, _POSES)
     if name is not None:
         found = _numbers(path, name, arrays[name])
     else:
-        parts = [next((word for word in names if word in arrays), None) for names in _PARTS]
+        parts = [_first(arrays, names) for names in _NAMES["parts"]]
         if parts[0] is None or parts[1] is None:
             there = some_of(arrays) if arrays else "none of the arrays of AMASS"
             raise MotionError(
@@ -371,31 +337,28 @@ def _poses(path: Path, arrays: Mapping[str, NDArray[Any]]) -> tuple[Array, str]:
 
 
 def _all_parts(path: Path, tables: Mapping[str, Array]) -> list[Array]:
-    """Root, body, face and hands (F, 3 J) in the order of the models. A missing part is zero.
-
-    Args:
-        path: File, for messages.
-        tables: Rotations (F, N) of the parts of a file by name: root, body, and others.
-    """
-    root, body, *others = tables
-    if not others:
+    """Root, body, face and hands (F, 3 J) in the order of the models. A missing limb is zero. ``tables``:
+    rotations (F, N) of the parts of a file by name: root, body, and others."""
+    if len(tables) < 3:
         return list(tables.values())
-    widths = {body: _BODY} | {part: _WIDTHS[part] for part in others}
-    for part, width in widths.items():
-        if (found := tables[part].shape[1]) != width:
+    limbs: dict[str, Array] = {}
+    for part, table in tables.items():
+        widths = [_NAMES["widths"][limb] for limb in _LIMBS[part]]
+        if (found := table.shape[1]) != sum(widths):
             hint = ". Components of hands (use_pca) need the model: write rotations of 15 joints a hand"
-            hint = hint if "hand" in part and found < width else ""
-            raise MotionError(f"{found} numbers a frame in place of {width}{hint}", path=path, key=part)
-    halves: dict[str, Array] = {}
-    for part in others:
-        halves |= zip(_HALVES[part], np.split(tables[part], len(_HALVES[part]), axis=1), strict=True)
-    order: tuple[str, ...] = ("left_hand", "right_hand")
-    if any(not half.endswith("hand") for half in halves):
-        order = ("jaw", "left_eye", "right_eye", *order)
-    count = len(tables[root])
-    sizes = {half: width // len(_HALVES[part]) for part, width in _WIDTHS.items() for half in _HALVES[part]}
-    details = [halves.get(half, np.zeros((count, sizes[half]))) for half in order]
-    return [tables[root], tables[body], *details]
+            hint = hint if "hand" in part and found < sum(widths) else ""
+            message = f"{found} numbers a frame in place of {sum(widths)}{hint}"
+            raise MotionError(message, path=path, key=part)
+        limbs |= zip(_LIMBS[part], np.split(table, len(widths), axis=1), strict=True)
+    face = ("jaw", "left_eye", "right_eye")
+    order = (
+        "root",
+        "body",
+        *(face if any(limb in limbs for limb in face) else ()),
+        "left_hand",
+        "right_hand",
+    )
+    return [limbs.get(limb, np.zeros((len(table), _NAMES["widths"][limb]))) for limb in order]
 
 
 def _numbers(path: str | os.PathLike[str], name: str, array: NDArray[Any]) -> Array:
@@ -430,17 +393,16 @@ def _finite(path: str | os.PathLike[str], table: Array, name: str) -> Array:
 
 
 def _rate(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]]) -> float:
-    name = next((name for name in _RATES if name in arrays), None)
+    name = _first(arrays, _NAMES["rates"])
     if name is None and "smpl_scaling" in arrays:
         return _AIST_RATE
     if name is None:
         warn_about(path, f"no 'mocap_frame_rate': {_RATE:g} frames per second (else set the speed)")
         return _RATE
-    value = arrays[name]
-    rate = _number(value)
+    rate = _number(arrays[name])
     if not 1e-3 <= rate <= 1e6:
-        raise MotionError(f"frames per second must be a number above 0, not {value.tolist()!r:.40}",
-                          path=path, key=name)  # fmt: skip
+        text = f"frames per second must be a number above 0, not {arrays[name].tolist()!r:.40}"
+        raise MotionError(text, path=path, key=name)
     return rate
 
 
@@ -449,12 +411,8 @@ def _number(value: NDArray[Any]) -> float:
     return float(value.ravel()[0]) if value.size == 1 and value.dtype.kind in "fiu" else 0.0
 
 
-def _skeleton(names: tuple[str, ...]) -> tuple[list[int], Array]:
-    """Parents (J), and OFFSETs (J, 3) of the mean person."""
+def _skeleton(names: tuple[str, ...]) -> tuple[list[int], list[Array]]:
+    """Parents (J + 1) and OFFSETs of the mean person, with the top of the head as the last joint."""
     rows = {row["name"]: row for row in read_table("smpl_person")}
     parents = [names.index(rows[name]["parent"]) if rows[name]["parent"] else -1 for name in names]
-    return parents, np.array([rows[name]["offset"] for name in names], dtype=float)
-
-
-def _depth(joint: int, parents: list[int]) -> int:
-    return 0 if parents[joint] < 0 else 1 + _depth(parents[joint], parents)
+    return [*parents, names.index("head")], [*(rows[name]["offset"] for name in names), _HEAD_TOP]

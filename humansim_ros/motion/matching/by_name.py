@@ -22,12 +22,13 @@ from pathlib import Path
 import numpy as np
 
 from humansim_ros.errors import MotionError, unknown
-from humansim_ros.files.reading import exists
+from humansim_ros.files.reading import exists, read_table
 from humansim_ros.geometry import lengths_of, rotate
 from humansim_ros.motion.body.kinematics import Motion, refuse_cycle
 from humansim_ros.motion.body.skeleton import DETAIL_BONES, FINGERS, JOINT_NAMES
 from humansim_ros.motion.matching.joint_tables import (
     ARM_BONES,
+    LEFT,
     REQUIRED_BONES,
     REQUIRED_ROLES,
     JointMatch,
@@ -40,52 +41,34 @@ from humansim_ros.motion.matching.joint_tables import (
 )
 from humansim_ros.types import Array, Indices
 
-#: Words in names that mean a finger.
-_FINGER_WORDS = {
-    "thumb": "thumb",
-    **dict.fromkeys(("index", "pointer"), "index"),
-    **dict.fromkeys(("middle", "mid"), "middle"),
-    "ring": "ring",
-    **dict.fromkeys(("pinky", "pinkie", "little"), "pinky"),
+#: Words in names of fingers, jaw and eyes, with their meanings, by kind: sides, fingers, segments, parts of a
+#: face and words beside them. Joints with words of the kind ``other`` are controls of a rig. Metacarpals of
+#: fingers are in the palm, so only that of the thumb moves a bone.
+_WORDS: dict[str, dict[str, str]] = {
+    kind: {word: meaning for meaning, words in table.items() for word in words.split()}
+    for kind, table in read_table("detail_words").items()
 }
-_ORDINALS = dict(zip(("first", "second", "third", "fourth", "fifth"), FINGERS, strict=True))
-_SIDE_WORDS = {"left": "l", "l": "l", "right": "r", "r": "r"}
-#: Words in names that mean a segment. Metacarpals of fingers are in the palm, so only that of the thumb moves
-#: a bone.
-_SEGMENTS = {
-    **dict.fromkeys(("metacarpal", "mc", "start"), "metacarpal"),
-    **dict.fromkeys(("proximal", "pp"), "proximal"),
-    **dict.fromkeys(("intermediate", "medial", "mp"), "intermediate"),
-    **dict.fromkeys(("distal", "dp"), "distal"),
-    **dict.fromkeys(("tip", "nub", "end"), "tip"),
-}
-#: Joints with these words belong to controls of a rig, not to the hand.
-_OTHER = {"ik", "ctrl", "control", "target", "pole", "twist", "helper", "roll", "in", "carpal", "toe"}
-#: Words that the name of an eye or a jaw may have in addition to its side.
-_FACE_WORDS = {"joint", "bone", "cc", "base", "def", "m", "j", "adj", "face", "smplhf", "lower", "root"}
-_FACE = {"eye": "eyeball_joint", "eyeball": "eyeball_joint", "jaw": "temporomandibular"}
 _WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+")
 #: Words without a separator between them: ``lthumb``, ``lefthandindex``, ``ringfinger``.
-_FUSED = re.compile(rf"(left|right|l|r)?(?:hand)?({'|'.join([*_FINGER_WORDS, 'finger'])})(?:finger)?")
+_FUSED = re.compile(rf"(left|right|l|r)?(?:hand)?({'|'.join([*_WORDS['fingers'], 'finger'])})(?:finger)?")
 #: Word of Biped for the end of a finger. Biped counts fingers from 0.
 _NUB = re.compile("nub", re.IGNORECASE)
 _MMD = re.compile(r"([左右])(?:([親人中薬小])差?指([0-3０-３])|(目))$")
 _MMD_FINGERS = dict(zip("親人中薬小", FINGERS, strict=True))
 #: Joints of H-Anim 2 by the finger and its number, and the segments of H-Anim 2 that rotate with these
 #: joints.
-_HANIM = {
-    **{row.hanim2: row.name for row in JOINT_NAMES if row.hanim2 and row.name in DETAIL_BONES},
-    **{
-        f"{side}_{segment}_{number}": f"{side}_{FINGERS[number - 1]}{joint}"
-        for side in "lr"
-        for number in range(1, 6)
-        for joint, segment in enumerate(
-            ("metacarpal", "carpal_proximal_phalanx", "carpal_distal_phalanx")
-            if number == 1
-            else ("carpal_proximal_phalanx", "carpal_middle_phalanx", "carpal_distal_phalanx"),
-            1,
-        )
-    },
+_HANIM = {row.hanim2: row.name for row in JOINT_NAMES if row.hanim2 and row.name in DETAIL_BONES} | {
+    f"{side}_{segment}_{number}": f"{side}_{finger}{joint}"
+    for side in "lr"
+    for number, finger in enumerate(FINGERS, 1)
+    for joint, segment in enumerate(
+        (
+            "metacarpal" if finger == "thumb" else "carpal_proximal_phalanx",
+            "carpal_proximal_phalanx" if finger == "thumb" else "carpal_middle_phalanx",
+            "carpal_distal_phalanx",
+        ),
+        1,
+    )
 }
 #: Order of the joints of a finger that are named by words.
 _ORDER = ("metacarpal", "proximal", "intermediate", "distal")
@@ -96,48 +79,44 @@ def _finger_joint(name: str) -> tuple[str, str, str | int] | None:
     """Side, finger and segment of a finger joint. None for other joints. The segment is a word of
     :data:`_ORDER`, or the number in the name. Numbers start at 1, or at 0 if the thumb starts at 0."""
     plain = plain_name(name)
-    if plain in DETAIL_BONES and plain[-1].isdigit():
-        return plain[0], plain[2:-1], int(plain[-1])
-    if (bone := _HANIM.get(plain)) is not None and bone[-1].isdigit():
+    bone = plain if plain in DETAIL_BONES else _HANIM.get(plain, "")
+    if bone[-1:].isdigit():
         return bone[0], bone[2:-1], int(bone[-1])
     if (match := _MMD.search(plain)) is not None and match[2]:
         side = "l" if match[1] == "左" else "r"
         return side, _MMD_FINGERS[match[2]], int(match[3]) + (match[2] == "親")
-    side = finger = segment = ""
-    counted = False
-    numbers: list[str] = []
-    for word in _words(plain):
-        if word in _OTHER:
-            return None
-        side = _SIDE_WORDS.get(word, side)
-        finger = _FINGER_WORDS.get(word) or _ORDINALS.get(word) or finger
-        segment = _SEGMENTS.get(word, segment)
-        counted |= word == "finger"
-        if word.isdigit() and (finger or counted):
-            numbers.append(word)
-    if not side:
+    words = _words(plain)
+    side, finger, segment = (
+        next((_WORDS[kind][word] for word in reversed(words) if word in _WORDS[kind]), "")
+        for kind in ("sides", "fingers", "segments")
+    )
+    if not side or _WORDS["other"].keys() & set(words):
         return None
-    if not finger and counted and numbers:
-        first = numbers.pop(0)
-        # Biped counts fingers from 0. Joints after the first have a second digit. Ends have the second digit
-        # of their joint
-        if not numbers and (not segment or len(first) == 2 or _NUB.search(plain)):
-            if not segment:
-                numbers.append(str(int(first[1:] or "0") + 1))
-            first = str(int(first[0]) + 1)
-        finger = FINGERS[int(first) - 1] if 0 < int(first) <= 5 else ""
+    start = next((n for n, word in enumerate(words) if word == "finger" or word in _WORDS["fingers"]), None)
+    numbers = [word for word in words[start:] if word.isdigit()] if start is not None else []
+    if not finger and numbers:
+        finger, numbers = _counted(numbers, bool(_NUB.search(plain)), bool(segment))
     if not finger or len(numbers) > 1 or (not numbers and not segment):
         return None
     return side, finger, segment or int(numbers[0])
 
 
+def _counted(numbers: list[str], is_nub: bool, has_segment: bool) -> tuple[str, list[str]]:
+    """Finger by its number, and the other numbers of the name. Biped counts fingers from 0. Joints after the
+    first have a second digit. Ends have the second digit of their joint."""
+    first, *others = numbers
+    if not others and (not has_segment or len(first) == 2 or is_nub):
+        others = [] if has_segment else [str(int(first[1:] or "0") + 1)]
+        first = str(int(first[0]) + 1)
+    return (FINGERS[int(first) - 1] if 0 < int(first) <= 5 else ""), others
+
+
 def _words(name: str) -> list[str]:
     """Words and numbers of a name in lower case."""
     words: list[str] = []
-    for part in _WORD.findall(name):
-        word = part.casefold()
-        fused = _FUSED.fullmatch(word)
-        words += [word] if fused is None or word in _SEGMENTS else [each for each in fused.groups() if each]
+    for word in map(str.casefold, _WORD.findall(name)):
+        fused = None if word in _WORDS["segments"] else _FUSED.fullmatch(word)
+        words += [word] if fused is None else [each for each in fused.groups() if each]
     return words
 
 
@@ -149,18 +128,12 @@ def _face_bone(name: str) -> str | None:
         return plain if plain.endswith(("eyeball_joint", "temporomandibular")) else None
     if (match := _MMD.search(plain)) is not None and match[4]:
         return f"{'l' if match[1] == '左' else 'r'}_eyeball_joint"
-    sides, parts = set(), set()
-    for part in _WORD.findall(plain):
-        word = part.casefold()
-        if word in _SIDE_WORDS:
-            sides.add(_SIDE_WORDS[word])
-        elif word[1:] == "eye" and word[0] in _SIDE_WORDS:
-            sides.add(word[0])
-            parts.add("eyeball_joint")
-        elif word in _FACE:
-            parts.add(_FACE[word])
-        elif word not in _FACE_WORDS:
-            return None
+    found = [word.casefold() for word in _WORD.findall(plain)]
+    words = {part for word in found for part in ((word[0], "eye") if word in ("leye", "reye") else (word,))}
+    sides = {_WORDS["sides"][word] for word in words if word in _WORDS["sides"]}
+    parts = {_WORDS["face"][word] for word in words if word in _WORDS["face"]}
+    if words - _WORDS["sides"].keys() - _WORDS["face"].keys() - _WORDS["beside_face"].keys():
+        return None
     if parts == {"eyeball_joint"} and len(sides) == 1:
         return f"{sides.pop()}_eyeball_joint"
     return "temporomandibular" if parts == {"temporomandibular"} and not sides else None
@@ -237,14 +210,7 @@ def _tip(joint: int, joint_names: Sequence[str], parents: Indices | None) -> int
 
 def _is_chain(joints: Sequence[int], parents: Indices) -> bool:
     """Whether each of the joints descends from the joint before it."""
-    for above, joint in itertools.pairwise(joints):
-        for _ in parents:  # no path is longer than the number of joints, and a cycle would not end
-            joint = int(parents[joint])
-            if joint < 0 or joint == above:
-                break
-        if joint != above:
-            return False
-    return True
+    return all(_is_descendant(joint, above, parents) for above, joint in itertools.pairwise(joints))
 
 
 #: Spellings of the sides, at the start or the end of a name.
@@ -253,7 +219,7 @@ _SEPARATORS = " _.-|:"
 #: Patterns for left in names of a joint table, the most certain first: as a word or letter of its own, as a
 #: letter before a capital, as the first letter.
 _LEFT = (
-    re.compile(r"left|(?<![a-z])l(?=[_. -])|(?<=[_. :-])l(?![a-z])", re.IGNORECASE),
+    LEFT,
     re.compile(r"^l(?=[A-Z])"),
     re.compile(r"^l"),
 )
@@ -282,10 +248,11 @@ def loose_table_key(role: str, name: str) -> str:
 def _with_side(key: str, present: set[str]) -> str:
     for pair in _SIDES:
         for side, own, other in (("left", *pair), ("right", *reversed(pair))):
-            if key.startswith(own) and other + key[len(own) :] in present:
-                return f"{side} {key[len(own) :]}"
-            if key.endswith(own) and key[: len(key) - len(own)] + other in present:
-                return f"{side} {key[: len(key) - len(own)]}"
+            rest, start = key.removeprefix(own), key.removesuffix(own)
+            if rest != key and other + rest in present:
+                return f"{side} {rest}"
+            if start != key and start + other in present:
+                return f"{side} {start}"
     return key
 
 
@@ -295,17 +262,15 @@ def _without_common_parts(names: Sequence[str]) -> list[str]:
     if len(joints) < 2:
         return list(names)
     start = _common_start(joints)
-    start = start[: 1 + max(start.rfind(mark) for mark in _SEPARATORS)]
-    end = _common_start([name[len(start) :][::-1] for name in joints])
-    end = end[: 1 + max(end.rfind(mark) for mark in _SEPARATORS)][::-1]
+    end = _common_start([name[len(start) :][::-1] for name in joints])[::-1]
     return [name.removeprefix(start).removesuffix(end) for name in names]
 
 
 def _common_start(texts: Sequence[str]) -> str:
-    """Longest text that all texts begin with."""
+    """Longest text that all texts begin with, up to a separator."""
     first, last = min(texts), max(texts)  # all other texts are between these two in order
     length = next((n for n, (a, b) in enumerate(zip(first, last, strict=False)) if a != b), len(first))
-    return first[:length]
+    return first[: 1 + max(first.rfind(mark, 0, length) for mark in _SEPARATORS)]
 
 
 #: Roles of the joints of each limb, without their side.
@@ -483,25 +448,28 @@ def _numbers_by_name(names: tuple[str, ...]) -> tuple[dict[str, int], dict[str, 
 def _named_roles(table: JointTable, joint_names: Sequence[str]) -> dict[str, int]:
     """Joint of each role of a table. The first name of the role that exists is used, exact or nearly so."""
     exact, similar = _numbers_by_name(tuple(joint_names))
-    roles = {}
+    roles: dict[str, int] = {}
     for role, names in table.joints.items():
-        joints = (exact.get(name, similar.get(comparison_key(name))) for name in names)
-        roles[role] = next((joint for joint in joints if joint is not None), None)
-    return {role: joint for role, joint in roles.items() if joint is not None}
+        for name in names:
+            joint = exact.get(name, similar.get(comparison_key(name)))
+            if joint is not None:
+                roles.setdefault(role, joint)
+    return roles
 
 
 def _loose_roles(table: JointTable, joint_names: Sequence[str]) -> dict[str, int]:
     """Do the same as :func:`_named_roles`, in any spelling of the sides. Right sides are spelt as the left
     ones are."""
     joint_of = {key: number for number, key in reversed(list(enumerate(loose_keys(tuple(joint_names)))))}
-    roles = {}
+    roles: dict[str, int] = {}
     for role, names in table.joints.items():
         left = f"Left{role[5:]}" if role.startswith("Right") else role
-        keys = [loose_table_key(left, name) for name in table.joints.get(left, names)]
-        if left != role:
-            keys = [key.replace("left", "right", 1) for key in keys]
-        roles[role] = next((joint_of[key] for key in keys if key in joint_of), None)
-    return {role: joint for role, joint in roles.items() if joint is not None}
+        for name in table.joints.get(left, names):
+            key = loose_table_key(left, name)
+            joint = joint_of.get(key if left == role else key.replace("left", "right", 1))
+            if joint is not None:
+                roles.setdefault(role, joint)
+    return roles
 
 
 def _consistent_roles(roles: Mapping[str, int], parents: Indices) -> dict[str, int]:
@@ -515,19 +483,14 @@ def _consistent_roles(roles: Mapping[str, int], parents: Indices) -> dict[str, i
     if pelvis >= 0 and len(legs) == 2:
         consistent["Hips"] = pelvis  # the joint called hips may carry only the trunk
     for chain in _CHAINS:
-        above: str | None = None
-        for role in chain:
-            if role not in consistent:
-                continue
-            same = role == "Chest" and above is not None and consistent[role] == consistent[above]
-            if (
-                above is not None
-                and not same
-                and not _is_descendant(consistent[role], consistent[above], parents)
-            ):
+        above = -1
+        for role in [role for role in chain if role in consistent]:
+            joint = consistent[role]
+            is_same = role == "Chest" and joint == above
+            if above < 0 or is_same or _is_descendant(joint, above, parents):
+                above = joint
+            else:
                 del consistent[role]
-                continue
-            above = role
     return consistent
 
 

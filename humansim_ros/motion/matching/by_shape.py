@@ -7,15 +7,22 @@ another joint, and a head near the arms. Only left and right may need a pose: if
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, permutations
 
 import numpy as np
 
 from humansim_ros.geometry import unit_vectors
 from humansim_ros.motion.body.kinematics import Motion
-from humansim_ros.motion.matching.joint_tables import MIN_CONFIDENCE, JointMatch, JointTable, match_roles
+from humansim_ros.motion.matching.joint_tables import (
+    LEFT,
+    MIN_CONFIDENCE,
+    RIGHT,
+    JointMatch,
+    JointTable,
+    match_roles,
+)
 from humansim_ros.types import Array
 
 #: Two branches are a pair if their lengths differ by this share at most.
@@ -110,6 +117,11 @@ class JointTree:
 
 #: Shares of a leg (thigh, shin, foot) and of an arm (upper arm, forearm, hand) of a typical person.
 _LEG, _ARM = np.array([0.43, 0.41, 0.16]), np.array([0.42, 0.36, 0.22])
+#: Collar, three main joints and tip of legs and arms.
+_LEG_PARTS, _ARM_PARTS = (
+    ("", "Hip", "Knee", "Ankle", "Toe"),
+    ("Collar", "Shoulder", "Elbow", "Wrist", "Fingers"),
+)
 #: Length of an arm, and of neck and head, as shares of the length of a leg.
 _ARM_BY_LEG, _HEAD_BY_LEG = 0.72, 0.28
 #: A joint with at least this number of children is a hand, a foot or a head, with fingers, toes or parts of a
@@ -120,8 +132,6 @@ _WRONG_END = 0.2
 _HAND = re.compile(r"hand|wrist", re.IGNORECASE)
 _FOOT = re.compile(r"foot|ankle", re.IGNORECASE)
 _HEAD = re.compile(r"head|skull", re.IGNORECASE)
-_LEFT = re.compile(r"left|(?<![a-z])l(?=[_. -])|(?<=[_. :-])l(?![a-z])", re.IGNORECASE)
-_RIGHT = re.compile(r"right|(?<![a-z])r(?=[_. -])|(?<=[_. :-])r(?![a-z])", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -132,6 +142,11 @@ class _Limb:
     joints: tuple[int, int, int]
     tip: int | None
     likelihood: float
+
+    def roles(self, parts: Sequence[str]) -> dict[str, int]:
+        """Joints by the names of the five parts, without unknown joints."""
+        joints = (self.collar, *self.joints, self.tip)
+        return {part: joint for part, joint in zip(parts, joints, strict=True) if part and joint is not None}
 
 
 def match_shape(motion: Motion, min_confidence: float = MIN_CONFIDENCE) -> JointMatch | None:
@@ -166,56 +181,37 @@ def _limb_pairs(tree: JointTree) -> Iterator[tuple[BranchPair, BranchPair]]:
     """Candidates for legs and arms: two pairs of branches that have no joint in common."""
     pairs = sorted(tree.pairs(), key=lambda pair: -pair.length)[:_MAX_PAIRS]
     above = [{joint for start in (p.joint, *p.branches) for joint in tree.path(start)[1:]} for p in pairs]
-    for legs, above_legs in zip(pairs, above, strict=True):
-        for arms, above_arms in zip(pairs, above, strict=True):
-            if arms is legs or set(arms.branches) & set(legs.branches):
-                continue
-            if (
-                not above_legs.intersection(arms.branches)
-                and not above_arms.intersection(legs.branches)
-                and legs.joint not in arms.branches
-                and arms.joint not in legs.branches
-            ):
-                yield legs, arms
+    for (legs, above_legs), (arms, above_arms) in permutations(zip(pairs, above, strict=True), 2):
+        if not (
+            {*above_legs, *legs.branches, legs.joint} & {*arms.branches}
+            or {*above_arms, arms.joint} & {*legs.branches}
+        ):
+            yield legs, arms
 
 
 def _person(tree: JointTree, legs: BranchPair, arms: BranchPair) -> tuple[float, dict[str, int]] | None:
     """Likelihood of a person with these legs and arms, and the roles of the joints. Left and right are not
     decided yet."""
     leg_limbs, arm_limbs = _limbs(tree, legs, _LEG, 1.05, _FOOT), _limbs(tree, arms, _ARM, 1.2, _HAND)
-    if leg_limbs is None or arm_limbs is None:
+    trunk = _path_between(tree, legs.joint, arms.joint)
+    if leg_limbs is None or arm_limbs is None or trunk is None:
         return None
     roles: dict[str, int] = {"Hips": legs.joint}
     # legs are among the longest branches
     likelihood = legs.symmetry * arms.symmetry * min(1.0, 2 * legs.length / tree.size) ** 2
     for side, leg, arm in zip(("Left", "Right"), leg_limbs, arm_limbs, strict=True):
-        roles.update(
-            {f"{side}{part}": j for part, j in zip(("Hip", "Knee", "Ankle"), leg.joints, strict=True)}
-        )
-        roles.update(
-            {f"{side}{part}": j for part, j in zip(("Shoulder", "Elbow", "Wrist"), arm.joints, strict=True)}
-        )
-        if leg.tip is not None:
-            roles[f"{side}Toe"] = leg.tip
-        if arm.collar is not None:
-            roles[f"{side}Collar"] = arm.collar
-        if arm.tip is not None:
-            roles[f"{side}Fingers"] = arm.tip
+        parts = leg.roles(_LEG_PARTS) | arm.roles(_ARM_PARTS)
+        roles |= {side + part: joint for part, joint in parts.items()}
         likelihood *= leg.likelihood * arm.likelihood
     leg_length, arm_length = (
         sum(tree.links[j] for j in limb.joints[1:]) for limb in (leg_limbs[0], arm_limbs[0])
     )
     likelihood *= _similarity(arm_length / leg_length, _ARM_BY_LEG, 0.35)
-    trunk = _path_between(tree, legs.joint, arms.joint)
-    if trunk is None:
-        return None
     # from the last common joint of hips and trunk up to the arms
-    spine = trunk[trunk.index(_topmost(tree, trunk)) + 1 :]
-    if spine:
-        roles["Spine"], roles["Chest"] = spine[0], spine[-1]
-    else:
-        roles["Chest"] = arms.joint
-    length = sum(tree.links[joint] for joint in trunk if joint != _topmost(tree, trunk))
+    topmost = next(joint for joint in trunk if int(tree.parents[joint]) not in trunk)
+    spine = trunk[trunk.index(topmost) + 1 :]
+    roles |= {"Spine": spine[0], "Chest": spine[-1]} if spine else {"Chest": arms.joint}
+    length = sum(tree.links[joint] for joint in trunk if joint != topmost)
     likelihood *= _similarity(max(length, 1e-9) / leg_length, 0.55, 0.9)
     head = _head(tree, legs, arms, trunk)
     if head is None:
@@ -249,7 +245,7 @@ def _end_of_chain(tree: JointTree, chain: list[int], called: re.Pattern[str], fr
 
 def _limbs(
     tree: JointTree, pair: BranchPair, typical: Array, above: float, end: re.Pattern[str]
-) -> tuple[_Limb, _Limb] | None:
+) -> list[_Limb] | None:
     """Find the most likely three joints of both limbs. If the chains are equally long, both have the same
     places.
 
@@ -262,30 +258,24 @@ def _limbs(
     """
     chains = [tree.chain(branch) for branch in pair.branches]
     likelihoods = [_joint_triples(tree, chain, typical, above, end) for chain in chains]
-    if not all(likelihoods):
-        return None
+    one, other = likelihoods
     if len(chains[0]) == len(chains[1]):
-        both = {
-            places: value * likelihoods[1][places]
-            for places, value in likelihoods[0].items()
-            if places in likelihoods[1]
-        }
-        if not both:
-            return None
-        best = max(both, key=lambda places: both[places])
-        chosen = [best, best]
+        both = {places: value * other[places] for places, value in one.items() if places in other}
+        ranks = [both, both]
     else:
-        chosen = [max(one, key=lambda places, one=one: one[places]) for one in likelihoods]  # type: ignore[misc]
-    first, second = (
+        ranks = likelihoods
+    if not all(ranks):
+        return None
+    chosen = [max(rank, key=rank.__getitem__) for rank in ranks]
+    return [
         _Limb(
             _collar(tree, chain, places[0]),
             (chain[places[0]], chain[places[1]], chain[places[2]]),
             _tip(tree, chain, places[2]),
-            one[places],
+            likelihood[places],
         )
-        for chain, places, one in zip(chains, chosen, likelihoods, strict=True)
-    )
-    return first, second
+        for chain, places, likelihood in zip(chains, chosen, likelihoods, strict=True)
+    ]
 
 
 def _joint_triples(
@@ -323,10 +313,7 @@ def _collar(tree: JointTree, chain: list[int], place: int) -> int | None:
 
 def _tip(tree: JointTree, chain: list[int], place: int) -> int | None:
     """First joint after a place in a chain that has a different position."""
-    for joint in chain[place + 1 :]:
-        if tree.links[joint] > 0.005 * tree.size:
-            return joint
-    return None
+    return next((joint for joint in chain[place + 1 :] if tree.links[joint] > 0.005 * tree.size), None)
 
 
 def _path_between(tree: JointTree, a: int, b: int) -> list[int] | None:
@@ -336,11 +323,6 @@ def _path_between(tree: JointTree, a: int, b: int) -> list[int] | None:
     if common is None:
         return None
     return [*up_a[: up_a.index(common) + 1], *reversed(up_b[: up_b.index(common)])]
-
-
-def _topmost(tree: JointTree, joints: list[int]) -> int:
-    """Joint of a path that is the ancestor of all its other joints."""
-    return next(joint for joint in joints if int(tree.parents[joint]) not in joints)
 
 
 def _head(tree: JointTree, legs: BranchPair, arms: BranchPair, trunk: list[int]) -> list[int] | None:
@@ -365,44 +347,33 @@ def _assign_sides(motion: Motion, roles: dict[str, int]) -> tuple[dict[str, int]
     def named_side(part: str) -> int:
         """1 if the names agree with left and right, -1 if they are swapped, 0 if they do not tell."""
         left, right = (motion.joint_names[roles[f"{side}{part}"]] for side in ("Left", "Right"))
-        a, b = _side_of_name(left), _side_of_name(right)
+        a, b = (bool(LEFT.search(name)) - bool(RIGHT.search(name)) for name in (left, right))
         return 0 if a == b else a - b
 
     legs, arms = named_side("Knee") or named_side("Hip"), named_side("Elbow") or named_side("Shoulder")
     confidence = 1.0
     if not legs:
-        legs, confidence = _posed_side(motion, roles, "Hip"), 0.75
+        legs, confidence = _posed_side(motion, roles), 0.75
     if not arms:
         # arms get the sides of the hips that are below them
         arms, confidence = legs * _shoulders_above_hips(motion, roles), min(confidence, 0.9)
-    out = dict(roles)
-    for swapped, parts in (
-        (legs < 0, ("Hip", "Knee", "Ankle", "Toe")),
-        (arms < 0, ("Collar", "Shoulder", "Elbow", "Wrist", "Fingers")),
-    ):
-        for part in parts if swapped else ():
-            pair = {side: out.pop(f"{side}{part}", None) for side in ("Left", "Right")}
-            for side, other in (("Left", "Right"), ("Right", "Left")):
-                if (joint := pair[other]) is not None:
-                    out[f"{side}{part}"] = joint
-    return out, confidence
-
-
-def _side_of_name(name: str) -> int:
-    return bool(_LEFT.search(name)) - bool(_RIGHT.search(name))
+    swapped = (*(_LEG_PARTS if legs < 0 else ()), *(_ARM_PARTS if arms < 0 else ()))
+    other = {f"Left{part}": f"Right{part}" for part in swapped}
+    other |= {right: left for left, right in other.items()}
+    return {other.get(role, role): joint for role, joint in roles.items()}, confidence
 
 
 def _sampled_positions(motion: Motion) -> Array:
     return motion.world_positions(np.unique(np.linspace(0, motion.n_frames - 1, 200).astype(int)))
 
 
-def _posed_side(motion: Motion, roles: dict[str, int], part: str) -> int:
-    """1 if the left side is on the left of the direction of feet and knees, seen from above. Else -1."""
+def _posed_side(motion: Motion, roles: dict[str, int]) -> int:
+    """1 if the left hip is on the left of the direction of feet and knees, seen from above. Else -1."""
     points = _sampled_positions(motion)
     head = points[:, roles.get("Head", roles["Chest"])]
     ankles = (points[:, roles["LeftAnkle"]] + points[:, roles["RightAnkle"]]) / 2
     up = unit_vectors((head - ankles).mean(0))
-    across = points[:, roles[f"Left{part}"]] - points[:, roles[f"Right{part}"]]
+    across = points[:, roles["LeftHip"]] - points[:, roles["RightHip"]]
     votes = np.zeros(len(points))
     for side in ("Left", "Right"):
         ankle = points[:, roles[f"{side}Ankle"]]

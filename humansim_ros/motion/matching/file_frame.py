@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from humansim_ros.errors import MotionError
 from humansim_ros.geometry import WORLD_FROM_BODY, angle_between, nearest_axis, unit_vectors
 from humansim_ros.motion.body.kinematics import Motion
 from humansim_ros.motion.body.skeleton import Skeleton
 from humansim_ros.motion.matching.joint_tables import JointMatch
-from humansim_ros.types import Array
+from humansim_ros.types import Array, Indices
 
 #: Trunk, legs, hips and shoulders count as those of a standing person up to these angles (degrees).
 _TRUNK_TO_LEGS, _LEG_TO_LEG, _HIPS_TO_SHOULDERS, _HIPS_TO_LEVEL = 35.0, 90.0, 35.0, 35.0
@@ -228,11 +227,9 @@ def detect_file_frame(
     Raises:
         MotionError: The skeleton has no height, or its hips are at one place.
     """
-    roles, up = match.roles, up or motion.up
-    rest = motion.rest_positions()
-    transforms = motion.world_transforms(
-        np.unique(np.linspace(0, motion.n_frames - 1, _MAX_FRAMES).astype(int))
-    )
+    roles, up, rest = match.roles, up or motion.up, motion.rest_positions()
+    samples = np.unique(np.linspace(0, motion.n_frames - 1, _MAX_FRAMES).astype(int))
+    transforms = motion.world_transforms(samples)
     frames = transforms[..., :3, 3]
     head = roles.get("Head", roles[highest(roles)])
     ankles = [roles.get(f"{side}Ankle", roles[f"{side}Knee"]) for side in ("Left", "Right")]
@@ -247,27 +244,25 @@ def detect_file_frame(
     evidence = _UpEvidence(
         frames / height, frames[:, head] - feet, hips - feet, BodyLines.of(frames, roles), roles
     )
-    if (
-        motion.positions == "add"
-    ):  # a root near the origin of the file: its position is added to its OFFSET, or the person lies there
+    if motion.positions == "add":
+        # a root near the origin of the file: its position is added to its OFFSET, or the person lies there
         evidence = replace(evidence, origin=motion.offsets[motion.parents < 0].mean(0) / height)
-    if motion.is_rest_made:
-        found, warning = evidence.decide_alone(motion.screen_up)
+    if up is not None:
+        up_axis, warning = axis_vector(up), None
+    elif motion.is_rest_made:
+        up_axis, warning = evidence.decide_alone(motion.screen_up)
     else:
         is_rest = _is_turned_rest(transforms[0], roles)
-        found, warning = evidence.decide(rest_up if rest_stands else None, is_rest)
-    up_axis, warning = (found, warning) if up is None else (axis_vector(up), None)
+        up_axis, warning = evidence.decide(rest_up if rest_stands else None, is_rest)
     if rest_stands:
         if (rest_up == up_axis).all():
             rest_axes = axes = _body_axes(rest, roles, up_axis, motion, facing, snap=True)
         else:
-            # the rest pose lies in file space, and the root raises it. So the facing comes from the first
-            # frame
+            # the rest pose lies in file space, and the root raises it: the first frame shows the facing
             rest_axes = _body_axes(rest, roles, rest_up, motion, snap=True)
             axes = _body_axes(frames[0], roles, up_axis, motion, facing, snap=True)
     else:
-        # The OFFSETs are not a standing person (for example, all bones are along one axis). So the frame in
-        # which the person stands straightest is the rest pose.
+        # the OFFSETs are not a standing person, so the straightest frame is the rest pose
         straightest = int(np.argmin(BodyLines.of(frames, roles).bend(up_axis)))
         axes = _body_axes(frames[straightest], roles, up_axis, motion, facing)
         rest_axes = _rest_axes(transforms[straightest], roles, axes)
@@ -315,8 +310,8 @@ class _UpEvidence:
             rest: Axis along which the OFFSETs stand, (3,). None if the OFFSETs are not a rest pose.
             starts_at_rest: Whether frame 0 is the rest pose, turned by its root.
         """
-        mean = nearest_axis(self.heads.mean(0))
-        first, angle = self._first()
+        mean, first = nearest_axis(self.heads.mean(0)), nearest_axis(self.heads[0])
+        angle = float(np.degrees(angle_between(self.heads[0], first)))
         least = _MOSTLY
         if starts_at_rest and angle <= _EXACT_ANGLE and _is_usual(first):
             witness, name = first, "frame 0"
@@ -401,11 +396,6 @@ class _UpEvidence:
             return True
         return self._is_on_floor(mean) and not self._is_on_floor(witness)
 
-    def _first(self) -> tuple[Array, float]:
-        """Axis (3,) nearest to the body of the person in frame 0, and the angle between both, degrees."""
-        axis = nearest_axis(self.heads[0])
-        return axis, float(np.degrees(angle_between(self.heads[0], axis)))
-
     def _raised(self, mean: Array, witness: Array, least: float) -> bool:
         """Whether the mean direction is up since the root raises a rest pose that lies in file space.
         Otherwise the person lies, crawls, or stands on the hands. ``least``: if nothing else decides, the
@@ -482,7 +472,7 @@ def axis_name(direction: Array) -> str:
     return ("-" if direction[axis] < 0 else "") + "xyz"[axis]
 
 
-def ankle_to_head(positions: Array, parents: Sequence[int] | NDArray[np.intp], match: JointMatch) -> float:
+def ankle_to_head(positions: Array, parents: Indices, match: JointMatch) -> float:
     """Ankle-to-head height of a skeleton [thesis §7.2]. Measured along the links, so any pose (J, 3) gives
     the same height."""
     roles = match.roles
@@ -492,25 +482,19 @@ def ankle_to_head(positions: Array, parents: Sequence[int] | NDArray[np.intp], m
 
     legs = 0.0
     for side in ("Left", "Right"):
-        hip, knee = (roles[side + part] for part in ("Hip", "Knee"))
-        thigh = length(hip, knee)
-        legs += (thigh + length(knee, roles.get(f"{side}Ankle", hip))) / 2
+        hip, knee = roles[f"{side}Hip"], roles[f"{side}Knee"]
+        legs += (length(hip, knee) + length(knee, roles.get(f"{side}Ankle", hip))) / 2
     if not roles.keys() & {"Head", "Neck"}:
         return legs / _LEG_SHARE / (1 + _ANKLE_SHARE)
     top = roles.get("Head", roles[highest(roles)])
-    head_link = match.parallel.get("vt3")
-    trunk = length(*head_link) if head_link else _longest_link(positions, parents, top)
+    head_link = match.parallel.get("vt3", (top, top))
+    children = [] if "vt3" in match.parallel else np.flatnonzero(parents == top).tolist()
+    trunk = max(length(*head_link), *(length(top, child) for child in children), 0.0)
     while parents[top] >= 0 and top != roles["Hips"]:
         trunk += length(top, int(parents[top]))
         top = int(parents[top])
     hips = (positions[roles["LeftHip"]] + positions[roles["RightHip"]]) / 2
     return legs + trunk + float(np.linalg.norm(positions[roles["Hips"]] - hips))
-
-
-def _longest_link(positions: Array, parents: Sequence[int] | NDArray[np.intp], joint: int) -> float:
-    """Distance of a joint to its farthest child. 0 if the joint has no child."""
-    children = np.flatnonzero(np.asarray(parents) == joint)
-    return float(np.linalg.norm(positions[children] - positions[joint], axis=1).max(initial=0.0))
 
 
 def _body_axes(
@@ -538,10 +522,8 @@ def _body_axes(
         return np.stack([np.cross(up, forward), up, forward], axis=1)
     left = BodyLines.of(positions[None], roles).left[0] * (up == 0)
     if np.linalg.norm(left) < 1e-9:
-        raise MotionError(
-            "left and right hips are at the same place, so the facing cannot be detected: give it",
-            path=motion.path,
-        )
+        text = "left and right hips are at the same place, so the facing cannot be detected: give it"
+        raise MotionError(text, path=motion.path)
     left /= np.linalg.norm(left)
     axis = nearest_axis(left)
     if snap and axis @ left > np.cos(np.radians(_SNAP_ANGLE)):

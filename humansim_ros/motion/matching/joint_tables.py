@@ -8,7 +8,7 @@ from __future__ import annotations
 import functools
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -51,13 +51,13 @@ _DRIVERS = {
 }
 #: Prefixes that programs put before the joint names of a character.
 _PREFIX = re.compile(r"^(.*:|mixamorig\d*|character\d*_|robot_|bip\d+[ _]?)", re.IGNORECASE)
-#: Patterns for left in joint names, each with the text for right in the same place.
-_SIDES = (
-    (r"left", "right"),
-    (r"(?<![a-zA-Z])l(?=[_. -])", "r"),
-    (r"(?<=[_. :-])l(?![a-zA-Z])", "r"),
-    (r"(?<![A-Za-z])l(?=[A-Z])", "r"),
+#: Left and right as a word, or as a letter of its own, in joint names.
+LEFT, RIGHT = (
+    re.compile(rf"{side}|(?<![a-z]){side[0]}(?=[_. -])|(?<=[_. :-]){side[0]}(?![a-z])", re.IGNORECASE)
+    for side in ("left", "right")
 )
+#: Left in joint names, the most certain pattern first. The last one is a letter before a capital.
+_LEFT = (LEFT, re.compile(r"(?<![A-Za-z])[lL](?=[A-Z])"))
 
 
 class JointTable(Section):
@@ -93,18 +93,13 @@ class JointTable(Section):
         joints = dict(data["joints"])
         for role, names in data["joints"].items():
             right = f"Right{role[4:]}"
-            if str(role).startswith("Left") and right not in joints and isinstance(names, list):
+            if role.startswith("Left") and right not in joints and isinstance(names, list):
                 mirrored = [other for name in names if (other := right_name(str(name))) is not None]
-                if mirrored:
-                    joints[right] = mirrored
+                joints |= {right: mirrored} if mirrored else {}
         parallel, difference = (dict(data.get(key) or {}) for key in ("parallel", "difference"))
         links, drivers = _default_drivers(joints)
-        for bone, link in links.items():
-            if bone not in difference:
-                parallel.setdefault(bone, link)
-        for bone, role in drivers.items():
-            if bone not in parallel:
-                difference.setdefault(bone, role)
+        parallel |= {bone: link for bone, link in links.items() if bone not in {*parallel, *difference}}
+        difference |= {bone: role for bone, role in drivers.items() if bone not in {*parallel, *difference}}
         return {**data, "joints": joints, "parallel": parallel, "difference": difference}
 
     @model_validator(mode="after")
@@ -157,19 +152,13 @@ def comparison_key(joint: str) -> str:
 
 def right_name(joint: str) -> str | None:
     """Name of the counterpart of a left joint on the right. None if the name has no word for left."""
-    for left, right in _SIDES:
-        flags = 0 if "[A-Z])" in left else re.IGNORECASE
 
-        def mirrored(match: re.Match[str], right: str = right) -> str:
-            text = match.group()
-            return right.upper() if text.isupper() else right.title() if text[0].isupper() else right
+    def mirrored(left: re.Match[str]) -> str:
+        text, right = left.group(), "right" if len(left.group()) > 1 else "r"
+        return right.upper() if text.isupper() else right.title() if text[0].isupper() else right
 
-        other = re.sub(left, mirrored, joint, count=1, flags=flags)
-        if flags == 0 and other == joint:
-            other = re.sub(left.replace("l(?=", "L(?="), "R", joint, count=1)
-        if other != joint:
-            return other
-    return None
+    names = (pattern.sub(mirrored, joint, count=1) for pattern in _LEFT)
+    return next((name for name in names if name != joint), None)
 
 
 def _default_drivers(joints: Mapping[str, Any]) -> tuple[dict[str, tuple[str, str]], dict[str, str]]:
@@ -182,28 +171,19 @@ def _default_drivers(joints: Mapping[str, Any]) -> tuple[dict[str, tuple[str, st
                 end = f"{start}_end"
             if start in joints and (end in joints or end.endswith("_end")):
                 links[f"{prefix}_{part}"] = (start, end)
-    drivers = {}
-    for bone, role in _DRIVERS.items():
-        known = next((r for r in (role, *FALLBACK_ROLES.get(role, ())) if r in joints), None)
-        if known is not None:
-            drivers[bone] = known
-    return links, drivers
+    drivers = {bone: known_role(role, joints) for bone, role in _DRIVERS.items()}
+    return links, {bone: role for bone, role in drivers.items() if role is not None}
 
 
-#: Bones that the motion of a person must drive.
-REQUIRED_BONES = (
-    "HumanoidRoot",
-    "l_hip",
-    "l_knee",
-    "l_shoulder",
-    "l_elbow",
-    "r_hip",
-    "r_knee",
-    "r_shoulder",
-    "r_elbow",
-)
+def known_role(role: str, known: Collection[str]) -> str | None:
+    """A role, or the first role that replaces it, among the known roles."""
+    return next((each for each in (role, *FALLBACK_ROLES.get(role, ())) if each in known), None)
+
+
 #: Bones that may lack a driver, if the motion has no joints for them.
 ARM_BONES = ("l_shoulder", "l_elbow", "r_shoulder", "r_elbow")
+#: Bones that the motion of a person must drive.
+REQUIRED_BONES = ("HumanoidRoot", "l_hip", "l_knee", *ARM_BONES[:2], "r_hip", "r_knee", *ARM_BONES[2:])
 #: A motion with a lower confidence of its match is refused, since it is not that of a person.
 MIN_CONFIDENCE = 0.12
 #: Scenes and commands report a confidence below this value.
@@ -264,17 +244,13 @@ class JointMatch:
         is well."""
         if self.held:
             trunk = () if self.roles.keys() & {"Spine", "Chest", "Neck", "Head"} else ("trunk", "head")
-            lacking = ", ".join((*trunk, *self.held))
-            return (
-                f"the file has no joints for {lacking}: the arms hang down"
-                + " from an upright trunk" * bool(trunk)
-            )
+            lacking, where = ", ".join((*trunk, *self.held)), " from an upright trunk" if trunk else ""
+            return f"the file has no joints for {lacking}: the arms hang down{where}"
         if self.confidence >= LOW_CONFIDENCE:
             return None
         why = "".join(f"; {reason}" for reason in self.reasons)
-        return (
-            f"the joints of a person are matched by {self.by} with a confidence of {self.confidence:.0%}{why}"
-        )
+        found = f"the joints of a person are matched by {self.by}"
+        return f"{found} with a confidence of {self.confidence:.0%}{why}"
 
     @property
     def complete(self) -> bool:
@@ -296,8 +272,7 @@ def match_roles(table: JointTable, roles: Mapping[str, int], joint_names: Sequen
         else:
             difference[bone] = roles[start]  # if there is no link, use only the rotation of the joint
     for bone, role in table.difference.items():
-        known = next((r for r in (role, *FALLBACK_ROLES.get(role, ())) if r in roles), None)
-        if known is not None:
+        if (known := known_role(role, roles)) is not None:
             difference[bone] = roles[known]
     bones = (*table.parallel, *table.difference)
     missing = tuple(bone for bone in bones if bone not in parallel and bone not in difference)
@@ -309,12 +284,11 @@ def opposite_joints(names: Sequence[str], roles: Mapping[str, int]) -> Indices:
     """Index (J,) of the joint on the other side, by name and by role. A joint without an opposite joint has
     its own index."""
     pairs = np.arange(len(names))
-    index = {name: number for number, name in enumerate(names)}
-    lower = {name.lower(): number for name, number in index.items()}
+    lower = {name.lower(): number for number, name in enumerate(names)}
     for number, name in enumerate(names):
-        right = right_name(name)
-        if right is not None and right.lower() in lower:
-            pairs[number], pairs[lower[right.lower()]] = lower[right.lower()], number
+        right = lower.get((right_name(name) or "").lower())
+        if right is not None:
+            pairs[number], pairs[right] = right, number
     for role, joint in roles.items():
         if role.startswith("Left") and (right_joint := roles.get(f"Right{role[4:]}")) is not None:
             pairs[joint], pairs[right_joint] = right_joint, joint

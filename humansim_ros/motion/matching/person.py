@@ -15,7 +15,7 @@ import numpy as np
 from humansim_ros.errors import MotionError
 from humansim_ros.geometry import unit_vectors
 from humansim_ros.motion.body.kinematics import Motion
-from humansim_ros.motion.matching.by_name import detail_joints, match_names_in_motion
+from humansim_ros.motion.matching.by_name import LIMBS, detail_joints, match_names_in_motion
 from humansim_ros.motion.matching.by_shape import match_shape
 from humansim_ros.motion.matching.joint_tables import MIN_CONFIDENCE, JointMatch
 from humansim_ros.types import Array
@@ -93,10 +93,10 @@ class BodySigns:
         if self.fours >= _UPRIGHT:
             reasons.append(f"the body is on all fours in {self.fours:.0%} of the frames")
         if self.has_animal_proportions:
-            reasons.append(
-                f"the legs are {self.legs:.1f} times as long as the trunk (a person's: 1.5 to 2.3)"
-            )
-            reasons.append(f"the arms {self.arms:.1f} times as long as the legs (a person's: 0.5 to 0.7)")
+            reasons += [
+                f"the legs are {self.legs:.1f} times as long as the trunk (a person's: 1.5 to 2.3)",
+                f"the arms {self.arms:.1f} times as long as the legs (a person's: 0.5 to 0.7)",
+            ]
         if self.tail:
             reasons.append(f"it has a tail ({', '.join(self.tail[:2])})")
         return tuple(reasons)
@@ -109,36 +109,29 @@ def look_at_body(motion: Motion, roles: Mapping[str, int]) -> BodySigns | None:
         return None
     points = motion.world_positions(np.unique(np.linspace(0, motion.n_frames - 1, _MAX_SAMPLES).astype(int)))
     trunk, legs, arms = _directions(points, roles)
-    leg, arm = (
-        _length(points, roles, limb) for limb in (("Hip", "Knee", "Ankle"), ("Shoulder", "Elbow", "Wrist"))
-    )
-    trunk_length = max(float(np.median(np.linalg.norm(trunk, axis=-1))), 1e-9)
+    leg, arm = (_length(points, roles, limb) for limb in LIMBS)
     upright = _cosine(trunk, legs) < _TRUNK_TO_LEGS
-    fours = ~upright & (_cosine(arms, legs) > _ARMS_TO_LEGS)
     at_rest, legs_at_rest, _ = _directions(motion.rest_positions()[None], roles)
     return BodySigns(
-        fours=float(fours.mean()),
+        fours=float((~upright & (_cosine(arms, legs) > _ARMS_TO_LEGS)).mean()),
         upright=float(upright.mean()),
         stands_in_offsets=bool(_cosine(at_rest, legs_at_rest)[0] < _STANDING),
         tail=_tail(motion, roles),
-        legs=leg / trunk_length,
+        legs=leg / max(float(np.median(np.linalg.norm(trunk, axis=-1))), 1e-9),
         arms=arm / max(leg, 1e-9),
     )
 
 
 def _directions(points: Array, roles: Mapping[str, int]) -> tuple[Array, Array, Array]:
-    """Vectors (F, 3) of poses (F, J, 3): hips to shoulders, hips to ankles, shoulders to wrists."""
+    """Vectors (F, 3) of poses (F, J, 3): hips to shoulders, hips to ankles, shoulders to wrists. Knees and
+    elbows replace unknown ankles and wrists."""
 
-    def middle(*parts: str) -> Array:
-        return np.asarray(sum(points[:, _joint(roles, side, *parts)] for side in ("Left", "Right")) / 2)
+    def middle(part: str, instead: str = "") -> Array:
+        joints = (roles.get(side + part, roles.get(side + instead, -1)) for side in ("Left", "Right"))
+        return np.asarray(sum(points[:, joint] for joint in joints) / 2)
 
     hips, shoulders = middle("Hip"), middle("Shoulder")
     return shoulders - hips, middle("Ankle", "Knee") - hips, middle("Wrist", "Elbow") - shoulders
-
-
-def _joint(roles: Mapping[str, int], side: str, *parts: str) -> int:
-    """Joint of the first part that is known on a side."""
-    return next(roles[side + part] for part in parts if side + part in roles)
 
 
 def _length(points: Array, roles: Mapping[str, int], limb: tuple[str, str, str]) -> float:
@@ -203,11 +196,10 @@ def match_motion(
         confidence = max(match.confidence * signs.plausibility, least)
         match = replace(match, confidence=confidence, reasons=signs.reasons)
     if match.confidence < min_confidence:
+        animal = f" but rather an animal: {', '.join(match.reasons)}" if match.reasons else ""
         raise MotionError(
-            "this is not a person"
-            + (f" but rather an animal: {', '.join(match.reasons)}" if match.reasons else "")
-            + f" (confidence {match.confidence:.1%}, below {min_confidence:.0%}). To play it nevertheless, "
-            "set min_confidence to 0 (--min-confidence 0)",
+            f"this is not a person{animal} (confidence {match.confidence:.1%}, below {min_confidence:.0%}). "
+            "To play it nevertheless, set min_confidence to 0 (--min-confidence 0)",
             path=motion.path,
         )
     return match

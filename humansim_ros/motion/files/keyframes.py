@@ -9,14 +9,11 @@ import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, cast, get_args
-from xml.sax import ContentHandler, SAXParseException
+from typing import Literal, cast, get_args
+from xml.parsers.expat import ErrorString, ExpatError, ParserCreate
 from xml.sax.saxutils import quoteattr
-from xml.sax.xmlreader import AttributesImpl
 
-import defusedxml.sax
 import numpy as np
-from defusedxml.common import DefusedXmlException
 from numpy.typing import ArrayLike
 
 from humansim_ros.errors import MAX_COORDINATE, MotionError, located, unknown
@@ -264,18 +261,9 @@ def read_keyframes(path: str | os.PathLike[str]) -> Keyframes:
     Raises:
         MotionError: The file is not valid, or has a DOCTYPE or entities. The error names file and line.
     """
-    data, reader = read_bytes(path, MotionError, "keyframe", _MAX_BYTES), _Reader()
+    data = read_bytes(path, MotionError, "keyframe", _MAX_BYTES)
     with located(MotionError, path):
-        try:
-            defusedxml.sax.parseString(data, reader, forbid_dtd=True)
-        except SAXParseException as reason:
-            raise MotionError(f"not valid XML: {reason.getMessage()}", line=reason.getLineNumber()) from None
-        except DefusedXmlException:
-            message = "a keyframe file has no DOCTYPE and no entities: remove them"
-            raise MotionError(message, line=reader.line) from None
-        except (ValueError, LookupError) as reason:  # the parser does not know the encoding
-            raise MotionError(f"the XML cannot be decoded: {reason}") from None
-        return reader.keyframes(os.fspath(path))
+        return _Reader().read(data, os.fspath(path))
 
 
 def write_keyframes(path: str | os.PathLike[str], keyframes: Keyframes) -> None:
@@ -319,74 +307,83 @@ class _Element:
     def name(self) -> str:
         return self.where[-1]
 
+    def value(self, key: str) -> str:
+        if not self.values.get(key):
+            raise MotionError(f"<{self.name}> needs {key}=")
+        return self.values[key]
 
-class _Reader(ContentHandler):
+    def whole_number(self, key: str) -> int:
+        word = self.value(key)
+        if not re.fullmatch("[+-]?[0-9]{1,10}", word) or abs(int(word)) > _MAX_FRAMES:
+            raise MotionError(f"{key} is {word[:40]!r}: a whole number is needed")
+        return int(word)
+
+    def label(self) -> str:
+        """Name of an object, or number of a frame."""
+        return self.value("name") if self.name == "object" else str(self.whole_number("number"))
+
+    def vector(self) -> list[float]:
+        text = "".join(self.text).split()
+        if text and self.values:
+            raise MotionError(f"<{self.name}> has both x, y, z and text")
+        if text and len(text) != 3:
+            raise MotionError(f"<{self.name}> needs 3 numbers, not {len(text)}")
+        words = zip("xyz", text or [self.value(axis) for axis in "xyz"], strict=True)
+        vector = [_number(word, f"{axis} of <{self.name}>") for axis, word in words]
+        if self.name == "size" and min(vector) < SMALLEST_SIZE:
+            raise MotionError(f"a size must be above 0, not {min(vector):g}")
+        return vector
+
+    def timeline(self) -> KeyframeTimeline:
+        start, end = (self.whole_number(key) for key in ("startframe", "endframe"))
+        if end < start:
+            raise MotionError(f"endframe {end} comes before startframe {start}")
+        rate = _number(self.values["rate"], "rate") if "rate" in self.values else DEFAULT_RATE
+        if not 1e-3 <= rate <= 1e4:
+            raise MotionError(f"rate is {rate:g}: frames per second are 0.001 to 10000")
+        loop = self.values.get("loop", "none")
+        if loop not in get_args(KeyframeLoop):
+            raise MotionError(f"loop is {loop[:40]!r}: none or repeat")
+        return KeyframeTimeline(start, end, rate, cast(KeyframeLoop, loop))
+
+
+def _number(word: str, key: str) -> float:
+    word = word.strip()
+    if not _NUMBER.fullmatch(word):
+        raise MotionError(f"{key} is {word[:40]!r}: a finite number is needed")
+    if not abs(float(word)) <= MAX_COORDINATE:
+        raise MotionError(f"{key} is {word[:40]}: more than {MAX_COORDINATE:g} is a mistake")
+    return float(word)
+
+
+class _Reader:
     """Reads elements one by one. An element outside the schema gives an error that names its line."""
 
-    _locator: Any  # the parser sets it
-
     def __init__(self) -> None:
-        super().__init__()
+        self._parser = ParserCreate()
+        self._parser.buffer_text = True
+        self._parser.StartDoctypeDeclHandler = self._refuse_doctype
+        self._parser.StartElementHandler = self._start
+        self._parser.CharacterDataHandler = self._characters
+        self._parser.EndElementHandler = self._end
         self._open: list[_Element] = []
-        self._timeline: KeyframeTimeline | None = None
-        self._root_line = 1
+        self._root = _Element(("animation",), 1, {})
         # object -> its keys: frame number, line, values
         self._keys: dict[str, list[tuple[int, int, _KeyValues]]] = {}
         self._closed_objects: set[str] = set()
 
-    @property
-    def line(self) -> int:
-        return int(self._locator.getLineNumber() or 1) if self._locator else 1
-
-    def startElement(self, name: str, attrs: AttributesImpl) -> None:
-        parent = self._open[-1] if self._open else None
-        where = (name,) if parent is None else (*parent.where, name)
-        known, _ = _SCHEMA.get(where, ((), ()))
-        if where not in _SCHEMA:
-            if parent is None:
-                raise self._error(f"a keyframe file is an <animation>, not a <{name[:40]}>")
-            attributes, children = _SCHEMA.get(parent.where, ((), ()))
-            if name not in attributes:
-                names = ", ".join(f"<{child}>" for child in children) or ", ".join(attributes) or "nothing"
-                raise self._error(f"unknown element <{name[:40]}> in <{parent.name}>; known here: {names}")
-            if name in parent.values:
-                raise self._error(f"{name} of <{parent.name}> is here a second time")
-        for attribute in attrs.getNames():
-            if attribute not in known:
-                names = f"known here: {', '.join(known)}" if known else "none is known here"
-                raise self._error(f"<{name}> has the unknown attribute {attribute[:40]!r}; {names}")
-        self._open.append(_Element(where, self.line, dict(attrs.items())))
-
-    def characters(self, content: str) -> None:
-        element = self._open[-1]
-        if element.name in _PARTS or element.where not in _SCHEMA:
-            element.text.append(" " if content.isspace() else content)
-        elif not content.isspace():
-            raise self._error(f"there is text in <{element.name}>: {content.strip()[:40]!r}")
-
-    def endElement(self, name: str) -> None:
-        element = self._open.pop()
-        if not self._open:
-            self._timeline, self._root_line = self._read_timeline(element), element.line
-            return
-        parent = self._open[-1]
-        if name in _PARTS:
-            if name in parent.parts:
-                raise self._error(f"<{name}> is here a second time", element.line)
-            parent.parts[name] = self._vector(element)
-        elif name not in ("object", "frame"):
-            parent.values[name] = "".join(element.text).strip()
-        elif parent.name == "animation":
-            self._add_keys(element)
-        else:
-            parent.keys.append((self._label(element), element.line, element.parts))
-
-    def keyframes(self, path: str) -> Keyframes:
-        """Return the animation. The keys are checked against startframe and endframe."""
-        timeline = self._timeline
-        assert timeline is not None
-        if not self._keys:
-            raise self._error("the animation has no <object> with a <frame>", self._root_line)
+    def read(self, data: bytes, path: str) -> Keyframes:
+        """Read a file. Keys outside startframe and endframe, or out of order, are errors."""
+        try:
+            self._parser.Parse(data, True)
+        except ExpatError as reason:
+            raise MotionError(f"not valid XML: {ErrorString(reason.code)}", line=reason.lineno) from None
+        except (ValueError, LookupError) as reason:  # the parser does not know the encoding
+            raise MotionError(f"the XML cannot be decoded: {reason}") from None
+        with located(MotionError, line=self._root.line):
+            timeline = self._root.timeline()
+            if not self._keys:
+                raise MotionError("the animation has no <object> with a <frame>")
         for name, keys in self._keys.items():
             last = None
             for number, line, _ in keys:
@@ -396,77 +393,76 @@ class _Reader(ContentHandler):
                 elif last is not None and number <= last:
                     problem = "is here a second time" if number == last else f"comes after frame {last}"
                 if problem:
-                    raise self._error(f"frame {number} of {name[:40]!r} {problem}", line)
+                    raise MotionError(f"frame {number} of {name[:40]!r} {problem}", line=line)
                 last = number
         return Keyframes(timeline, {name: _track(timeline, keys) for name, keys in self._keys.items()}, path)
 
+    def _error(self, message: str) -> MotionError:
+        return MotionError(message, line=self._parser.CurrentLineNumber)
+
+    def _refuse_doctype(self, *_: object) -> None:
+        """Without a DOCTYPE, a file cannot define entities, so that none can grow or read other files."""
+        raise self._error("a keyframe file has no DOCTYPE and no entities: remove them")
+
+    def _start(self, name: str, attributes: dict[str, str]) -> None:
+        parent = self._open[-1] if self._open else None
+        where = (name,) if parent is None else (*parent.where, name)
+        known, _ = _SCHEMA.get(where, ((), ()))
+        if where not in _SCHEMA:
+            if parent is None:
+                raise self._error(f"a keyframe file is an <animation>, not a <{name[:40]}>")
+            values, children = _SCHEMA.get(parent.where, ((), ()))
+            if name not in values:
+                names = ", ".join(f"<{child}>" for child in children) or ", ".join(values) or "nothing"
+                raise self._error(f"unknown element <{name[:40]}> in <{parent.name}>; known here: {names}")
+            if name in parent.values:
+                raise self._error(f"{name} of <{parent.name}> is here a second time")
+        for attribute in attributes:
+            if attribute not in known:
+                names = f"known here: {', '.join(known)}" if known else "none is known here"
+                raise self._error(f"<{name}> has the unknown attribute {attribute[:40]!r}; {names}")
+        self._open.append(_Element(where, self._parser.CurrentLineNumber, attributes))
+
+    def _characters(self, content: str) -> None:
+        element = self._open[-1]
+        if element.name in _PARTS or element.where not in _SCHEMA:
+            element.text.append(" " if content.isspace() else content)
+        elif not content.isspace():
+            raise self._error(f"there is text in <{element.name}>: {content.strip()[:40]!r}")
+
+    def _end(self, name: str) -> None:
+        element = self._open.pop()
+        if not self._open:
+            self._root = element
+            return
+        parent = self._open[-1]
+        with located(MotionError, line=element.line):
+            if name in _PARTS:
+                if name in parent.parts:
+                    raise MotionError(f"<{name}> is here a second time")
+                parent.parts[name] = element.vector()
+            elif name not in ("object", "frame"):
+                parent.values[name] = "".join(element.text).strip()
+            elif parent.name != "animation":
+                parent.keys.append((element.label(), element.line, element.parts))
+            else:
+                self._add_keys(element)
+
     def _add_keys(self, element: _Element) -> None:
         """Add the keys of an object in its frames, or those of a frame with its objects."""
-        label = self._label(element)
+        label = element.label()
         if element.name == "frame":
             for name, line, parts in element.keys:
-                self._keys.setdefault(name, []).append((self._frame_number(label, element.line), line, parts))
+                self._keys.setdefault(name, []).append((int(label), line, parts))
             return
         if label in self._closed_objects:
-            raise self._error(f"the object {label[:40]!r} is here a second time", element.line)
+            raise MotionError(f"the object {label[:40]!r} is here a second time")
         if not element.keys:
-            raise self._error(f"the object {label[:40]!r} has no <frame>", element.line)
+            raise MotionError(f"the object {label[:40]!r} has no <frame>")
         self._closed_objects.add(label)
-        keys = self._keys.setdefault(label, [])
-        keys += [(self._frame_number(number, line), line, parts) for number, line, parts in element.keys]
-
-    def _label(self, element: _Element) -> str:
-        """Name of an object, or number of a frame."""
-        return self._value(element, "name" if element.name == "object" else "number")
-
-    def _value(self, element: _Element, key: str) -> str:
-        if not element.values.get(key):
-            raise self._error(f"<{element.name}> needs {key}=", element.line)
-        return element.values[key]
-
-    def _frame_number(self, word: str, line: int, key: str = "number") -> int:
-        if not re.fullmatch("[+-]?[0-9]{1,10}", word) or abs(int(word)) > _MAX_FRAMES:
-            raise self._error(f"{key} is {word[:40]!r}: a whole number is needed", line)
-        return int(word)
-
-    def _read_timeline(self, element: _Element) -> KeyframeTimeline:
-        line, values = element.line, element.values
-        start, end = (
-            self._frame_number(self._value(element, key), line, key) for key in ("startframe", "endframe")
+        self._keys.setdefault(label, []).extend(
+            (int(number), line, parts) for number, line, parts in element.keys
         )
-        if end < start:
-            raise self._error(f"endframe {end} comes before startframe {start}", line)
-        rate = self._number(values["rate"], "rate", line) if "rate" in values else DEFAULT_RATE
-        if not 1e-3 <= rate <= 1e4:
-            raise self._error(f"rate is {rate:g}: frames per second are 0.001 to 10000", line)
-        loop = values.get("loop", "none")
-        if loop not in get_args(KeyframeLoop):
-            raise self._error(f"loop is {loop[:40]!r}: none or repeat", line)
-        return KeyframeTimeline(start, end, rate, cast(KeyframeLoop, loop))
-
-    def _vector(self, element: _Element) -> list[float]:
-        line, text = element.line, "".join(element.text).split()
-        if text and element.values:
-            raise self._error(f"<{element.name}> has both x, y, z and text", line)
-        if text and len(text) != 3:
-            raise self._error(f"<{element.name}> needs 3 numbers, not {len(text)}", line)
-        words = text or [self._value(element, axis) for axis in "xyz"]
-        named = zip("xyz", words, strict=True)
-        vector = [self._number(word, f"{axis} of <{element.name}>", line) for axis, word in named]
-        if element.name == "size" and min(vector) < SMALLEST_SIZE:
-            raise self._error(f"a size must be above 0, not {min(vector):g}", line)
-        return vector
-
-    def _number(self, word: str, key: str, line: int) -> float:
-        word = word.strip()
-        if not _NUMBER.fullmatch(word):
-            raise self._error(f"{key} is {word[:40]!r}: a finite number is needed", line)
-        if not abs(float(word)) <= MAX_COORDINATE:
-            raise self._error(f"{key} is {word[:40]}: more than {MAX_COORDINATE:g} is a mistake", line)
-        return float(word)
-
-    def _error(self, message: str, line: int | None = None) -> MotionError:
-        return MotionError(message, line=self.line if line is None else line)
 
 
 def _track(timeline: KeyframeTimeline, keys: list[tuple[int, int, _KeyValues]]) -> KeyframeTrack:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.errors import MotionError, some_of, warn_about
 from humansim_ros.files.reading import ENCODINGS
-from humansim_ros.types import Array
+from humansim_ros.types import Array, Indices
 
 #: Smallest and largest number of characters of a block of rows. Larger blocks are faster and need more
 #: memory.
@@ -290,23 +290,32 @@ class _BadLine:
 
 
 class _Rows:
-    """Reader of the rows. It reads in blocks, and word by word only if a block is not plain."""
+    """Reader of rows of C values. It reads in blocks, and word by word only if a block is not plain.
+
+    Usually a line holds one row. A line may also hold several whole rows, or a part of a row. The start of
+    each row is then clear if the number of all values fits.
+    """
 
     def __init__(self, text: BvhText, angles: NDArray[np.bool_], n_frames: float) -> None:
         self.text = text
         self.angles = angles
         self.n_channels = len(angles)
         self.n_frames = n_frames
-        self.layout = _Layout(self.n_channels)
         self.bad: list[_BadLine] = []  # lines with a word that is not a number
         self.n_damaged = 0  # how many of the bad lines also have a number
+        self.odd: list[_BadLine] = []  # first lines that do not have exactly one row
+        self.n_odd = 0  # number of all such lines
+        self.is_broken = False  # whether a line has the end of one row and the start of the next
+        self.n_lines = 0  # number of lines with values
+        self.last_line = 0  # last line with a value
         self.n_values = 0
+        self.n_on_lines = 0  # values on the lines that are complete
         self.comma: str | None = None  # character that replaces commas
         self.has_points = False
 
     def read(self) -> Array:
         """Channel values (F, C) of the rest of the file."""
-        parts: list[Array] = []
+        parts: list[Array] = [np.empty(0)]
         for block in self.text.blocks():
             if self.n_channels == 0 and block.strip():
                 raise self.text.error("a value, but no joint has channels", self.text.line + 1)
@@ -316,15 +325,40 @@ class _Rows:
                 parsed = _fast_values(block) or self._slow_values(block)
             values, ends = parsed
             parts.append(values)
-            self.layout.add(values, ends, self.text.line + 1)
+            self._add_lines(ends + self.n_values)
             self.n_values += len(values)
             self.text.line += len(ends)
             if self._is_over(self.n_values) or self._is_hopeless():
                 break
         if self.n_channels == 0:
             return np.zeros((1, 0))
-        self.layout.end(self.text.line + 1)
-        return self._rows(np.concatenate([np.empty(0), *parts]))
+        self._add_lines(np.array([self.n_values]))
+        return self._rows(np.concatenate(parts))
+
+    def _add_lines(self, ends: Indices) -> None:
+        """Count the values of the next lines. ``ends``: number of values before the end of each line."""
+        counts = np.diff(ends, prepend=self.n_on_lines)
+        places = np.flatnonzero(counts)
+        if len(places) == 0:
+            return
+        first_line = self.text.line + 1
+        self.last_line = first_line + int(places[-1])
+        self.n_lines += len(places)
+        counts, ends = counts[places], ends[places]
+        odd = np.flatnonzero(counts != self.n_channels)
+        self.n_on_lines, starts = int(ends[-1]), (ends - counts) % self.n_channels
+        if starts[0] == 0 and not len(odd):
+            return
+        for place in odd[: _MAX_BAD + 1 - len(self.odd)].tolist():
+            count = int(counts[place])
+            reason = f"a frame needs {self.n_channels} values, this has {count}"
+            self.odd.append(
+                _BadLine(first_line + int(places[place]), int(ends[place]) - count, count, reason)
+            )
+        self.n_odd += len(odd)
+        is_part = starts + counts <= self.n_channels
+        is_whole = (starts == 0) & (counts % self.n_channels == 0)
+        self.is_broken |= not (is_part | is_whole).all()
 
     def _is_over(self, n_values: int) -> bool:
         """Whether there are already as many values as ``Frames:`` says, so that only other text can
@@ -334,25 +368,24 @@ class _Rows:
 
     def _is_hopeless(self) -> bool:
         """Whether there are already too many bad lines. Lines of text only may be the end of the file."""
-        n_bad = self.n_damaged + self.layout.n_odd * self.layout.is_broken
-        n_lines = max(self.layout.n_lines, 0 if np.isnan(self.n_frames) else self.n_frames)
+        n_bad = self.n_damaged + self.n_odd * self.is_broken
+        n_lines = max(self.n_lines, 0 if np.isnan(self.n_frames) else self.n_frames)
         return n_bad > min(_MAX_BAD, max(_FIRST_BAD, _BAD_SHARE * n_lines)) or len(self.bad) > _MAX_BAD
 
     def _rows(self, values: Array) -> Array:
         """Rows (F, C) of all values. Bad lines are left out, or replaced by interpolated frames."""
-        bad = self._without_tail()
-        odd, layout, n_channels = self.layout.odd, self.layout, self.n_channels
-        if odd and not bad and not layout.is_broken and len(values) == self.n_frames * n_channels:
+        bad, odd, n_channels = self._without_tail(), self.odd, self.n_channels
+        if odd and not bad and not self.is_broken and len(values) == self.n_frames * n_channels:
             found = f"not one frame on a line ({odd[0].count} of {n_channels} values): there are as many "
             found += f"values as {self.n_frames:g} frames have, which are taken in order"
             self.text.warn(found, odd[0].line)
             return values.reshape(-1, n_channels)
-        n_good, bad = layout.n_lines - layout.n_odd, sorted([*bad, *odd], key=lambda each: each.line)
-        n_bad = sum(each.n_lines for each in bad) + layout.n_odd - len(odd)
+        n_good, bad = self.n_lines - self.n_odd, sorted([*bad, *odd], key=lambda each: each.line)
+        n_bad = sum(each.n_lines for each in bad) + self.n_odd - len(odd)
         if n_bad > min(_MAX_BAD, _BAD_SHARE * (n_good + n_bad)) or (bad and self._is_hopeless()):
             first = bad[0]
             # a short last row means that the file was cut off
-            is_cut = first in odd and first.line == layout.last_line and first.count < n_channels
+            is_cut = first in odd and first.line == self.last_line and first.count < n_channels
             share = f"; {n_bad} of {n_good + n_bad} rows are bad, more than {_BAD_SHARE:.0%}" * (n_good > 0)
             raise self.text.error(first.reason + "; the file is truncated" * is_cut + share, first.line)
         return self._mended(values, bad) if bad else values.reshape(-1, n_channels)
@@ -372,12 +405,10 @@ class _Rows:
 
     def _mended(self, values: Array, bad: list[_BadLine]) -> Array:
         """Rows (F, C) with a new frame in place of each bad line that was a frame."""
-        keep = np.ones(len(values), dtype=bool)
-        before = np.cumsum([0, *(each.count for each in bad)])[:-1]
-        for each in bad:
-            keep[each.start : each.start + each.count] = False
-        rows = values[keep].reshape(-1, self.n_channels)
-        places = (np.array([each.start for each in bad]) - before) // self.n_channels
+        starts, counts = np.array([each.start for each in bad]), np.array([each.count for each in bad])
+        spans = [np.arange(each.start, each.start + each.count) for each in bad]
+        rows = np.delete(values, np.concatenate(spans)).reshape(-1, self.n_channels)
+        places = (starts - np.cumsum(counts) + counts) // self.n_channels
         is_frame = self._were_frames(bad, len(rows)) & (places < len(rows))
         for chosen, what in ((~is_frame, "the line is left out"), (is_frame, "a frame is put in its place")):
             lines = [each for each, this in zip(bad, chosen, strict=True) if this]
@@ -404,45 +435,47 @@ class _Rows:
             self.comma = mark
         return block.replace(",", mark)
 
-    def _slow_values(self, block: str) -> tuple[Array, NDArray[np.intp]]:
+    def _slow_values(self, block: str) -> tuple[Array, Indices]:
         """Do the same as :func:`_fast_values` for any white space. Notes bad lines, and ends if only text
         follows."""
         values: list[float] = []
         ends: list[int] = []
         for number, line in enumerate(block.split("\n"), self.text.line + 1):
-            if bad := self._add_line(line.split(), values, number):
-                last = self.bad[-1] if self.bad else bad
-                if last is not bad and bad.word and last.word and bad.start == last.start:
-                    self.bad[-1] = replace(last, n_lines=last.n_lines + 1)
-                else:
-                    self.bad.append(bad)
-                self.n_damaged += not bad.word
+            numbers, reason, word = _read_line(line.split())
+            if not reason:
+                values += numbers
             ends.append(len(values))
-            if bad and self._is_over(self.n_values + len(values)):
+            if not reason:
+                continue
+            start, last = self.n_values + len(values), self.bad[-1] if self.bad else None
+            if word and last is not None and last.word and start == last.start:
+                self.bad[-1] = replace(last, n_lines=last.n_lines + 1)
+            else:
+                self.bad.append(_BadLine(number, start, 0, reason, word))
+            self.n_damaged += not word
+            if self._is_over(start):
                 break
         return np.array(values), np.array(ends[:-1], dtype=np.intp)
 
-    def _add_line(self, words: list[str], values: list[float], number: int) -> _BadLine | None:
-        """Add the values of a line. Returns the reason if the line has none."""
-        numbers: list[float] = []
-        reason = bad_word = ""
-        for word in words:
-            try:
-                numbers.append(to_float(word))
-            except ValueError:
-                bad_word = bad_word or word
-                reason = reason or f"{word[:40]!r} is not a number{comma_hint(word)}"
-                continue
-            if not abs(numbers[-1]) <= LARGEST:
-                reason = reason or f"{word[:40]!r} is not finite, or beyond {LARGEST:g}"
-        if reason:
-            is_text = not numbers and not _NUMBER_START.match(words[0])
-            return _BadLine(number, self.n_values + len(values), 0, reason, bad_word if is_text else "")
-        values += numbers
-        return None
+
+def _read_line(words: list[str]) -> tuple[list[float], str, str]:
+    """Numbers of a line, the reason if a word is bad, and the first word of a line without any number."""
+    numbers: list[float] = []
+    reason = bad_word = ""
+    for word in words:
+        try:
+            numbers.append(to_float(word))
+        except ValueError:
+            bad_word = bad_word or word
+            reason = reason or f"{word[:40]!r} is not a number{comma_hint(word)}"
+            continue
+        if not abs(numbers[-1]) <= LARGEST:
+            reason = reason or f"{word[:40]!r} is not finite, or beyond {LARGEST:g}"
+    is_text = bool(reason) and not numbers and not _NUMBER_START.match(words[0])
+    return numbers, reason, bad_word if is_text else ""
 
 
-def _filled(rows: Array, places: NDArray[np.intp], angles: NDArray[np.bool_]) -> Array:
+def _filled(rows: Array, places: Indices, angles: NDArray[np.bool_]) -> Array:
     """Rows (F, C) with a new frame before each of ``places``. It lies between its neighbours, or equals the
     nearer one. ``places``: sorted numbers of the good rows (R, C) before which a frame is missing. For two
     missing frames, the number is there twice. ``angles``: (C,) whether a channel is an angle in degrees."""
@@ -450,76 +483,19 @@ def _filled(rows: Array, places: NDArray[np.intp], angles: NDArray[np.bool_]) ->
     missing = places + np.arange(len(places))
     known = np.setdiff1d(np.arange(len(out)), missing)
     for frame, place in zip(missing.tolist(), places.tolist(), strict=True):
-        after = known[place]
         if place == 0:
             out[frame] = rows[0]
             continue
-        before = known[place - 1]
         change = rows[place] - rows[place - 1]
         change[angles] = (change[angles] + 180) % 360 - 180
-        share = (frame - before) / (after - before)
+        share = (frame - known[place - 1]) / (known[place] - known[place - 1])
         if np.abs(change[angles]).max(initial=0.0) > _STEADY:
             share = np.round(share)
         out[frame] = rows[place - 1] + share * change if share < 1 else rows[place]
     return out
 
 
-class _Layout:
-    """Layout of rows of C values on lines. Usually a line holds one row. A line may also hold several whole
-    rows, or a part of a row. The start of each row is then clear if the number of all values fits."""
-
-    def __init__(self, n_channels: int) -> None:
-        self.n_channels = n_channels
-        #: First lines that do not have exactly one row, the number of all such lines, and the number of lines
-        #: with values.
-        self.odd: list[_BadLine] = []
-        self.n_odd = 0
-        self.n_lines = 0
-        #: Last line with a value.
-        self.last_line = 0
-        #: Whether a line has the end of one row and the start of the next.
-        self.is_broken = False
-        self._on_line = 0  # values so far on the current line
-        self._n_values = 0  # values on all lines before the current one
-
-    def add(self, values: Array, ends: NDArray[np.intp], line: int) -> None:
-        """Add a block. ``values``: its values. ``ends``: the number of values before each line end. ``line``:
-        its first line."""
-        if len(ends) == 0:
-            self._on_line += len(values)
-            return
-        self._add_lines(np.diff(ends, prepend=-self._on_line), line)
-        self._on_line = len(values) - int(ends[-1])
-
-    def end(self, line: int) -> None:
-        """End of the file, at its last line."""
-        self._add_lines(np.array([self._on_line]), line)
-
-    def _add_lines(self, counts: NDArray[np.intp], line: int) -> None:
-        places = np.flatnonzero(counts)
-        if len(places) == 0:
-            return
-        self.last_line = line + int(places[-1])
-        counts = counts[places]
-        odd = counts != self.n_channels
-        first_value, self._n_values = self._n_values, self._n_values + int(counts.sum())
-        self.n_lines += len(counts)
-        if first_value % self.n_channels == 0 and not odd.any():
-            return
-        last_value = first_value + np.cumsum(counts)
-        for place in np.flatnonzero(odd)[: _MAX_BAD + 1 - len(self.odd)].tolist():
-            count = int(counts[place])
-            reason = f"a frame needs {self.n_channels} values, this has {count}"
-            start = int(last_value[place]) - count
-            self.odd.append(_BadLine(line + int(places[place]), start, count, reason))
-        self.n_odd += int(odd.sum())
-        starts = (last_value - counts) % self.n_channels
-        is_part = starts + counts <= self.n_channels
-        is_whole = (starts == 0) & (counts % self.n_channels == 0)
-        self.is_broken |= not (is_part | is_whole).all()
-
-
-def _fast_values(text: str) -> tuple[Array, NDArray[np.intp]] | None:
+def _fast_values(text: str) -> tuple[Array, Indices] | None:
     """Values of a text of plain finite numbers, and the number of values before each line end. None for other
     text."""
     characters = np.frombuffer(text.encode("latin-1", "replace"), dtype=np.uint8)

@@ -8,26 +8,22 @@ while it stands. Each errand leads back to its start, so that an activity repeat
 from __future__ import annotations
 
 import random
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import pairwise
-from typing import Literal, get_args
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.errors import MotionError
-from humansim_ros.files.reading import resource_path
+from humansim_ros.files.reading import read_table, resource_path
 from humansim_ros.geometry import smooth_step
 from humansim_ros.motion.body.kinematics import Motion
 from humansim_ros.motion.files.bvh import read_bvh
 from humansim_ros.motion.matching.joint_tables import opposite_joints
 from humansim_ros.types import Array
 
-#: Kinds of activity. ``around``: stand, talk, sit, walk on errands; ``desk``: sit, write, eat; ``standing``:
-#: talk, phone, wait; ``exercise``: squats, jumping jacks, dance.
-ActivityKind = Literal["around", "desk", "standing", "exercise"]
 #: Frames per second of an activity.
 RATE = 30
 #: The last pose of a part fades into the next part over this number of frames.
@@ -55,40 +51,22 @@ class ActivityPart:
     start: float = 0.0
     end: float | None = None
 
-
-#: Time of ``sit_stand``, seconds, at which the person sits still.
-_SEATED = 3.4
-#: Gait -> its motion, seconds of a stride, metres of a stride.
-_GAITS: dict[str, tuple[str, float, float]] = {
-    "walk": ("walk_straight", 1.0, 1.25),
-    "walk_slow": ("walk_slow", 1.2, 0.96),
-    "walk_brisk": ("walk_brisk", 28 / 30, 1.54),
-}
+    @property
+    def span(self) -> tuple[float, float]:
+        """Start and end in seconds of the motion."""
+        return self.start, _clip(self.motion).duration if self.end is None else self.end
 
 
-def _parts() -> dict[str, ActivityPart]:
-    """All parts by name."""
-    standing = ("stand", "talk", "phone", "wave", "pick_up", "squats", "jumping_jacks", "dance", "turn_left")
-    parts = {name: ActivityPart(name, "stand", "stand") for name in standing}
-    parts |= {name: ActivityPart(name, "sit", "sit") for name in ("sit", "write", "eat")}
-    parts["sit_down"] = ActivityPart("sit_stand", "stand", "sit", 0.0, _SEATED)
-    parts["stand_up"] = ActivityPart("sit_stand", "sit", "stand", _SEATED)
-    for gait, (motion, stride, _) in _GAITS.items():
-        parts[f"{gait}_start"] = ActivityPart(f"{gait}_start", "stand", gait)
-        parts[gait] = ActivityPart(motion, gait, gait, 0.0, stride)
-        parts[f"{gait}_half"] = ActivityPart(motion, gait, f"{gait}_half", 0.0, stride / 2)
-        # exchanged sides: in this half stride, the right heel has struck
-        parts[f"{gait}_stop"] = ActivityPart(f"{gait}_stop", f"{gait}_half", "stand")
-    return parts
-
-
-PARTS = _parts()
-#: What people do while they stand, and how often compared with the others.
-_STANDING = {"talk": 3, "stand": 3, "phone": 2, "wave": 1, "pick_up": 1}
-_SITTING = {"sit": 3}
-_AT_DESK = {"write": 3, "eat": 2, "sit": 2}
+#: All parts by name. What people do, and how often compared with other things. The metres of a stride by gait.
+#: In the stop of a gait, left and right are exchanged: the right heel has struck before it.
+_TABLE = read_table("activities")
+PARTS = {name: ActivityPart(*row) for name, row in _TABLE["parts"].items()}
+_CHOICES: dict[str, dict[str, int]] = _TABLE["choices"]
+#: Kinds of activity. ``around``: stand, talk, sit, walk on errands; ``desk``: sit, write, eat; ``standing``:
+#: talk, phone, wait; ``exercise``: squats, jumping jacks, dance.
+_KINDS = tuple(_CHOICES["kinds"])
+#: Parts at a table.
 _AT_TABLE = ("write", "eat")
-_EXERCISES = {"squats": 2, "jumping_jacks": 2, "dance": 3, "stand": 1}
 
 
 @dataclass(frozen=True)
@@ -116,16 +94,12 @@ def plan_activity(seed: int, seconds: float, kind: str | None = None) -> list[Ac
         ['pick_up', 'talk', 'stand']
     """
     plan = _Plan(random.Random(f"activity/{seed}"), seconds)
-    chosen = kind or plan.one_of({"around": 5, "desk": 2, "standing": 2, "exercise": 1})
+    chosen = kind or plan.one_of(_CHOICES["kinds"])
     while plan.seconds > 0:
-        if chosen == "desk":
-            plan.add(plan.other_of(_AT_DESK))
-        elif chosen == "exercise":
-            plan.add(plan.other_of(_EXERCISES))
-        elif chosen == "standing":
-            plan.add(plan.other_of(_STANDING))
-        else:
+        if chosen == "around":
             plan.around()
+        else:
+            plan.add(plan.other_of(_CHOICES[chosen]))
     return plan.steps
 
 
@@ -134,24 +108,22 @@ class _Plan:
     """A plan to which parts are added.
 
     Attributes:
-        random: Random numbers.
+        random: Random numbers. Every version of Python gives the same ones.
         seconds: Time that is left to fill.
         steps: Parts so far.
     """
 
     random: random.Random
     seconds: float
+    steps: list[ActivityStep] = field(default_factory=list)
 
-    def __post_init__(self) -> None:
-        self.steps: list[ActivityStep] = []
-
-    def uniform(self) -> float:
-        """Return the next random number from 0 to 1. Every version of Python gives the same number."""
-        return self.random.random()
+    def coin(self) -> bool:
+        """Toss a coin."""
+        return self.random.random() < 0.5
 
     def one_of(self, weights: dict[str, int]) -> str:
         """Choose one of some names, by weight."""
-        place = self.uniform() * sum(weights.values())
+        place = self.random.random() * sum(weights.values())
         for name, weight in weights.items():
             place -= weight
             if place < 0:
@@ -167,48 +139,46 @@ class _Plan:
         """Add parts."""
         for name in parts:
             self.steps.append(ActivityStep(name, mirror))
-            part = PARTS[name]
-            end = _clip(part.motion).duration if part.end is None else part.end
-            self.seconds -= end - part.start
+            start, end = PARTS[name].span
+            self.seconds -= end - start
 
     def around(self) -> None:
         """Do something on the feet, sit for a while, or go on an errand and come back."""
-        last = PARTS[self.steps[-1].part].motion if self.steps else ""
-        what = self.one_of({"stand": 3, "sit": 2 if last != "sit_stand" else 0, "errand": 4})
+        has_sat = bool(self.steps) and PARTS[self.steps[-1].part].motion == "sit_stand"
+        what = self.one_of(_CHOICES["around"] | ({"sit": 0} if has_sat else {}))
         if what == "stand":
-            name = self.other_of(_STANDING)
-            self.add(name, mirror=self.uniform() < 0.5)
+            name = self.other_of(_CHOICES["standing"])
+            self.add(name, mirror=self.coin())
         elif what == "sit":
             self.add("sit_down")
-            for _ in range(1 + int(2 * self.uniform())):
-                self.add(self.one_of(_SITTING), mirror=self.uniform() < 0.5)
+            for _ in range(1 + int(2 * self.random.random())):
+                self.add(self.one_of(_CHOICES["seat"]), mirror=self.coin())
             self.add("stand_up")
         else:
             self.errand()
 
     def errand(self) -> None:
         """Walk to one place or two, do something there, and walk back the same way."""
-        gait = self.one_of({"walk": 3, "walk_slow": 1, "walk_brisk": 1})
-        mirror = self.uniform() < 0.5
+        gait = self.one_of(_CHOICES["gaits"])
+        mirror = self.coin()
         legs = [(0, self._strides(gait))]
-        if self.uniform() < 0.5:
-            legs.append((1 if self.uniform() < 0.5 else -1, self._strides(gait)))
+        if self.coin():
+            legs.append((1 if self.coin() else -1, self._strides(gait)))
         for turn, strides in legs:
             self._turn(turn)
             self._walk(gait, strides, mirror)
-            if self.uniform() < 0.7:
-                self.add(self.other_of(_STANDING), mirror=self.uniform() < 0.5)
-        self._turn(2 if self.uniform() < 0.5 else -2)
+            if self.random.random() < 0.7:
+                self.add(self.other_of(_CHOICES["standing"]), mirror=self.coin())
+        self._turn(2 if self.coin() else -2)
         for turn, strides in reversed(legs):
             self._walk(gait, strides, mirror)
             self._turn(-turn)
-        self._turn(2 if self.uniform() < 0.5 else -2)
+        self._turn(2 if self.coin() else -2)
 
     def _strides(self, gait: str) -> int:
         """Number of whole strides between the first step and the last steps, so that the errand stays in
         reach."""
-        most = int(_REACH / _GAITS[gait][2]) - 1
-        return int((most + 1) * self.uniform())
+        return int(int(_REACH / _TABLE["strides"][gait]) * self.random.random())
 
     def _walk(self, gait: str, strides: int, mirror: bool) -> None:
         """Walk straight ahead. The feet and the heading at the end are the same as at the start."""
@@ -256,7 +226,7 @@ def _settings(name: str) -> tuple[int, float, str | None]:
     try:
         seed = seed if name == ACTIVITY else int(words[0])
         for word in words[1:]:
-            if word in get_args(ActivityKind):
+            if word in _KINDS:
                 kind = word
             else:
                 seconds = float(word)
@@ -266,7 +236,7 @@ def _settings(name: str) -> tuple[int, float, str | None]:
         raise MotionError(
             f"{name[:60]!r} is no activity: give a seed, and if you like a kind and {_SHORTEST:g} to "
             f"{_LONGEST:g} seconds, as in activity#4 or activity#4,desk,120; the kinds are "
-            f"{', '.join(get_args(ActivityKind))}"
+            f"{', '.join(_KINDS)}"
         ) from None
     return seed, seconds, kind
 
@@ -292,10 +262,8 @@ def joined(steps: Sequence[ActivityStep], path: str = "") -> Motion:
         raise MotionError("an activity needs a part")
     for one, other in pairwise(steps):
         if PARTS[one.part].after != PARTS[other.part].before:
-            raise MotionError(
-                f"{other.part} begins with {PARTS[other.part].before}, and {one.part} ends with "
-                f"{PARTS[one.part].after}"
-            )
+            begin, end = PARTS[other.part].before, PARTS[one.part].after
+            raise MotionError(f"{other.part} begins with {begin}, and {one.part} ends with {end}")
     values = [_values(steps[0])]
     for step in steps[1:]:
         values.append(_continued(values[-1][-1], _values(step))[1:])
@@ -314,8 +282,7 @@ def _values(step: ActivityStep) -> Array:
     part = PARTS[step.part]
     motion = _clip(part.motion)
     every = round(1 / RATE / motion.frame_time)
-    end = motion.duration if part.end is None else part.end
-    first, last = round(part.start * RATE), round(end * RATE)
+    first, last = (round(seconds * RATE) for seconds in part.span)
     values = motion.values[::every][first : last + 1]
     return _mirrored(values) if step.mirror else values
 
@@ -346,11 +313,10 @@ def _continued(last: Array, values: Array) -> Array:
     out = values.copy()
     moved = turn.apply(values[:, :3] - middle[1]) + middle[0]
     out[:, [0, 2]] = moved[:, [0, 2]]
-    out[:, 3:6] = (turn * Rotation.from_euler("ZXY", values[:, 3:6], degrees=True)).as_euler(
-        "ZXY", degrees=True
-    )
+    heading = turn * Rotation.from_euler("ZXY", values[:, 3:6], degrees=True)
+    out[:, 3:6] = heading.as_euler("ZXY", degrees=True)
     share = 1 - smooth_step(np.arange(min(_FADE, len(out))) / _FADE)
-    for columns in _rotations(motion):
+    for columns in (list(motion.columns(joint))[-3:] for joint, names in enumerate(motion.channels) if names):
         before = Rotation.from_euler("ZXY", last[columns], degrees=True)
         after = Rotation.from_euler("ZXY", out[: len(share), columns], degrees=True)
         rest = (before * after[0].inv()).as_rotvec()
@@ -358,10 +324,3 @@ def _continued(last: Array, values: Array) -> Array:
         out[: len(share), columns] = faded.as_euler("ZXY", degrees=True)
     out[: len(share), :3] += share[:, None] * (last[:3] - out[0, :3])
     return out
-
-
-def _rotations(motion: Motion) -> Iterator[list[int]]:
-    """Find the columns of the rotation of each joint."""
-    for joint, names in enumerate(motion.channels):
-        if names:
-            yield list(motion.columns(joint))[-3:]

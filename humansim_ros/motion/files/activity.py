@@ -57,7 +57,7 @@ class ActivityPart:
         return self.start, _clip(self.motion).duration if self.end is None else self.end
 
 
-#: All parts by name. What people do, and how often compared with other things. The metres of a stride by gait.
+#: All parts by name. What people do, and how often compared with others. The metres of a stride by gait.
 #: In the stop of a gait, left and right are exchanged: the right heel has struck before it.
 _TABLE = read_table("activities")
 PARTS = {name: ActivityPart(*row) for name, row in _TABLE["parts"].items()}

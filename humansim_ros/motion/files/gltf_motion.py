@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from humansim_ros.errors import MotionError, located, unknown, warn_about
 from humansim_ros.files.mesh import Animation, Gltf, GltfSkeleton
+from humansim_ros.files.reading import read_table
 from humansim_ros.geometry import rotate
 from humansim_ros.motion.body.kinematics import Motion, motion_of_rotations
 from humansim_ros.types import Array
@@ -28,23 +29,9 @@ Track: TypeAlias = tuple[Array, Array, str]
 _WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}
 #: Positions of the human bones of VRM in T pose, metres: y up, facing z, x to the side. Limbs are straight
 #: and have the lengths of the general skeleton [thesis table 4.1]. The ankle is a centimetre behind the knee,
-#: as in most rigs. The last value is the length of other bones (fingers).
-_VRM_BODY: dict[str, tuple[float, float, float]] = {
-    "hips": (0, 0.921, 0),
-    "spine": (0, 1.0, 0),
-    "chest": (0, 1.12, 0),
-    "upperChest": (0, 1.25, 0),
-    "neck": (0, 1.458, 0),
-    "head": (0, 1.54, 0),
-    "Shoulder": (0.08, 1.434, 0),
-    "UpperArm": (0.194, 1.434, 0),
-    "LowerArm": (0.419, 1.434, 0),
-    "Hand": (0.669, 1.434, 0),
-    "UpperLeg": (0.096, 0.843, 0),
-    "LowerLeg": (0.096, 0.491, 0),
-    "Foot": (0.096, 0.087, -0.01),
-    "Toes": (0.096, 0.012, 0.14),
-}
+#: as in most rigs.
+_VRM_BODY: dict[str, list[float]] = read_table("vrm_body")
+#: Length of other bones (fingers), metres. A skeleton below the second size has no lengths.
 _PHALANX, _NO_SIZE = 0.03, 1e-4
 #: A joint gets position channels if it moves by more than this share of the size of the skeleton.
 _MIN_TRANSLATION = 1e-6
@@ -106,13 +93,8 @@ def find_animation(gltf: Gltf, name: str | None, wanted: Callable[[Animation], b
         return next(filter(wanted, known), known[0])
     animation = next((a for a in known if a.name == name), None)
     if animation is None:
-        names = [str(each.name) for each in known]
-        raise MotionError(unknown("animation", name, names), path=gltf.path)
+        raise MotionError(unknown("animation", name, [str(each.name) for each in known]), path=gltf.path)
     return animation
-
-
-def _turns(animation: Animation) -> bool:
-    return any(channel.target.path == "rotation" for channel in animation.channels)
 
 
 def node_tracks(gltf: Gltf, animation: Animation) -> dict[tuple[int, str], Track]:
@@ -136,6 +118,10 @@ def node_tracks(gltf: Gltf, animation: Animation) -> dict[tuple[int, str], Track
     return tracks
 
 
+def _turns(animation: Animation) -> bool:
+    return any(channel.target.path == "rotation" for channel in animation.channels)
+
+
 def _motion(gltf: Gltf, skeleton: GltfSkeleton, animation: Animation) -> Motion:
     tracks = node_tracks(gltf, animation)
     if not tracks:
@@ -144,8 +130,7 @@ def _motion(gltf: Gltf, skeleton: GltfSkeleton, animation: Animation) -> Motion:
     if len(times) * len(skeleton.names) > _MAX_POSES:
         raise MotionError(f"{len(times)} frames of {len(skeleton.names)} joints are too many", path=gltf.path)
     rotations, positions = [], []
-    into = np.linalg.inv(skeleton.space)
-    unbind = np.linalg.inv(skeleton.bind)
+    into, unbind = np.linalg.inv(skeleton.space), np.linalg.inv(skeleton.bind)
     for start in range(0, len(times), _BATCH):
         batch = times[start : start + _BATCH]
         properties = {key: sample_track(gltf, key, track, batch) for key, track in tracks.items()}
@@ -168,26 +153,16 @@ def _to_motion(
 ) -> Motion:
     """Motion of J joints from world rotations (F, J, 3, 3) relative to the bind pose, and positions (F, J,
     3)."""
-    parents = skeleton.parents
-    bound = skeleton.bind[:, :3, 3]
+    parents, bound = skeleton.parents, skeleton.bind[:, :3, 3]
     roots = parents < 0
     back = np.where(roots[:, None, None], np.eye(3), np.swapaxes(rotations[:, parents], -1, -2))
-    local = back @ rotations
-    above = np.where(roots[:, None], 0.0, positions[:, parents])
-    shifts = rotate(back, positions - above)
+    shifts = rotate(back, positions - np.where(roots[:, None], 0.0, positions[:, parents]))
     offsets = bound - np.where(roots[:, None], 0.0, bound[parents])
     extent = float(np.ptp(bound, axis=0).max())
     moves = roots | (np.abs(shifts - offsets).max(axis=(0, 2)) > _MIN_TRANSLATION * extent)
-    return motion_of_rotations(
-        skeleton.names,
-        parents,
-        offsets,
-        local,
-        {int(joint): shifts[:, joint] for joint in np.flatnonzero(moves)},
-        frame_time,
-        str(gltf.path),
-        unit=1.0,
-    )
+    moved = {int(joint): shifts[:, joint] for joint in np.flatnonzero(moves)}
+    names, path = skeleton.names, str(gltf.path)
+    return motion_of_rotations(names, parents, offsets, back @ rotations, moved, frame_time, path, unit=1.0)
 
 
 def frame_times(gltf: Gltf, tracks: Collection[Track]) -> tuple[Array, float]:
@@ -224,22 +199,22 @@ def sample_track(gltf: Gltf, key: tuple[int, str], track: Track, times: Array) -
     """
     keys, values, interpolation = track
     times = np.clip(times, keys[0], keys[-1])
+    if len(keys) == 1:
+        return np.repeat(values[:, 1] if interpolation == "CUBICSPLINE" else values, len(times), axis=0)
+    # number of the key before each time: of the last key for a step, else of the last but one at most
+    before = np.clip(np.searchsorted(keys, times, side="right") - 1, 0, len(keys) - 1)
+    if interpolation == "STEP":
+        return values[before]
     if interpolation == "CUBICSPLINE":
-        value = values[:, 1]
-        if len(keys) > 1:
-            step = np.diff(keys)
-            # a polynomial for each pair of keys, since the tangents on both sides of a key differ
-            segment = np.clip(np.searchsorted(keys, times, side="right") - 1, 0, len(keys) - 2)
-            out = np.empty((len(times), values.shape[-1]))
-            for s in np.unique(segment):
-                inside = segment == s
-                ends = [keys[s], keys[s] + step[s]]
-                spline = CubicHermiteSpline(ends, value[s : s + 2], [values[s, 2], values[s + 1, 0]])
-                out[inside] = spline(times[inside])
-            return out
-        return np.repeat(value, len(times), axis=0)
-    if interpolation == "STEP" or len(keys) == 1:
-        return values[np.clip(np.searchsorted(keys, times, side="right") - 1, 0, len(keys) - 1)]
+        before = np.minimum(before, len(keys) - 2)
+        out = np.empty((len(times), values.shape[-1]))
+        for s in np.unique(
+            before
+        ):  # a polynomial for each pair, since the tangents at both sides of a key differ
+            ends = [keys[s], keys[s] + (keys[s + 1] - keys[s])]
+            spline = CubicHermiteSpline(ends, values[s : s + 2, 1], [values[s, 2], values[s + 1, 0]])
+            out[before == s] = spline(times[before == s])
+        return out
     if key[1] != "rotation":
         return np.stack([np.interp(times, keys, column) for column in values.T], axis=1)
     if (np.linalg.norm(values, axis=1) < 1e-6).any():

@@ -361,7 +361,6 @@ class _Reader:
 
     def __init__(self) -> None:
         self._parser = ParserCreate()
-        self._parser.buffer_text = True
         self._parser.StartDoctypeDeclHandler = self._refuse_doctype
         self._parser.StartElementHandler = self._start
         self._parser.CharacterDataHandler = self._characters

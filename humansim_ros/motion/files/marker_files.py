@@ -1,24 +1,31 @@
-"""Files of labelled points in 3D: TRC and C3D [C3D 2008].
+"""Files of labelled points in 3D, TRC and C3D [C3D 2008], and which points are those of a person.
 
 Programs write C3D headers and parameters that contradict each other. The layout of the data that fills the
-file is taken. What the points do not need is not read.
+file is taken. What the points do not need is not read. Names of points, such as ``LKNE``, tell which joint or
+which marker on the skin a point is.
 """
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 import re
 import warnings
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+import yaml
+from numpy.typing import NDArray
 
 from humansim_ros.errors import HumansimError, warn_about
-from humansim_ros.files.reading import read_bytes, read_text
+from humansim_ros.files.reading import read_bytes, read_text, resource_path
+from humansim_ros.geometry import lengths_of
+from humansim_ros.motion.matching.by_name import loose_keys, loose_table_key
+from humansim_ros.motion.matching.joint_tables import right_name
 from humansim_ros.types import Array
 
 _BLOCK = 512
@@ -355,3 +362,150 @@ def likely_scale(points: Array, scales: Sequence[float]) -> float:
         warnings.simplefilter("ignore", RuntimeWarning)  # frames without points cause warnings
         away = np.nanmedian(np.linalg.norm(seen - np.nanmedian(seen, axis=1, keepdims=True), axis=-1))
     return min(scales, key=lambda scale: abs(math.log(max(away, 1e-9) * scale / _PERSON)))
+
+
+SIDES = ("Left", "Right")
+#: A point that is farther from the origin (metres) was not seen.
+_MAX_DISTANCE = 1e4
+#: Shortest and longest distance between the acromions, and from their middle to the middle of both ASIS;
+#: metres.
+_SHOULDER_WIDTH, _TRUNK_LENGTH = (0.2, 0.55), (0.25, 0.75)
+#: Kind of points -> names of hip, knee, shoulder, elbow and ankle. A person needs the first four of both
+#: sides.
+KINDS = {
+    "joints": ("Hip", "Knee", "Shoulder", "Elbow", "Ankle"),
+    "markers": ("ASIS", "KneeLateral", "Acromion", "ElbowLateral", "AnkleLateral"),
+}
+#: Letter that Xsens writes before the names of points: ``pLeftASI``.
+_XSENS = re.compile(r"^p(?=(Left|Right|C7|IJ|Sacrum|TopOf|BackOf))")
+#: A side within a name: ``WaistLFront``.
+_INNER_SIDE = re.compile(r"(?<![A-Za-z])([A-Z][a-z]+)([LR])(?=[A-Z][a-z])")
+
+
+@dataclass(frozen=True)
+class Marks:
+    """Points of a person.
+
+    Attributes:
+        labels: Labels of the file.
+        kind: ``joints`` or ``markers``.
+        numbers: Landmark -> number of its point.
+        missing: Landmarks that a person needs, but that have no point.
+        held: Parts without points. They stay at rest.
+    """
+
+    labels: tuple[str, ...]
+    kind: str
+    numbers: Mapping[str, int]
+    missing: tuple[str, ...]
+    held: tuple[str, ...] = ()
+
+
+def people_of(file: MarkerFile) -> dict[str, Marks]:
+    """Find the points of each person in a file, by the name before the labels. Points that are never seen are
+    left out."""
+    groups: dict[str, list[int]] = {}
+    seen = is_seen(file.points).any(axis=0)
+    for number in np.flatnonzero(seen | ~seen.any()).tolist():
+        groups.setdefault(label_parts(file.labels[number])[0], []).append(number)
+    return {name: _marks(file, numbers) for name, numbers in groups.items()}
+
+
+def is_seen(points: Array) -> NDArray[np.bool_]:
+    """Whether points (..., 3) were seen. Some files write zeros for points that were not seen."""
+    return np.asarray((np.abs(points) < _MAX_DISTANCE).all(axis=-1) & points.any(axis=-1))
+
+
+def _marks(file: MarkerFile, numbers: Sequence[int]) -> Marks:
+    labels = [label_parts(file.labels[number])[1] for number in numbers]
+    # A letter counts as a side only if the other side exists. The other side is added here, so that one
+    # missing point does no harm
+    spelt = [_INNER_SIDE.sub(r"\2\1", _XSENS.sub("", label)) for label in labels]
+    keys = loose_keys((*spelt, *_other_sides(spelt)))[: len(labels)]
+    by_key = dict(reversed(list(zip(keys, numbers, strict=True))))  # of equal keys, the first counts
+    found = {kind: _named(kind, by_key) for kind in KINDS}
+    found["markers"] |= _spare(file, found["markers"], by_key)
+    held = {kind: _held(found[kind], *parts[2:]) for kind, parts in KINDS.items()}
+    if len(_named("leg_joints", by_key)) < 6:
+        held["joints"] = ()
+    missing = {
+        kind: [
+            name
+            for part in parts[: 4 - len(held[kind])]
+            for name in (f"Left{part}", f"Right{part}")
+            if name not in found[kind]
+        ]
+        for kind, parts in KINDS.items()
+    }
+    if not has_back(found["markers"]):
+        missing["markers"].append("Sacrum or both PSIS")
+    # joints that the file itself has computed come first. Markers of the pelvis show the kind of the file
+    has_pelvis = {"LeftASIS", "RightASIS"} <= found["markers"].keys()
+    has_centres = any(key.endswith("hjc") for key in by_key) and not missing["joints"]
+    is_skin = has_pelvis or len(missing["markers"]) < len(missing["joints"])
+    kind = "markers" if is_skin and not has_centres else "joints"
+    return Marks(tuple(labels), kind, found[kind], tuple(missing[kind]), held[kind])
+
+
+def has_back(markers: Collection[str]) -> bool:
+    """Whether the back of the pelvis has a marker in the middle, or one on each side."""
+    return "Sacrum" in markers or {"LeftPSIS", "RightPSIS"} <= set(markers)
+
+
+def _spare(file: MarkerFile, markers: Mapping[str, int], by_key: Mapping[str, int]) -> dict[str, int]:
+    """Landmarks that ``markers`` lacks, with names in the table of spare markers. Acromions must be as far
+    from each other and from the hips as those of a person."""
+    free = {key: number for key, number in by_key.items() if number not in markers.values()}
+    spare = {name: number for name, number in _named("spare_markers", free).items() if name not in markers}
+    if {"LeftPSIS", "RightPSIS"} <= markers.keys():
+        spare.pop("Sacrum", None)
+    all_markers = {**markers, **spare}
+    ends = [side + part for part in ("Acromion", "ASIS") for side in SIDES]
+    if all(end in all_markers for end in ends):
+        points = file.points[:, [all_markers[end] for end in ends]]
+        left, right, *hips = np.moveaxis(points[is_seen(points).all(axis=1)], 1, 0)
+        lines = (left - right, _SHOULDER_WIDTH), ((left + right - hips[0] - hips[1]) / 2, _TRUNK_LENGTH)
+        medians = [np.median(lengths_of(line)) if len(line) else np.nan for line, _ in lines]
+        if all(low < size < high for size, (_, (low, high)) in zip(medians, lines, strict=True)):
+            return spare
+    return {name: number for name, number in spare.items() if "Acromion" not in name}
+
+
+def _held(found: Mapping[str, int], *parts: str) -> tuple[str, ...]:
+    """Parts of the upper body that a file of legs has left out on both sides, the lowest first. ``parts``:
+    names of shoulder, elbow and ankle."""
+    shoulder, elbow, ankle = (sum(side + part in found for side in SIDES) for part in parts)
+    if ankle < 2 or elbow or shoulder == 1:
+        return ()
+    return ("the arms",) if shoulder else ("trunk, head", "arms")
+
+
+def _other_sides(labels: Sequence[str]) -> list[str]:
+    """Names of the same points on the other side."""
+    others = [right_name(label) for label in labels]
+    for label in labels:
+        for right, left in (("Right", "Left"), ("right", "left"), ("R", "L"), ("r", "l")):
+            other = left + label.removeprefix(right)
+            if label.startswith(right) and right_name(other) == label:
+                others.append(other)
+    return [other for other in others if other is not None and other not in labels]
+
+
+@functools.cache
+def _tables() -> Mapping[str, Mapping[str, Sequence[str]]]:
+    """Tables of names by landmark, from config/marker_names.yaml."""
+    return dict(yaml.safe_load(resource_path("config/marker_names.yaml").read_text(encoding="utf-8")))
+
+
+def _named(table: str, by_key: Mapping[str, int]) -> dict[str, int]:
+    """Number of the point of each landmark of a table. A point can be only one landmark."""
+    found: dict[str, int] = {}
+    for landmark, words in _tables()[table].items():
+        for side in SIDES if landmark.startswith("Left") else ("",):
+            for word in words:
+                key = loose_table_key(landmark, word)
+                number = by_key.get(key.replace("left", "right", 1) if side == "Right" else key)
+                if number is not None and number not in found.values():
+                    found[side + landmark.removeprefix("Left")] = number
+                    break
+    return found

@@ -1,7 +1,7 @@
 """Motions of labelled points in TRC and C3D files. The points are joints, or markers on the skin that give
 the joints.
 
-Names show which points are joints or markers of a person. Hip centres follow the regression of [Harrington
+Hip centres follow the regression of [Harrington
 2007]. A knee, an ankle or an elbow is midway between its two markers. If there is only the lateral marker,
 the joint is half its width inwards from it. The shoulder is below the acromion. Limbs get the shortest
 rotation from their parent, and their joints keep their places in the file. Arms or a trunk without markers
@@ -10,23 +10,17 @@ stay at rest.
 
 from __future__ import annotations
 
-import functools
 import os
-import re
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import yaml
-from numpy.typing import NDArray
 
 from humansim_ros.errors import MotionError, some_of, unknown, warn_about
-from humansim_ros.files.reading import resource_path
 from humansim_ros.geometry import (
     angle_between,
     are_rotations,
-    lengths_of,
     nearest_axis,
     perpendicular,
     rotate,
@@ -36,162 +30,18 @@ from humansim_ros.geometry import (
 )
 from humansim_ros.motion.body.kinematics import Motion, motion_of_rotations
 from humansim_ros.motion.files.marker_files import (
+    KINDS,
+    SIDES,
     MarkerFile,
-    label_parts,
+    Marks,
+    has_back,
+    is_seen,
     likely_scale,
+    people_of,
     read_c3d_points,
     read_trc_points,
 )
-from humansim_ros.motion.matching.by_name import loose_keys, loose_table_key
-from humansim_ros.motion.matching.joint_tables import right_name
 from humansim_ros.types import Array, Indices
-
-_SIDES = ("Left", "Right")
-#: A point that is farther from the origin (metres) was not seen.
-_MAX_DISTANCE = 1e4
-#: Shortest and longest distance between the acromions, and from their middle to the middle of both ASIS;
-#: metres.
-_SHOULDER_WIDTH, _TRUNK_LENGTH = (0.2, 0.55), (0.25, 0.75)
-#: Kind of points -> names of hip, knee, shoulder, elbow and ankle. A person needs the first four of both
-#: sides.
-_KINDS = {
-    "joints": ("Hip", "Knee", "Shoulder", "Elbow", "Ankle"),
-    "markers": ("ASIS", "KneeLateral", "Acromion", "ElbowLateral", "AnkleLateral"),
-}
-#: Letter that Xsens writes before the names of points: ``pLeftASI``.
-_XSENS = re.compile(r"^p(?=(Left|Right|C7|IJ|Sacrum|TopOf|BackOf))")
-#: A side within a name: ``WaistLFront``.
-_INNER_SIDE = re.compile(r"(?<![A-Za-z])([A-Z][a-z]+)([LR])(?=[A-Z][a-z])")
-
-
-@dataclass(frozen=True)
-class _Marks:
-    """Points of a person.
-
-    Attributes:
-        labels: Labels of the file.
-        kind: ``joints`` or ``markers``.
-        numbers: Landmark -> number of its point.
-        missing: Landmarks that a person needs, but that have no point.
-        held: Parts without points. They stay at rest.
-    """
-
-    labels: tuple[str, ...]
-    kind: str
-    numbers: Mapping[str, int]
-    missing: tuple[str, ...]
-    held: tuple[str, ...] = ()
-
-
-def _people_of(file: MarkerFile) -> dict[str, _Marks]:
-    """Find the points of each person in a file, by the name before the labels. Points that are never seen are
-    left out."""
-    groups: dict[str, list[int]] = {}
-    seen = _is_seen(file.points).any(axis=0)
-    for number in np.flatnonzero(seen | ~seen.any()).tolist():
-        groups.setdefault(label_parts(file.labels[number])[0], []).append(number)
-    return {name: _marks(file, numbers) for name, numbers in groups.items()}
-
-
-def _is_seen(points: Array) -> NDArray[np.bool_]:
-    """Whether points (..., 3) were seen. Some files write zeros for points that were not seen."""
-    return np.asarray((np.abs(points) < _MAX_DISTANCE).all(axis=-1) & points.any(axis=-1))
-
-
-def _marks(file: MarkerFile, numbers: Sequence[int]) -> _Marks:
-    labels = [label_parts(file.labels[number])[1] for number in numbers]
-    # A letter counts as a side only if the other side exists. The other side is added here, so that one
-    # missing point does no harm
-    spelt = [_INNER_SIDE.sub(r"\2\1", _XSENS.sub("", label)) for label in labels]
-    keys = loose_keys((*spelt, *_other_sides(spelt)))[: len(labels)]
-    by_key = dict(reversed(list(zip(keys, numbers, strict=True))))  # of equal keys, the first counts
-    found = {kind: _named(kind, by_key) for kind in _KINDS}
-    found["markers"] |= _spare(file, found["markers"], by_key)
-    held = {kind: _held(found[kind], *parts[2:]) for kind, parts in _KINDS.items()}
-    if len(_named("leg_joints", by_key)) < 6:
-        held["joints"] = ()
-    missing = {
-        kind: [
-            name
-            for part in parts[: 4 - len(held[kind])]
-            for name in (f"Left{part}", f"Right{part}")
-            if name not in found[kind]
-        ]
-        for kind, parts in _KINDS.items()
-    }
-    if not _has_back(found["markers"]):
-        missing["markers"].append("Sacrum or both PSIS")
-    # joints that the file itself has computed come first. Markers of the pelvis show the kind of the file
-    has_pelvis = {"LeftASIS", "RightASIS"} <= found["markers"].keys()
-    has_centres = any(key.endswith("hjc") for key in by_key) and not missing["joints"]
-    is_skin = has_pelvis or len(missing["markers"]) < len(missing["joints"])
-    kind = "markers" if is_skin and not has_centres else "joints"
-    return _Marks(tuple(labels), kind, found[kind], tuple(missing[kind]), held[kind])
-
-
-def _has_back(markers: Collection[str]) -> bool:
-    """Whether the back of the pelvis has a marker in the middle, or one on each side."""
-    return "Sacrum" in markers or {"LeftPSIS", "RightPSIS"} <= set(markers)
-
-
-def _spare(file: MarkerFile, markers: Mapping[str, int], by_key: Mapping[str, int]) -> dict[str, int]:
-    """Landmarks that ``markers`` lacks, with names in the table of spare markers. Acromions must be as far
-    from each other and from the hips as those of a person."""
-    free = {key: number for key, number in by_key.items() if number not in markers.values()}
-    spare = {name: number for name, number in _named("spare_markers", free).items() if name not in markers}
-    if {"LeftPSIS", "RightPSIS"} <= markers.keys():
-        spare.pop("Sacrum", None)
-    all_markers = {**markers, **spare}
-    ends = [side + part for part in ("Acromion", "ASIS") for side in _SIDES]
-    if all(end in all_markers for end in ends):
-        points = file.points[:, [all_markers[end] for end in ends]]
-        left, right, *hips = np.moveaxis(points[_is_seen(points).all(axis=1)], 1, 0)
-        lines = (left - right, _SHOULDER_WIDTH), ((left + right - hips[0] - hips[1]) / 2, _TRUNK_LENGTH)
-        medians = [np.median(lengths_of(line)) if len(line) else np.nan for line, _ in lines]
-        if all(low < size < high for size, (_, (low, high)) in zip(medians, lines, strict=True)):
-            return spare
-    return {name: number for name, number in spare.items() if "Acromion" not in name}
-
-
-def _held(found: Mapping[str, int], *parts: str) -> tuple[str, ...]:
-    """Parts of the upper body that a file of legs has left out on both sides, the lowest first. ``parts``:
-    names of shoulder, elbow and ankle."""
-    shoulder, elbow, ankle = (sum(side + part in found for side in _SIDES) for part in parts)
-    if ankle < 2 or elbow or shoulder == 1:
-        return ()
-    return ("the arms",) if shoulder else ("trunk, head", "arms")
-
-
-def _other_sides(labels: Sequence[str]) -> list[str]:
-    """Names of the same points on the other side."""
-    others = [right_name(label) for label in labels]
-    for label in labels:
-        for right, left in (("Right", "Left"), ("right", "left"), ("R", "L"), ("r", "l")):
-            other = left + label.removeprefix(right)
-            if label.startswith(right) and right_name(other) == label:
-                others.append(other)
-    return [other for other in others if other is not None and other not in labels]
-
-
-@functools.cache
-def _tables() -> Mapping[str, Mapping[str, Sequence[str]]]:
-    """Tables of names by landmark, from config/marker_names.yaml."""
-    return dict(yaml.safe_load(resource_path("config/marker_names.yaml").read_text(encoding="utf-8")))
-
-
-def _named(table: str, by_key: Mapping[str, int]) -> dict[str, int]:
-    """Number of the point of each landmark of a table. A point can be only one landmark."""
-    found: dict[str, int] = {}
-    for landmark, words in _tables()[table].items():
-        for side in _SIDES if landmark.startswith("Left") else ("",):
-            for word in words:
-                key = loose_table_key(landmark, word)
-                number = by_key.get(key.replace("left", "right", 1) if side == "Right" else key)
-                if number is not None and number not in found.values():
-                    found[side + landmark.removeprefix("Left")] = number
-                    break
-    return found
-
 
 #: Largest file (bytes), and most labels and points of a file.
 _MAX_BYTES, _MAX_LABELS, _MAX_POINTS = 1 << 29, 2000, 50_000_000
@@ -235,7 +85,7 @@ _TREE = {
         ("LeftAnkle", "LeftKnee", (0.0, -1.0, 0.0)),
         ("LeftToe", "LeftAnkle", (0.0, -0.4, 0.9165)),
     )
-    for side, sign in zip(_SIDES if name.startswith("Left") else ("Left",), (1.0, -1.0), strict=False)
+    for side, sign in zip(SIDES if name.startswith("Left") else ("Left",), (1.0, -1.0), strict=False)
 }
 Points = Mapping[str, Array]
 
@@ -265,10 +115,10 @@ def motion_of_points(path: str | os.PathLike[str], found: MarkerFile, person: st
         raise MotionError(message, path=path)
     if not len(found.points):
         raise MotionError("no frames" if found.labels else "the file has no points", path=path)
-    people = _people_of(found)
+    people = people_of(found)
     if found.segments is not None and all(marks.missing for marks in people.values()):
         found = found.segments
-        people = _people_of(found)
+        people = people_of(found)
     complete = {name: marks for name, marks in people.items() if not marks.missing}
     if person is not None and person not in people:
         raise MotionError(unknown("person", person, people), path=path)
@@ -281,7 +131,7 @@ def motion_of_points(path: str | os.PathLike[str], found: MarkerFile, person: st
     fewest = min(people, key=lambda name: len(people[name].missing))
     chosen = people[fewest if person is None else person]
     if chosen.missing:
-        unseen = np.array(found.labels)[~_is_seen(found.points).any(axis=0)]
+        unseen = np.array(found.labels)[~is_seen(found.points).any(axis=0)]
         raise MotionError(
             f"the points do not make up a person: {', '.join(chosen.missing)} are missing for a set of "
             f"{chosen.kind}; found {some_of(chosen.labels, 8)}"
@@ -311,12 +161,12 @@ def motion_of_points(path: str | os.PathLike[str], found: MarkerFile, person: st
 def _mirrored_axis(points: Points, kind: str) -> int | None:
     """Number of the axis to negate, so that a mirrored person becomes right. None if the person is not
     mirrored. Toes, the front of the pelvis and the nose show where ahead is. They must agree."""
-    hip, knee, shoulder, _, ankle = _KINDS[kind]
+    hip, knee, shoulder, _, ankle = KINDS[kind]
     left, hips = points["Left" + hip] - points["Right" + hip], _middle(points, hip)
     has_trunk = "Left" + shoulder in points
     trunk = (_middle(points, shoulder) if has_trunk else 2 * hips - _middle(points, knee)) - hips
     signs = []  # lines that go up, and lines that go ahead
-    for side in _SIDES:
+    for side in SIDES:
         if {side + ankle, side + "Toe"} <= points.keys():
             shank = points[side + knee] - points[side + ankle]
             signs.append((shank, points[side + "Toe"] - points.get(side + "Heel", points[side + ankle])))
@@ -330,18 +180,18 @@ def _mirrored_axis(points: Points, kind: str) -> int | None:
     return 1 if nearest_axis(trunk.mean(axis=0))[2] else 2
 
 
-def _filled(path: Path, file: MarkerFile, marks: _Marks) -> tuple[dict[str, Array], Indices]:
+def _filled(path: Path, file: MarkerFile, marks: Marks) -> tuple[dict[str, Array], Indices]:
     """Fill the gaps of the landmarks. Returns points (F, 3) by landmark, and the numbers (F) of their
     frames."""
     count = len(file.points)
-    known = {landmark: _is_seen(file.points[:, number]) for landmark, number in marks.numbers.items()}
+    known = {landmark: is_seen(file.points[:, number]) for landmark, number in marks.numbers.items()}
     present = np.flatnonzero(np.mean([*known.values()], axis=0) >= _LEAST_SEEN)
     if not len(present):
         raise MotionError(f"no frame has {_LEAST_SEEN:.0%} of the points of the person", path=path)
     stays = np.split(present, np.flatnonzero(np.diff(present) > _MOST_ABSENT) + 1)
     stay = max(stays, key=np.ptp)
     first, last = int(stay[0]), int(stay[-1]) + 1
-    needed = _KINDS[marks.kind][: 5 if marks.held else 4]
+    needed = KINDS[marks.kind][: 5 if marks.held else 4]
     seldom, too_seldom = [], f"is seen in less than {_LEAST_SEEN:.0%} of the frames"
     for landmark, seen in list(known.items()):
         label, here = file.labels[marks.numbers[landmark]], np.flatnonzero(seen[first:last])
@@ -357,7 +207,7 @@ def _filled(path: Path, file: MarkerFile, marks: _Marks) -> tuple[dict[str, Arra
             raise MotionError(f"{label!r} {too_seldom}{where}", path=path)
     if seldom:
         warn_about(path, f"{some_of(seldom)}: {too_seldom.removeprefix('is ')}, not used")
-    if marks.kind == "markers" and not _has_back(known):
+    if marks.kind == "markers" and not has_back(known):
         raise MotionError("no marker at the back of the pelvis is seen in most frames", path=path)
     start = max(first + int(np.argmax(seen[first:last])) for seen in known.values())
     end = min(last - int(np.argmax(seen[first:last][::-1])) for seen in known.values())
@@ -437,7 +287,7 @@ def _hold(path: Path, joints: Mapping[str, Array], held: Sequence[str]) -> dict[
     """Add the parts in ``held``: a trunk upright over the hips, and arms that hang down."""
     links = [
         _length(joints[side + above] - joints[side + below])
-        for side in _SIDES
+        for side in SIDES
         for above, below in (("Hip", "Knee"), ("Knee", "Ankle"))
     ]
     stature, out = sum(links) / 2 / _LEG, dict(joints)
@@ -446,11 +296,11 @@ def _hold(path: Path, joints: Mapping[str, Array], held: Sequence[str]) -> dict[
         left = unit_vectors(perpendicular(joints["LeftHip"] - joints["RightHip"], up))
         out["Neck"] = joints["Hips"] + _TRUNK * stature * up
         out["Head"] = out["Neck"] + _HEAD * stature * up
-        for side, sign in zip(_SIDES, (1.0, -1.0), strict=True):
+        for side, sign in zip(SIDES, (1.0, -1.0), strict=True):
             out[f"{side}Shoulder"] = out["Neck"] + sign * _HALF_WIDTH * stature * left
     down = unit_vectors(out["Hips"] - out["Neck"])
     across = unit_vectors(perpendicular(out["LeftShoulder"] - out["RightShoulder"], down))
-    for side, sign in zip(_SIDES, (1.0, -1.0), strict=True):
+    for side, sign in zip(SIDES, (1.0, -1.0), strict=True):
         arm = np.cos(_HANGING) * down + sign * np.sin(_HANGING) * across
         out[f"{side}Elbow"] = out[f"{side}Shoulder"] + _UPPER_ARM * stature * arm
         out[f"{side}Wrist"] = out[f"{side}Elbow"] + _FOREARM * stature * arm
@@ -481,7 +331,7 @@ def _joint_centres(points: Points) -> tuple[dict[str, Array], Array]:
     shoulders = _middle(points, "Acromion") if has_trunk else centre + up
     trunk = unit_vectors(shoulders - centre)
     joints = {"Hips": centre}
-    for side, sign in zip(_SIDES, (1.0, -1.0), strict=True):
+    for side, sign in zip(SIDES, (1.0, -1.0), strict=True):
         own = {name.removeprefix(side): place for name, place in points.items() if name.startswith(side)}
         found = {"Hip": centre + sign * left * (0.33 * width + 0.0073)}
         found["Knee"] = _centre(own, "Knee", found["Hip"], -sign * left, _KNEE)
@@ -547,7 +397,7 @@ def _hinge(lateral: Array, shoulder: Array, wrist: Array, sign: float) -> Array:
 
 
 _HEAD_MARKERS = (
-    *(f"{side}{end}Head" for side in _SIDES for end in ("Front", "Back")),
+    *(f"{side}{end}Head" for side in SIDES for end in ("Front", "Back")),
     *("FrontHead", "RearHead"),
 )
 

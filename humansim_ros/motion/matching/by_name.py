@@ -42,7 +42,7 @@ from humansim_ros.motion.matching.joint_tables import (
 from humansim_ros.types import Array, Indices
 
 #: Words in names of fingers, jaw and eyes, with their meanings, by kind: sides, fingers, segments, parts of a
-#: face and words beside them. Joints with words of the kind ``other`` are controls of a rig. Metacarpals of
+#: face and words next to them. Joints with words of the kind ``other`` are controls of a rig. Metacarpals of
 #: fingers are in the palm, so only that of the thumb moves a bone.
 _WORDS: dict[str, dict[str, str]] = {
     kind: {word: meaning for meaning, words in table.items() for word in words.split()}
@@ -132,7 +132,7 @@ def _face_bone(name: str) -> str | None:
     words = {part for word in found for part in ((word[0], "eye") if word in ("leye", "reye") else (word,))}
     sides = {_WORDS["sides"][word] for word in words if word in _WORDS["sides"]}
     parts = {_WORDS["face"][word] for word in words if word in _WORDS["face"]}
-    if words - _WORDS["sides"].keys() - _WORDS["face"].keys() - _WORDS["beside_face"].keys():
+    if words - _WORDS["sides"].keys() - _WORDS["face"].keys() - _WORDS["with_face"].keys():
         return None
     if parts == {"eyeball_joint"} and len(sides) == 1:
         return f"{sides.pop()}_eyeball_joint"

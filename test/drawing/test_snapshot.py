@@ -15,6 +15,7 @@ from humansim_ros import Scene, Simulation
 from humansim_ros.cli.main import main
 from humansim_ros.errors import HumansimError, RenderError, SceneError
 from humansim_ros.render import ALL_CHANNELS
+from humansim_ros.render.interface import CHANNEL_TABLE
 from humansim_ros.render.pictures import write_png
 from humansim_ros.scene.pictures.snapshots import MAX_SIDE, _Layout, snapshot
 from humansim_ros.scene.pictures.top_view import top_view
@@ -202,6 +203,13 @@ def test_the_output_of_every_sensor_is_shown_in_its_colours(encoding: str) -> No
         image = np.array([[200, 120], [120, 40]], np.uint8)[np.arange(8)[:, None] % 2, np.arange(8) % 2]
     expected = [200] * 3 if encoding == "mono8" else color
     assert (color_image(image, encoding)[2:-2, 2:-2] == expected).all()
+
+
+def test_people_can_look_at_each_channel() -> None:
+    for channel in CHANNEL_TABLE.values():
+        empty = channel.empty_image((4, 6))
+        picture = color_channel(channel.name, {1: empty} if channel.per_body else empty)
+        assert picture.shape == (4, 6, 3) and picture.dtype == np.uint8
 
 
 def test_flow_is_coloured_by_its_direction() -> None:

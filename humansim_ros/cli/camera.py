@@ -333,16 +333,16 @@ def rig(
     lens = (_coefficients(distortion), model.value if model else None)
     optics = rigs.Optics(parse_size(size), math.radians(fov_deg), *lens)
     start, up = math.radians(start_deg), 1.8 if height is None else height
+    rig = rigs.Rig(look_at, radius, up, optics, start)
     if ring is not None:
-        cameras = rigs.ring(ring, radius, up, look_at, optics, start)
+        cameras = rig.ring(ring)
     elif grid is not None:
-        rows, columns = _rows_columns(grid)
-        cameras = rigs.grid(rows, columns, spacing, radius, up, look_at, optics, start)
+        cameras = rig.grid(*_rows_columns(grid), spacing)
     elif dome is not None:
-        cameras = rigs.dome(dome, radius, look_at, optics, start)
+        cameras = rig.dome(dome)
     else:
         assert stereo is not None
-        cameras = rigs.stereo(stereo, radius, up, look_at, optics, start)
+        cameras = rig.stereo(stereo)
     _write_rig(output, cameras, look_at, radius)
 
 

@@ -242,12 +242,15 @@ def ros(old: str, new: str) -> str:
         (ros("  data: [700, 0, 310, 0, 690, 245, 0, 0, 1]", "  data: [700, 0, 310, 0,"), "not valid YAML"),
         (ROS[: ROS.index("distortion_model")], "distortion_coefficients: is missing"),
         # INI
-        (INI.replace("width\n640\n", "width\n0\n"), ":2: width: needs a whole number above zero"),
-        (INI.replace("width\n640\n", ""), "width: is missing in section [image]"),
-        (INI.replace("0 0 1\ndistortion", "distortion"), ":7: camera matrix: needs 3 x 3 numbers, not 6"),
+        (INI.replace("width\n640\n", "width\n0\n"), ":2: image.width: needs a whole number above zero"),
+        (INI.replace("width\n640\n", ""), "image.width: is missing"),
+        (
+            INI.replace("0 0 1\ndistortion", "distortion"),
+            ":7: left.camera matrix: needs 3 x 3 numbers, not 6",
+        ),
         (
             INI.replace("-0.3 0.1 0.001 0.002 0", "-0.3 0.1 0.001 0.002 0 1"),
-            ":11: distortion: needs 5 coefficients (plumb_bob) or 8",
+            ":11: left.distortion: needs 5 coefficients (plumb_bob) or 8",
         ),
         (INI.replace("-0.3 0.1 0.001 0.002 0", "-0.3 nan 0.001 0.002 0"), ":12: a number is not finite"),
         (INI.replace("[left]", "[image]"), ":6: image: this section is duplicate"),

@@ -215,10 +215,7 @@ def orbslam(kind: str, name: str, **lens: float) -> str:
     return yaml({"Camera.type": kind, "Camera.width": W, "Camera.height": H, **keys})
 
 
-KB = {
-    **dict(zip(("k2", "k3", "k4", "k5"), FISHEYE, strict=True)),
-    **flat(FIRST.K, "mu", "mv", "u0", "v0"),
-}
+KB = {**dict(zip(("k2", "k3", "k4", "k5"), FISHEYE, strict=True)), **flat(FIRST.K, "mu", "mv", "u0", "v0")}
 PPX = {**flat(FIRST.K, "fx", "fy", "ppx", "ppy"), **SIDES, **D4, "model": "Brown Conrady"}
 #: Content of a file of one camera, coefficients and model; texts are YAML, others JSON.
 LENSES: dict[str, tuple[Any, tuple[float, ...], str]] = {

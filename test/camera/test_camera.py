@@ -111,11 +111,7 @@ def test_from_projection_matrix_agrees_with_opencv() -> None:
 
 
 @settings(deadline=None, max_examples=40)
-@given(
-    st.tuples(*[st.floats(-10, 10)] * 3),
-    st.tuples(*[st.floats(-10, 10)] * 3),
-    st.floats(0.1, 3.0),
-)
+@given(st.tuples(*[st.floats(-10, 10)] * 3), st.tuples(*[st.floats(-10, 10)] * 3), st.floats(0.1, 3.0))
 def test_look_at_projects_the_target_to_the_image_centre(
     position: tuple[float, float, float], target: tuple[float, float, float], fov: float
 ) -> None:

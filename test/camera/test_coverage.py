@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from humansim_ros.cameras import Camera, Coverage
-from humansim_ros.cameras.camera.rigs import Optics, ring
+from humansim_ros.cameras.camera.rigs import Optics, Rig
 from humansim_ros.errors import CameraError
 
 TARGET = np.array([0.5, -1.0, 1.1])
@@ -24,7 +24,7 @@ def seen_by(camera: Camera, points: np.ndarray) -> np.ndarray:
 
 
 def test_coverage_counts_the_cameras_that_see_a_point_or_all_of_a_person() -> None:
-    cameras = ring(5, 3, 2.2, TARGET, OPTICS) | {"side": OPTICS.camera((3, 3, 1), (0, 0, 1))}
+    cameras = Rig(TARGET, 3, 2.2, OPTICS).ring(5) | {"side": OPTICS.camera((3, 3, 1), (0, 0, 1))}
     x, y = np.linspace(-3, 4, 15), np.linspace(-4, 2, 13)
     chest, whole = Coverage.of(cameras, x, y, 1.2), Coverage.of(cameras, x, y, 0.0, 1.8)
     heights = np.linspace(0, 1.8, 7)

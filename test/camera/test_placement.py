@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from humansim_ros.cameras import Camera
 from humansim_ros.cameras.camera.placement import RigPlacement, common_point
-from humansim_ros.cameras.camera.rigs import Optics, ring, stereo
+from humansim_ros.cameras.camera.rigs import Optics, Rig
 from humansim_ros.types import Array
 
 
@@ -29,7 +29,7 @@ def moved_rig(seed: int, cameras: dict[str, Camera]) -> tuple[dict[str, Camera],
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_placement_takes_cameras_back_to_their_place(seed: int) -> None:
-    rig = ring(5, 3, 2, (0.3, 0.1, 1), Optics(distortion=(-0.2, 0.1, 0, 0)))
+    rig = Rig((0.3, 0.1, 1), 3, 2, Optics(distortion=(-0.2, 0.1, 0, 0))).ring(5)
     in_file, pose = moved_rig(seed, rig)
     placement = RigPlacement(pose[:3, :3], pose[:3, 3])
     angles = Rotation.from_matrix(pose[:3, :3]).as_euler("xyz", degrees=True)
@@ -54,7 +54,7 @@ def test_quarter_turns_about_y_have_angles(angles: tuple[float, float, float]) -
 
 def test_the_optical_axes_of_a_ring_meet_at_its_target() -> None:
     target = (0.4, -0.2, 1.1)
-    assert_allclose(common_point(ring(4, 3, 2, target, Optics()).values()), target, atol=1e-12)
-    assert common_point(stereo(0.2, 3, 1, target, Optics()).values()) is None
+    assert_allclose(common_point(Rig(target, 3, 2, Optics()).ring(4).values()), target, atol=1e-12)
+    assert common_point(Rig(target, 3, 1, Optics()).stereo(0.2).values()) is None
     outward = [Camera.look_at((x, y, 1), (2 * x, 2 * y, 1)) for x, y in ((1, 0), (0, 1), (-1, 0))]
     assert common_point(outward) is None

@@ -22,7 +22,7 @@ from humansim_ros.cameras.camera.placement import (
     triangulate,
     turned,
 )
-from humansim_ros.cameras.camera.rigs import Optics, dome, grid, ring, stereo
+from humansim_ros.cameras.camera.rigs import Optics, Rig
 from humansim_ros.errors import CameraError
 
 LENS = Optics(distortion=(-0.2, 0.06, 1e-3, -5e-4))
@@ -33,10 +33,10 @@ SEEDS = range(4)
 def a_rig(seed: int) -> dict[str, Camera]:
     """A rig in ``map`` that looks at a point above 0, 0."""
     rigs = [
-        ring(6, 3.0, 2.1, (0, 0, 1.0), LENS),
-        dome(5, 3.5, (0, 0, 1.0), LENS),
-        ring(3, 2.5, 1.2, (0, 0, 1.0), LENS, start=0.4),
-        grid(2, 3, 0.7, 3.0, 1.5, (0, 0, 1.0), LENS),
+        Rig((0, 0, 1.0), 3.0, 2.1, LENS).ring(6),
+        Rig((0, 0, 1.0), 3.5, optics=LENS).dome(5),
+        Rig((0, 0, 1.0), 2.5, 1.2, LENS, start=0.4).ring(3),
+        Rig((0, 0, 1.0), 3.0, 1.5, LENS).grid(2, 3, 0.7),
     ]
     return rigs[seed % len(rigs)]
 
@@ -203,7 +203,7 @@ def test_levelling_finds_the_vertical_of_real_rigs(
 
 
 def test_a_stereo_pair_is_levelled_by_the_up_axes_of_its_images() -> None:
-    pair = stereo(0.12, 3, 1.8, (0, 0, 1.8), LENS)
+    pair = Rig((0, 0, 1.8), 3, 1.8, LENS).stereo(0.12)
     in_file, _ = moved_rig(1, pair)
     found = place_by_level(in_file)
     for name in pair:

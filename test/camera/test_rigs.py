@@ -9,7 +9,7 @@ from scipy.spatial import SphericalVoronoi
 from scipy.spatial.distance import pdist, squareform
 
 from humansim_ros.cameras import Camera
-from humansim_ros.cameras.camera.rigs import Optics, dome, grid, ring, stereo
+from humansim_ros.cameras.camera.rigs import Optics, Rig
 from humansim_ros.errors import CameraError
 
 TARGET = np.array([0.5, -1.0, 1.1])
@@ -26,9 +26,9 @@ def centers(cameras: dict[str, Camera]) -> np.ndarray:
 @pytest.mark.parametrize("optics", [OPTICS, BARREL, FISHEYE], ids=["ideal", "barrel", "fisheye"])
 def test_all_cameras_see_the_target_at_the_centre_and_are_upright(optics: Optics) -> None:
     rigs = (
-        ring(8, 4, 1.8, TARGET, optics, 0.3),
-        grid(3, 4, 0.6, 4, 1.8, TARGET, optics, 0.3),
-        dome(30, 4, TARGET, optics, 0.3),
+        Rig(TARGET, 4, 1.8, optics, 0.3).ring(8),
+        Rig(TARGET, 4, 1.8, optics, 0.3).grid(3, 4, 0.6),
+        Rig(TARGET, 4, optics=optics, start=0.3).dome(30),
     )
     for cameras in rigs:
         assert list(cameras) == [f"camera_{number}" for number in range(1, len(cameras) + 1)]
@@ -55,7 +55,7 @@ def test_the_field_of_view_is_that_through_the_lens() -> None:
 
 
 def test_a_ring_is_round_and_even() -> None:
-    places = centers(ring(8, 4, 1.8, TARGET, OPTICS, np.pi / 2)) - TARGET
+    places = centers(Rig(TARGET, 4, 1.8, OPTICS, np.pi / 2).ring(8)) - TARGET
     np.testing.assert_allclose(places[0], [0, 4, 0.7], atol=1e-12)
     np.testing.assert_allclose(places[2], [-4, 0, 0.7], atol=1e-12)  # to the left
     np.testing.assert_allclose(np.hypot(places[:, 0], places[:, 1]), 4)
@@ -64,7 +64,7 @@ def test_a_ring_is_round_and_even() -> None:
 
 
 def test_a_grid_is_a_wall_of_rows_and_columns() -> None:
-    places = centers(grid(2, 3, 0.5, 4, 1.8, TARGET, OPTICS)).reshape(2, 3, 3)
+    places = centers(Rig(TARGET, 4, 1.8, OPTICS).grid(2, 3, 0.5)).reshape(2, 3, 3)
     np.testing.assert_allclose(places[0, 0], [4.5, -0.5, 2.05])  # seen from the target: top, left
     np.testing.assert_allclose(places[0, 1] - places[0, 0], [0, -0.5, 0], atol=1e-12)
     np.testing.assert_allclose(places[1, 0] - places[0, 0], [0, 0, -0.5], atol=1e-12)
@@ -72,7 +72,7 @@ def test_a_grid_is_a_wall_of_rows_and_columns() -> None:
 
 
 def test_a_dome_gives_every_camera_the_same_share_of_the_half_sphere() -> None:
-    directions = (centers(dome(60, 3, TARGET, OPTICS)) - TARGET) / 3
+    directions = (centers(Rig(TARGET, 3, optics=OPTICS).dome(60)) - TARGET) / 3
     np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1)
     assert (directions[:, 2] > 0).all()
     # with its mirror image below, a whole sphere
@@ -85,7 +85,7 @@ def test_a_dome_gives_every_camera_the_same_share_of_the_half_sphere() -> None:
 
 @pytest.mark.parametrize("optics", [OPTICS, BARREL], ids=["ideal", "barrel"])
 def test_depth_from_a_stereo_pair_as_computed_by_ros_is_exact(optics: Optics) -> None:
-    cameras = stereo(0.2, 4, 1.5, TARGET, optics, 0.7)
+    cameras = Rig(TARGET, 4, 1.5, optics, 0.7).stereo(0.2)
     left, right = cameras["left"], cameras["right"]
     np.testing.assert_allclose(left.R, right.R)
     np.testing.assert_allclose(left.R @ (right.center - left.center), [0.2, 0, 0], atol=1e-12)
@@ -119,7 +119,7 @@ def test_depth_from_a_stereo_pair_as_computed_by_ros_is_exact(optics: Optics) ->
 
 
 def test_the_pair_of_opencvs_own_rectification_is_the_same() -> None:
-    cameras = stereo(0.2, 4, 1.5, TARGET, OPTICS)
+    cameras = Rig(TARGET, 4, 1.5, OPTICS).stereo(0.2)
     left, right = cameras["left"], cameras["right"]
     none = np.zeros(5)
     turn, shift = right.R @ left.R.T, right.t - right.R @ left.R.T @ left.t
@@ -132,21 +132,21 @@ def test_the_pair_of_opencvs_own_rectification_is_the_same() -> None:
 @pytest.mark.parametrize(
     ("make", "key"),
     [
-        (lambda: ring(0, 4, 1.8, TARGET, OPTICS), None),
-        (lambda: ring(10**9, 4, 1.8, TARGET, OPTICS), None),
-        (lambda: ring(4, -1, 1.8, TARGET, OPTICS), "radius"),
-        (lambda: ring(4, np.nan, 1.8, TARGET, OPTICS), "radius"),
-        (lambda: ring(4, 4, np.inf, TARGET, OPTICS), "position"),
-        (lambda: ring(4, 4, 1.8, (0, 0), OPTICS), "look_at"),
-        (lambda: grid(-2, -3, 0.5, 4, 1.8, TARGET, OPTICS), None),
-        (lambda: grid(2, 3, 0, 4, 1.8, TARGET, OPTICS), "spacing"),
-        (lambda: stereo(-0.1, 4, 1.8, TARGET, OPTICS), "baseline"),
-        (lambda: stereo(9.0, 4, 1.8, TARGET, OPTICS), None),  # the target is in neither image
-        (lambda: dome(4, 4, TARGET, Optics(fov=np.radians(200))), "fov"),
-        (lambda: dome(4, 4, TARGET, Optics(fov=np.radians(150), distortion=(-0.4, 0, 0, 0))), "fov"),
-        (lambda: dome(4, 4, TARGET, Optics(size=(0, 5))), "size"),
-        (lambda: dome(4, 4, TARGET, Optics(model="pinhole")), "model"),
-        (lambda: dome(4, 4, TARGET, Optics(distortion=(np.nan,))), "distortion"),
+        (lambda: Rig(TARGET, 4, 1.8, OPTICS).ring(0), None),
+        (lambda: Rig(TARGET, 4, 1.8, OPTICS).ring(10**9), None),
+        (lambda: Rig(TARGET, -1, 1.8, OPTICS).ring(4), "radius"),
+        (lambda: Rig(TARGET, np.nan, 1.8, OPTICS).ring(4), "radius"),
+        (lambda: Rig(TARGET, 4, np.inf, OPTICS).ring(4), "position"),
+        (lambda: Rig((0, 0), 4, 1.8, OPTICS).ring(4), "look_at"),
+        (lambda: Rig(TARGET, 4, 1.8, OPTICS).grid(-2, -3, 0.5), None),
+        (lambda: Rig(TARGET, 4, 1.8, OPTICS).grid(2, 3, 0), "spacing"),
+        (lambda: Rig(TARGET, 4, 1.8, OPTICS).stereo(-0.1), "baseline"),
+        (lambda: Rig(TARGET, 4, 1.8, OPTICS).stereo(9.0), None),  # the target is in neither image
+        (lambda: Rig(TARGET, 4, optics=Optics(fov=np.radians(200))).dome(4), "fov"),
+        (lambda: Rig(TARGET, 4, optics=Optics(fov=np.radians(150), distortion=(-0.4,))).dome(4), "fov"),
+        (lambda: Rig(TARGET, 4, optics=Optics(size=(0, 5))).dome(4), "size"),
+        (lambda: Rig(TARGET, 4, optics=Optics(model="pinhole")).dome(4), "model"),
+        (lambda: Rig(TARGET, 4, optics=Optics(distortion=(np.nan,))).dome(4), "distortion"),
     ],
 )  # fmt: skip
 def test_impossible_rigs_are_refused(make, key: str | None) -> None:

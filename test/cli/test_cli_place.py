@@ -17,14 +17,14 @@ from scipy.spatial.transform import Rotation
 
 from humansim_ros import Scene, Simulation, read_calibration, write_calibration
 from humansim_ros.cameras import Camera
-from humansim_ros.cameras.camera.rigs import Optics, ring
+from humansim_ros.cameras.camera.rigs import Optics, Rig
 from humansim_ros.cli.main import main
 
 #: A ring around a person at the origin, at different heights.
 RIG = {
     name: Camera.look_at([*camera.center[:2], height], (0, 0, 0.95), (320, 240), np.radians(62))
     for (name, camera), height in zip(
-        ring(4, 2.9, 1.5, (0, 0, 1), Optics()).items(), (1.2, 1.9, 2.3, 1.6), strict=True
+        Rig((0, 0, 1), 2.9, 1.5, Optics()).ring(4).items(), (1.2, 1.9, 2.3, 1.6), strict=True
     )
 }
 FLOOR = [(0.9, 0.1), (-0.7, 0.8), (-0.6, -0.9), (0.5, -0.5)]

@@ -11,7 +11,7 @@ import pytest
 from commands import humansim
 
 from humansim_ros.cameras import read_calibration
-from humansim_ros.cameras.camera.rigs import Optics, stereo
+from humansim_ros.cameras.camera.rigs import Optics, Rig
 from humansim_ros.scene import Scene
 
 TARGET = np.array([0.5, -1.0, 1.1])
@@ -35,7 +35,7 @@ def test_a_rig_is_a_scene_and_camera_info_files_and_can_be_drawn(tmp_path: Path)
     )
     assert done.returncode == 0, done.stderr
     optics = Optics(distortion=(-0.3, 0.1, 0, 0))
-    wanted = stereo(0.2, 4, 1.8, TARGET, optics)
+    wanted = Rig(TARGET, 4, 1.8, optics).stereo(0.2)
     scene = Scene.load(tmp_path / "rig" / "scene.yaml")
     for name, camera in wanted.items():
         info = read_calibration(tmp_path / "rig" / "camera_info" / f"{name}.yaml")[name]

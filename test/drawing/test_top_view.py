@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from humansim_ros import Scene
-from humansim_ros.cameras.camera.rigs import Optics, dome, ring
+from humansim_ros.cameras.camera.rigs import Optics, Rig
 from humansim_ros.errors import CameraError
 from humansim_ros.render.pictures import INK, distinct_hues, hsv_colors
 from humansim_ros.scene.pictures.rigs import coverage_image, rig_image
@@ -159,7 +159,7 @@ FISHEYE = Optics((640, 480), np.radians(170), (0.02, -0.005, 0.001, 0.0), "equid
 
 
 def test_cameras_are_drawn_at_their_positions() -> None:
-    cameras = ring(5, 3, 2.2, TARGET, OPTICS) | {"inner": OPTICS.camera((1, 0, 1), (0, 0, 1))}
+    cameras = Rig(TARGET, 3, 2.2, OPTICS).ring(5) | {"inner": OPTICS.camera((1, 0, 1), (0, 0, 1))}
     above = rig_image(cameras)[60:, 44:620].astype(int)
     colored = (np.ptp(above, axis=-1) > 50).astype(np.uint8)
     count, _, _, dots = cv2.connectedComponentsWithStats(cv2.erode(colored, np.ones((5, 5), np.uint8)))
@@ -178,7 +178,7 @@ def test_one_camera_many_cameras_and_distant_cameras_are_drawn() -> None:
     for cameras in (
         {"far": far},
         {"far": far, "near": OPTICS.camera((1, 0, 1), (0, 0, 1))},
-        dome(40, 4, TARGET, FISHEYE),
+        Rig(TARGET, 4, optics=FISHEYE).dome(40),
     ):
         assert np.ptp(rig_image(cameras)[60:, :1200]) > 100
     assert coverage_image({"far": far}).shape[1] == 2 * 770

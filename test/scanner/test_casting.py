@@ -17,7 +17,7 @@ PATTERNS = {
     "spinning": spinning(10.0, (-15.0, 1.0, -5.0, 7.0, 15.0), 240, firing=4e-4, channel=2e-5).rays(0),
     "whole sphere": spinning(10.0, tuple(np.linspace(-90, 90, 31).tolist()), 120).rays(0),
     "many rows": spinning(10.0, tuple(np.linspace(-40, 40, 300).tolist()), 20).rays(0),
-    "raster": raster(10.0, tuple(np.linspace(20, -20, 40).tolist()), 60, (170.0, -170.0)).rays(0),
+    "raster": raster(10.0, tuple(np.linspace(20, -20, 40).tolist()), 60, [(170.0, -170.0)]).rays(0),
     "rosette": rosette(10.0, 20_000, 70.0, (121.0, -77.0)).rays(3),
     "oscillating": oscillating(10.0, 20_000, (-7.0, 52.0), 17.31, 199.7, 4).rays(5),
 }

@@ -10,10 +10,10 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from humansim_ros import Scene, write_calibration
-from humansim_ros.cameras.camera.rigs import Optics, ring
+from humansim_ros.cameras.camera.rigs import Optics, Rig
 from humansim_ros.errors import CameraError, HumansimWarning, SceneError
 
-RIG = ring(3, 3, 1.5, (0, 0, 1), Optics())
+RIG = Rig((0, 0, 1), 3, 1.5, Optics()).ring(3)
 
 
 def scene_with(tmp_path: Path, rig: str) -> Scene:

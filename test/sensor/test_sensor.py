@@ -202,12 +202,7 @@ def test_noise_does_not_repeat_within_an_image() -> None:
 def test_natural_vignetting_is_the_fourth_power_of_the_cosine(model: Any, distortion: Any) -> None:
     """The angle to the optical axis is that by OpenCV."""
     camera = Camera(
-        SIZE,
-        np.array([[150.0, 0, 150], [0, 140, 130], [0, 0, 1]]),
-        np.eye(3),
-        np.zeros(3),
-        distortion,
-        model,
+        SIZE, np.array([[150.0, 0, 150], [0, 140, 130], [0, 0, 1]]), np.eye(3), np.zeros(3), distortion, model
     )
     out = shown(flat(255), camera=camera, response="linear", vignetting={"cos4": True})
     pixels = np.array([[0.0, 0], [319, 239], [150, 130], [40, 200], [300, 20]])
@@ -338,9 +333,7 @@ def filmed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, View]:
     config = {
         "rate": 10,
         "room": None,
-        "objects": {
-            "board": {"size": (0.02, 0.53, 1.6), "color": (250, 250, 250), "keyframes": "moves.xml"},
-        },
+        "objects": {"board": {"size": (0.02, 0.53, 1.6), "color": (250, 250, 250), "keyframes": "moves.xml"}},
         "cameras": {
             name: {**camera, "sensor": {"response": "linear", **sensor}} for name, sensor in sensors.items()
         },

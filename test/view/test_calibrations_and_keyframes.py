@@ -11,7 +11,7 @@ from conftest import ROOT
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.cameras import Camera, read_calibration, write_calibration
-from humansim_ros.cameras.camera.rigs import Optics, ring
+from humansim_ros.cameras.camera.rigs import Optics, Rig
 from humansim_ros.errors import HumansimError, SceneError
 from humansim_ros.scene import Scene
 from humansim_ros.view.edit.document import SceneDocument
@@ -35,7 +35,7 @@ cameras:
 
 
 def distorted_ring() -> dict[str, Camera]:
-    cameras = dict(ring(4, 3.0, 2.0, (0.0, 0.0, 1.0), Optics()))
+    cameras = dict(Rig((0.0, 0.0, 1.0), 3.0, 2.0, Optics()).ring(4))
     return {
         name: Camera(one.size, np.add(one.K, [[0, 0, 5], [0, 0, -3], [0, 0, 0]]), one.R, one.t, (-0.2, 0.05))
         for name, one in cameras.items()

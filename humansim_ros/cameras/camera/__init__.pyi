@@ -16,5 +16,5 @@ from humansim_ros.cameras.camera.placement import place_by_level as place_by_lev
 from humansim_ros.cameras.camera.placement import read_floor_points as read_floor_points
 from humansim_ros.cameras.camera.rigs import Coverage as Coverage
 from humansim_ros.cameras.camera.rigs import Optics as Optics
+from humansim_ros.cameras.camera.rigs import Rig as Rig
 from humansim_ros.cameras.camera.rigs import Trajectory as Trajectory
-from humansim_ros.cameras.camera.rigs import ring as ring

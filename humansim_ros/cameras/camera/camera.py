@@ -154,9 +154,8 @@ class Camera(Pictured):
         """
         p = _matrix(P, (3, 4), "P")
         if abs(np.linalg.det(p[:, :3])) <= 1e-12 * np.abs(p[:, :3]).max() ** 3:
-            raise CameraError(
-                "P is singular: its camera is at infinity, or it is not a projection matrix", key="P"
-            )
+            message = "P is singular: its camera is at infinity, or it is not a projection matrix"
+            raise CameraError(message, key="P")
         p = p * np.sign(np.linalg.det(p[:, :3]))
         k, r = scipy.linalg.rq(p[:, :3])
         signs = np.diag(np.sign(np.diag(k)))
@@ -427,9 +426,8 @@ class Region:
         width, height = camera.size
         x, y, w, h = self.roi or (0, 0, width, height)
         if min(x, y) < 0 or min(w, h) < 1 or x + w > width or y + h > height:
-            raise CameraError(
-                f"x, y, width, height of {x}, {y}, {w}, {h} is not within {width}x{height} pixels", key="roi"
-            )
+            message = f"x, y, width, height of {x}, {y}, {w}, {h} is not within {width}x{height} pixels"
+            raise CameraError(message, key="roi")
         across, down = self.binning
         if min(across, down) < 1 or across > w or down > h:
             raise CameraError(f"must be between 1 and the image size, not {across}, {down}", key="binning")

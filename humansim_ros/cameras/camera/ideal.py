@@ -160,10 +160,8 @@ def _fitting_scale(camera: Camera, k: Array, fit: Fit) -> float:
     if not inside or not np.isfinite(extreme) or extreme <= 0:
         raise CameraError("the optical axis is not in the image: use fit 'focal'", key="K")
     if 1 / extreme < _SMALLEST_SCALE:
-        raise CameraError(
-            "the field of view is too wide for one flat image: use fit 'focal' or 'no_black'",
-            key="distortion",
-        )
+        message = "the field of view is too wide for one flat image: use fit 'focal' or 'no_black'"
+        raise CameraError(message, key="distortion")
     return float(1 / extreme)
 
 
@@ -209,10 +207,8 @@ def _remap(
 ) -> NDArray[Any]:
     height, width = image.shape[:2]
     if (width, height) != size:
-        raise CameraError(
-            f"the image is {width}x{height} pixels, but the camera has {size[0]}x{size[1]}",
-            key="size",
-        )
+        message = f"the image is {width}x{height} pixels, but the camera has {size[0]}x{size[1]}"
+        raise CameraError(message, key="size")
     no_second_map: Any = None  # the type stubs of OpenCV require this argument
     remapped = cv2.remap(image, mapping, no_second_map, interpolation, borderMode=cv2.BORDER_CONSTANT)
     return np.asarray(remapped)

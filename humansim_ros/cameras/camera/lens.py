@@ -60,16 +60,13 @@ class Lens:
         if model is None:
             model = "plumb_bob" if used <= 5 else "rational_polynomial"
         if model not in MODELS:
-            raise CameraError(
-                f"unknown distortion model {model!r}; known are {', '.join(MODELS)}", key="model"
-            )
+            message = f"unknown distortion model {model!r}; known are {', '.join(MODELS)}"
+            raise CameraError(message, key="model")
         count = len(MODELS[model])
         if used > count:
             hint = "" if model == "equidistant" else "; thin prism and tilted sensor models are not supported"
-            raise CameraError(
-                f"{model} has {count} coefficients ({' '.join(MODELS[model])}), not {used}{hint}",
-                key="distortion",
-            )
+            message = f"{model} has {count} coefficients ({' '.join(MODELS[model])}), not {used}{hint}"
+            raise CameraError(message, key="distortion")
         return cls(model, tuple((values + [0.0] * count)[:count]))
 
     @property

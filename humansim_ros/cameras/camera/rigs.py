@@ -8,8 +8,8 @@ from __future__ import annotations
 import math
 import os
 import warnings
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -56,153 +56,107 @@ class Optics:
         return replace(ideal, K=k, distortion=self.distortion, model=self.model)
 
 
-def ring(
-    count: int, radius: float, height: float, look_at: ArrayLike, optics: Optics, start: float = 0.0
-) -> dict[str, Camera]:
-    """Place cameras evenly on a circle around a target.
+@dataclass(frozen=True)
+class Rig:
+    """Place of cameras around a target. Its methods return the cameras by name.
 
     Args:
-        count: Number of cameras.
-        radius: Radius of the circle, metres.
-        height: Height of the circle above the floor, metres.
         look_at: Target, (3,) metres in ``map``.
+        radius: Distance of the cameras from the target, metres; of a dome in space, else along the floor.
+        height: Height of the cameras (of the centre of a wall) above the floor, metres. A dome has none.
         optics: Image size and lens of the cameras.
-        start: Azimuth of the first camera, radians; the next cameras follow counterclockwise.
+        start: Azimuth of the first camera, or of the centre of a wall or pair, radians.
 
     Raises:
-        CameraError: A number is out of range, or a camera does not see the target.
+        CameraError: A number is out of range, or (in a method) a camera does not see the target.
     """
-    target = _checked_target(count, radius, look_at)
-    azimuths = start + np.arange(count) * 2 * np.pi / count
-    circle = np.column_stack([np.cos(azimuths), np.sin(azimuths)])
-    positions = np.column_stack([target[:2] + radius * circle, np.full(count, height)])
-    return _named(positions, target, optics)
+
+    look_at: ArrayLike
+    radius: float
+    height: float = 0.0
+    optics: Optics = field(default_factory=Optics)
+    start: float = 0.0
+
+    def __post_init__(self) -> None:
+        _check_positive("radius", self.radius)
+        target = np.asarray(self.look_at, dtype=float)
+        if target.shape != (3,) or not np.isfinite(target).all():
+            raise CameraError("must be three numbers, x y z", key="look_at")
+        object.__setattr__(self, "look_at", target)
+
+    def ring(self, count: int) -> dict[str, Camera]:
+        """Cameras evenly on a circle, counterclockwise."""
+        azimuths = self.start + np.arange(_checked(count)) * 2 * np.pi / count
+        circle = np.column_stack([np.cos(azimuths), np.sin(azimuths)])
+        floor = np.asarray(self.look_at)[:2] + self.radius * circle
+        return self._named(np.column_stack([floor, np.full(count, self.height)]))
+
+    def grid(self, rows: int, columns: int, spacing: float) -> dict[str, Camera]:
+        """Cameras on a wall, ``spacing`` metres apart, by rows from the top left as the target sees it."""
+        _checked(rows * columns if min(rows, columns) > 0 else 0)
+        _check_positive("spacing", spacing)
+        out = np.array([np.cos(self.start), np.sin(self.start), 0.0])
+        right = np.array([out[1], -out[0], 0.0])
+        across = (np.arange(columns) - (columns - 1) / 2) * spacing
+        up = ((rows - 1) / 2 - np.arange(rows)) * spacing
+        positions = self._middle + (up[:, None, None] * [0.0, 0.0, 1.0]) + across[None, :, None] * right
+        return self._named(positions.reshape(-1, 3))
+
+    def dome(self, count: int) -> dict[str, Camera]:
+        """Cameras on a spiral over the upper half of a sphere, from the lowest one. The shares of the half
+        sphere are equal."""
+        sine = (np.arange(_checked(count)) + 0.5) / count
+        azimuths = self.start + np.arange(count) * _GOLDEN_ANGLE
+        cosine = np.sqrt(1 - sine * sine)
+        directions = np.column_stack([cosine * np.cos(azimuths), cosine * np.sin(azimuths), sine])
+        return self._named(np.asarray(self.look_at) + self.radius * directions)
+
+    def stereo(self, baseline: float) -> dict[str, Camera]:
+        """Stereo pair, ``left`` and ``right``, with parallel axes and the conventions of ROS.
+
+        Both cameras have the same K and D, and R is the identity. P differs only in P[0, 3], which is -fx
+        baseline for the right camera. So P projects points of the *left* optical frame to pixels of the right
+        rectified image.
+        """
+        _check_positive("baseline", baseline)
+        center = self.optics.camera(self._middle, self.look_at)
+        pair = {}
+        for name, side in (("left", -0.5), ("right", 0.5)):
+            rectified = center.rectified_projection.copy()
+            if name == "right":
+                rectified[0, 3] = -rectified[0, 0] * baseline
+            t = center.t - np.array([side * baseline, 0.0, 0.0])
+            pair[name] = replace(center, t=t, rectification=np.eye(3), rectified=rectified)
+        return self._checked_cameras(pair)
+
+    @property
+    def _middle(self) -> Array:
+        """Position (3,) at the height, the radius and the start."""
+        out = np.array([np.cos(self.start), np.sin(self.start), 0.0])
+        return np.array([*np.asarray(self.look_at)[:2], self.height]) + self.radius * out
+
+    def _named(self, positions: Array) -> dict[str, Camera]:
+        cameras = (self.optics.camera(position, self.look_at) for position in positions)
+        return self._checked_cameras({f"camera_{n}": camera for n, camera in enumerate(cameras, 1)})
+
+    def _checked_cameras(self, cameras: dict[str, Camera]) -> dict[str, Camera]:
+        """The same cameras. Raises CameraError if one does not see the target."""
+        for name, camera in cameras.items():
+            pixel = camera.project(np.array([self.look_at]))[0][0]
+            if not ((pixel >= -0.5) & (pixel < np.array(camera.size) - 0.5)).all():
+                raise CameraError(f"{name} does not see its target")
+        return cameras
 
 
-def grid(
-    rows: int,
-    columns: int,
-    spacing: float,
-    radius: float,
-    height: float,
-    look_at: ArrayLike,
-    optics: Optics,
-    start: float = 0.0,
-) -> dict[str, Camera]:
-    """Place cameras on a wall in rows and columns.
-
-    Args:
-        rows: Number of rows.
-        columns: Number of columns.
-        spacing: Distance of neighbouring cameras, metres.
-        radius: Horizontal distance of the wall from the target, metres.
-        height: Height of the centre of the wall above the floor, metres.
-        look_at: Target, (3,) metres in ``map``.
-        optics: Image size and lens of the cameras.
-        start: Azimuth of the centre of the wall, radians.
-
-    Returns:
-        Cameras row by row; as seen from the target, from the top left to the right.
-
-    Raises:
-        CameraError: A number is out of range, or a camera does not see the target.
-    """
-    target = _checked_target(rows * columns if min(rows, columns) > 0 else 0, radius, look_at)
-    if not 0 < spacing < np.inf:
-        raise CameraError(f"must be above zero, not {spacing:g}", key="spacing")
-    out = np.array([np.cos(start), np.sin(start), 0.0])
-    right = np.array([out[1], -out[0], 0.0])
-    across = (np.arange(columns) - (columns - 1) / 2) * spacing
-    up = ((rows - 1) / 2 - np.arange(rows)) * spacing
-    center = np.array([*target[:2], height]) + radius * out
-    positions = center + (up[:, None, None] * [0.0, 0.0, 1.0]) + across[None, :, None] * right
-    return _named(positions.reshape(-1, 3), target, optics)
-
-
-def dome(
-    count: int, radius: float, look_at: ArrayLike, optics: Optics, start: float = 0.0
-) -> dict[str, Camera]:
-    """Distribute cameras evenly over the upper half of a sphere around a target, on a spiral.
-
-    Args:
-        count: Number of cameras. Each has the same share of the half sphere.
-        radius: Radius of the sphere, metres.
-        look_at: Target, (3,) metres in ``map``.
-        optics: Image size and lens of the cameras.
-        start: Azimuth of the first and lowest camera, radians.
-
-    Raises:
-        CameraError: A number is out of range, or a camera does not see the target.
-    """
-    target = _checked_target(count, radius, look_at)
-    sine = (np.arange(count) + 0.5) / count
-    azimuths = start + np.arange(count) * _GOLDEN_ANGLE
-    cosine = np.sqrt(1 - sine * sine)
-    directions = np.column_stack([cosine * np.cos(azimuths), cosine * np.sin(azimuths), sine])
-    return _named(target + radius * directions, target, optics)
-
-
-def stereo(
-    baseline: float, radius: float, height: float, look_at: ArrayLike, optics: Optics, start: float = 0.0
-) -> dict[str, Camera]:
-    """Place a stereo pair, ``left`` and ``right``, with parallel axes and the conventions of ROS.
-
-    Both cameras have the same K and D, and R is the identity. P differs only in P[0, 3], which is -fx
-    baseline for the right camera. So P projects points of the *left* optical frame to pixels of the right
-    rectified image.
-
-    Args:
-        baseline: Distance of the cameras, metres.
-        radius: Horizontal distance of the centre of the pair from the target, metres.
-        height: Height of the pair above the floor, metres.
-        look_at: Target of the centre of the pair, (3,) metres in ``map``.
-        optics: Image size and lens of the cameras.
-        start: Azimuth of the pair, radians.
-
-    Raises:
-        CameraError: A number is out of range, or a camera does not see the target.
-    """
-    target = _checked_target(2, radius, look_at)
-    if not 0 < baseline < np.inf:
-        raise CameraError(f"must be above zero, not {baseline:g}", key="baseline")
-    position = np.array([*target[:2], height]) + radius * np.array([np.cos(start), np.sin(start), 0.0])
-    center = optics.camera(position, target)
-    pair = {}
-    for name, side in (("left", -0.5), ("right", 0.5)):
-        rectified = center.rectified_projection.copy()
-        if name == "right":
-            rectified[0, 3] = -rectified[0, 0] * baseline
-        t = center.t - np.array([side * baseline, 0.0, 0.0])
-        pair[name] = replace(center, t=t, rectification=np.eye(3), rectified=rectified)
-    _check_all_see(pair, target)
-    return pair
-
-
-def _checked_target(count: int, radius: float, look_at: ArrayLike) -> Array:
-    """Check the arguments of a rig, and return its target."""
+def _checked(count: int) -> int:
     if not 0 < count <= MAX_CAMERAS:
         raise CameraError(f"a rig has 1 to {MAX_CAMERAS} cameras, not {count}")
-    if not 0 < radius < np.inf:
-        raise CameraError(f"must be above zero, not {radius:g}", key="radius")
-    target = np.asarray(look_at, dtype=float)
-    if target.shape != (3,) or not np.isfinite(target).all():
-        raise CameraError("must be three numbers, x y z", key="look_at")
-    return target
+    return count
 
 
-def _named(positions: Iterable[Array], target: Array, optics: Optics) -> dict[str, Camera]:
-    cameras = {
-        f"camera_{number}": optics.camera(position, target) for number, position in enumerate(positions, 1)
-    }
-    _check_all_see(cameras, target)
-    return cameras
-
-
-def _check_all_see(cameras: dict[str, Camera], target: Array) -> None:
-    for name, camera in cameras.items():
-        pixel = camera.project(target[None])[0][0]
-        if not ((pixel >= -0.5) & (pixel < np.array(camera.size) - 0.5)).all():
-            raise CameraError(f"{name} does not see its target")
+def _check_positive(key: str, value: float) -> None:
+    if not 0 < value < np.inf:
+        raise CameraError(f"must be above zero, not {value:g}", key=key)
 
 
 #: Behaviour after the last pose: stay there, start again, or go back.
@@ -250,9 +204,8 @@ class Trajectory:
         if not all(np.isfinite(part).all() for part in (times, positions, rotations)):
             raise CameraError("a number of the trajectory is not finite (NaN or infinity)")
         if np.abs(positions).max() > MAX_COORDINATE or np.abs(rotations).max() > _LONGEST:
-            raise CameraError(
-                "positions must be within 1000 km, and rotations must be quaternions of length 1"
-            )
+            message = "positions must be within 1000 km, and rotations must be quaternions of length 1"
+            raise CameraError(message)
         length = np.linalg.norm(rotations, axis=1, keepdims=True)
         if (np.diff(times) <= 0).any() or (length < _SHORTEST).any():
             raise CameraError("the times must ascend, and rotations must be quaternions of length 1")
@@ -301,10 +254,8 @@ class Trajectory:
         if not rows:
             raise CameraError(f"the file has no pose; a line is {_COLUMNS}", path=path)
         if not_unit:
-            warn_about(
-                path,
-                "quaternions do not have length 1 and are normalised: is the order of the columns correct?",
-            )
+            what = "quaternions do not have length 1 and are normalised: is the order of the columns correct?"
+            warn_about(path, what)
         table = np.array(rows)
         return cls(table[:, 0], table[:, 1:4], table[:, 4:], end)
 
@@ -324,9 +275,8 @@ class Trajectory:
         Raises:
             CameraError: ``radius`` or ``period`` is not above zero.
         """
-        for key, value in (("radius", radius), ("period", period)):
-            if not 0 < value < np.inf:
-                raise CameraError(f"must be above zero, not {value:g}", key=key)
+        _check_positive("radius", radius)
+        _check_positive("period", period)
         x, y, _ = np.asarray(look_at, dtype=float)
         angles = start + np.linspace(0, 2 * np.pi, _ORBIT_POSES + 1)
         circle: Array = np.column_stack(
@@ -416,12 +366,7 @@ class Coverage:
 
     @classmethod
     def of(
-        cls,
-        cameras: Mapping[str, Camera],
-        x: ArrayLike,
-        y: ArrayLike,
-        low: float,
-        high: float | None = None,
+        cls, cameras: Mapping[str, Camera], x: ArrayLike, y: ArrayLike, low: float, high: float | None = None
     ) -> Coverage:
         """Count the cameras that see each position of a grid. Occlusion is ignored.
 
@@ -465,8 +410,6 @@ def coverage(
         high: Greatest height.
     """
     warnings.warn(
-        "use humansim_ros.cameras.Coverage.of; 0.4.0 removes coverage",
-        DeprecationWarning,
-        stacklevel=2,
+        "use humansim_ros.cameras.Coverage.of; 0.4.0 removes coverage", DeprecationWarning, stacklevel=2
     )
     return Coverage.of(cameras, x, y, low, high)

@@ -47,7 +47,7 @@ MAX_CAMERAS = 10_000
 #: Fields of a pose, and names of other locations.
 _POSE, _SHOWN = ("R", "rvec", "t", "center"), {"rvec": "R", "center": "t"}
 #: Shapes of the fields of a camera.
-_SHAPES = {"K": (3, 3), "R": (3, 3), "t": (3,), "center": (3,)}
+_SHAPES = {"K": (3, 3), "R": (3, 3), "t": (3,), "center": (3,), "rectification": (3, 3), "rectified": (3, 4)}
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _NOT_FINITE = re.compile(r"[+-]?\.?(?:nan|inf|infinity)", re.IGNORECASE)
 #: End of the name of an image. Some formats name cameras after their images.
@@ -441,23 +441,28 @@ def _name(camera: Any, otherwise: str) -> str:
 
 
 def reader_of(
-    find: Callable[[CalibrationFile], list[tuple[str, Keys]]],
+    is_camera: Predicate,
+    is_part: Predicate,
     read_camera: Callable[[CalibrationFile, Keys], RawCamera],
+    named: bool = False,
 ) -> tuple[Callable[[CalibrationFile], bool], Callable[[CalibrationFile], dict[str, RawCamera]]]:
     """Make the functions ``matches`` and ``read`` of a format.
 
     Args:
-        find: Names and key paths of the cameras of a file, as from :func:`find_cameras`.
+        is_camera: See :func:`find_cameras`.
+        is_part: See :func:`find_cameras`.
         read_camera: Reads the camera at a key path.
+        named: Whether the key ``name`` of a camera goes before the key of the camera.
     """
 
     def read(file: CalibrationFile) -> dict[str, RawCamera]:
         cameras: dict[str, RawCamera] = {}
-        for name, at in find(file):
-            file.add(cameras, name, read_camera(file, at), *at)
+        for key, at in find_cameras(file, is_camera, is_part):
+            name = str(file.get(*at, "name") or "").strip() if named else ""
+            file.add(cameras, name or key, read_camera(file, at), *at)
         return cameras
 
-    return lambda file: bool(find(file)), read
+    return lambda file: bool(find_cameras(file, is_camera, is_part)), read
 
 
 def has_keys(*needed: set[str]) -> Predicate:
@@ -540,7 +545,8 @@ def _value(file: CalibrationFile, part: str, keys: list[Keys]) -> Any:
     if part == "rvec":
         return file.rotation(*keys[0])
     if len(keys) == 1:
-        return file.numbers(_SHAPES[part], *keys[0])
+        optional = part.startswith("rectif") and not file.has(*keys[0])
+        return None if optional else file.numbers(_SHAPES[part], *keys[0])
     numbers = np.array([file.number(*key) for key in keys])
     return pinhole(*numbers) if part == "K" else numbers.reshape(_SHAPES[part])
 

@@ -244,11 +244,8 @@ def _read_pair(
     cameras."""
     if not is_matrices(inner) and is_matrices(outer):
         inner, outer = outer, inner
-    plain = [
-        file.document is not None and _other_format(file) in (None, MATRICES, MATRICES_NPZ)
-        for file in (inner, outer)
-    ]
-    if all(plain):
+    generic = (None, MATRICES, MATRICES_NPZ)
+    if all(file.document is not None and _other_format(file) in generic for file in (inner, outer)):
         return MATRICES, read_matrices(inner, outer)
     format = _detect_format(inner)
     raw = format.read(inner)
@@ -256,28 +253,26 @@ def _read_pair(
     posed = read_poses(outer) if other is None else other.read(outer)
     posed = {name: camera for name, camera in posed.items() if camera.R is not None}
     if not posed:
-        raise CameraError("the file has no extrinsics", path=outer.path)
+        raise outer.error("the file has no extrinsics")
     if set(posed).isdisjoint(raw):
         if other is not None and all(camera.R is not None for camera in raw.values()):
             message = "both files have intrinsics and extrinsics: give one of them, or a folder with both"
-            raise CameraError(message, path=outer.path)
+            raise outer.error(message)
         if len(posed) != len(raw):
-            message = (
-                f"no camera of this file, such as {some_of(posed, 3)}, is in {inner.path} ({some_of(raw, 3)})"
-            )
-            raise CameraError(message, path=outer.path)
+            known = f"is in {inner.path} ({some_of(raw, 3)})"
+            raise outer.error(f"no camera of this file, such as {some_of(posed, 3)}, {known}")
         named, others = [list(map(name_of_half, names)) for names in (raw, posed)]
         if named != others:
             warn_about(outer.path, f"{some_of(posed, 3)} are taken for {some_of(raw, 3)}, in their order")
         raw = dict(zip(named, raw.values(), strict=True))
         posed = dict(zip(raw, posed.values(), strict=True))
-    joined = {}
-    for name, camera in raw.items():
-        pose = posed.get(name)
-        joined[name] = camera if pose is None else replace(camera, R=pose.R, t=pose.t, center=pose.center)
-    return format if other is None else replace(
-        format, unit=other.unit, up=other.up, find_unit=other.find_unit
-    ), joined
+    joined = {
+        name: replace(camera, R=pose.R, t=pose.t, center=pose.center) if (pose := posed.get(name)) else camera
+        for name, camera in raw.items()
+    }
+    if other is not None:
+        format = replace(format, unit=other.unit, up=other.up, find_unit=other.find_unit)
+    return format, joined
 
 
 def _with_poses(file: CalibrationFile, raw: dict[str, RawCamera]) -> dict[str, RawCamera]:
@@ -314,20 +309,15 @@ def _folder(
         binary = f"; {hint}" if (folder / "cameras.bin").is_file() else ""
         raise CameraError(f"no calibration in this folder ({', '.join(_SUFFIXES)}){binary}", path=folder)
     names = _unique_names({str(file): list(calibration.cameras) for file, calibration in read.items()})
-    cameras, sizes = {}, {}
-    posed = set()
-    for file, calibration in read.items():
-        for name, camera in calibration.cameras.items():
-            unique = names[str(file), name]
-            cameras[unique] = camera
-            if name in calibration.posed:
-                posed.add(unique)
-            if name in calibration.sizes:
-                sizes[unique] = calibration.sizes[name]
+    each = [(names[str(file), name], name, one) for file, one in read.items() for name in one.cameras]
     first = next(iter(read.values()))
-    alike = all(calibration.format is first.format for calibration in read.values())
     return Calibration(
-        cameras, first.format if alike else None, first.unit, first.up, sizes, frozenset(posed)
+        {unique: one.cameras[name] for unique, name, one in each},
+        first.format if all(one.format is first.format for one in read.values()) else None,
+        first.unit,
+        first.up,
+        {unique: one.sizes[name] for unique, name, one in each if name in one.sizes},
+        frozenset(unique for unique, name, one in each if name in one.posed),
     )
 
 
@@ -510,9 +500,8 @@ def _variable(variable: str, url: str, name: str | None) -> str:
     if variable == "NAME" and name is not None:
         return name
     known = "NAME and ROS_HOME" if name is not None else "ROS_HOME"
-    raise CameraError(
-        f"${{{variable}}} is not a known variable; known are {known}", key=url or "camera_info_url"
-    )
+    message = f"${{{variable}}} is not a known variable; known are {known}"
+    raise CameraError(message, key=url or "camera_info_url")
 
 
 def _share_folder(package: str, url: str) -> Path:

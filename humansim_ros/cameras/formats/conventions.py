@@ -25,7 +25,6 @@ from humansim_ros.cameras.formats.base import (
     FLIP,
     UNITS,
     CalibrationFile,
-    Key,
     Keys,
     RawCamera,
     SourceLocation,
@@ -329,24 +328,16 @@ def fitted_lens(file: CalibrationFile, what: str, ideal: Array, distorted: Array
         focal: Focal length, pixels.
     """
     lens, error = fit_lens(ideal, distorted)
-    warn_about(
-        file.path, f"{what} is written as {lens.model}, which differs by {error * focal:.2g} pixels (RMS)"
-    )
+    what = f"{what} is written as {lens.model}, which differs by {error * focal:.2g} pixels (RMS)"
+    warn_about(file.path, what)
     return lens
 
 
 _NONE = ("", "none", "null", "no", "pinhole")
 
 
-_KNOWN = ", ".join(MODELS)
-
-
 def find_model(
-    file: CalibrationFile,
-    name: Any,
-    distortion: Array,
-    name_keys: tuple[Key, ...],
-    distortion_keys: tuple[Key, ...],
+    file: CalibrationFile, name: Any, distortion: Array, name_keys: Keys, distortion_keys: Keys
 ) -> str | None:
     """Find the distortion model of a file, and check its number of coefficients.
 
@@ -364,32 +355,23 @@ def find_model(
     Raises:
         CameraError: The model is unknown, or its number of coefficients is wrong.
     """
-    word = "" if name is None else str(name).strip().lower()
-    if word in _NONE:
-        return _model_without_name(file, word, distortion, name_keys)
-    model = model_of(word)
-    if model is None:
-        raise file.error(f"unknown distortion model {name!r}; known are {_KNOWN}", *name_keys)
-    file.check_count(model, distortion, distortion_keys)
-    return model
-
-
-def _model_without_name(
-    file: CalibrationFile, word: str, distortion: Array, name_keys: tuple[Key, ...]
-) -> str | None:
+    word, known = "" if name is None else str(name).strip().lower(), ", ".join(MODELS)
+    if word not in _NONE:
+        model = model_of(word)
+        if model is None:
+            raise file.error(f"unknown distortion model {name!r}; known are {known}", *name_keys)
+        file.check_count(model, distortion, distortion_keys)
+        return model
     if not distortion.any():
         return None
     if word:
-        raise file.error(
-            f"is {word!r}, but there are distortion coefficients: name one of {_KNOWN}", *name_keys
-        )
+        message = f"is {word!r}, but there are distortion coefficients: name one of {known}"
+        raise file.error(message, *name_keys)
     count = len(distortion)
     model = {5: "plumb_bob", 8: "rational_polynomial"}.get(count)
     if model is None:
-        raise file.error(
-            f"is missing, and {count} coefficients do not determine it: add one of {_KNOWN}",
-            *name_keys,
-        )
+        message = f"is missing, and {count} coefficients do not determine it: add one of {known}"
+        raise file.error(message, *name_keys)
     key = ".".join(map(str, name_keys))
     warn_about(file.path, f"{key} is missing; {count} coefficients are taken for {model}")
     return model
@@ -438,10 +420,7 @@ def find_unit(file: CalibrationFile, cameras: Mapping[str, RawCamera]) -> float:
         return 1.0
     name = "mm" if extent > _MILLIMETRES else "m"
     others = ", ".join(f"{extent * m:.5g} m with {u}" for u, m in sorted(UNITS.items()) if u != name)
-    warn_about(
-        file.path,
-        f"the unit is not in the file; {name} is assumed, because the cameras are then "
-        f"{extent * UNITS[name]:.3g} m apart ({others}); to state it, "
-        f'set unit, or add unit = "{name}" to the file',
-    )
+    why = f"because the cameras are then {extent * UNITS[name]:.3g} m apart ({others})"
+    hint = f'to state it, set unit, or add unit = "{name}" to the file'
+    warn_about(file.path, f"the unit is not in the file; {name} is assumed, {why}; {hint}")
     return UNITS[name]

@@ -34,17 +34,15 @@ from humansim_ros.cameras.formats.base import (
     Place,
     RawCamera,
     camera_at,
-    find_cameras,
     has_keys,
     opencv_model,
     reader_of,
-    vector_of,
     without_suffix,
 )
 from humansim_ros.cameras.formats.checks import IMAGE_SIZES, size_of_named_image
 from humansim_ros.cameras.formats.conventions import FilePose, find_unit, resolved, stated_unit
 from humansim_ros.cameras.formats.spellings import role_of
-from humansim_ros.cameras.formats.table import Values, calibration_format, json_file, nested, row
+from humansim_ros.cameras.formats.table import Values, calibration_format, json_file, nested
 from humansim_ros.errors import CameraError, warn_about
 from humansim_ros.types import Array, ImageSize
 
@@ -59,9 +57,9 @@ _SUBJECT = re.compile(r"(S[0-9]+)_(.+)", re.DOTALL)
 
 
 def _is_h36m(file: CalibrationFile) -> bool:
-    inner = file.get("intrinsics")
-    whole = isinstance(inner, dict) and isinstance(file.get("extrinsics"), dict)
-    return whole and any(isinstance(one, dict) and "calibration_matrix" in one for one in inner.values())
+    inner, outer = file.get("intrinsics"), file.get("extrinsics")
+    whole = isinstance(inner, dict) and isinstance(outer, dict)
+    return whole and any(map(has_keys({"calibration_matrix"}), inner.values()))
 
 
 def _read_h36m(file: CalibrationFile) -> dict[str, RawCamera]:
@@ -90,10 +88,7 @@ def _write_h36m(cameras: Mapping[str, Camera]) -> dict[str, str]:
     for name, camera in cameras.items():
         matched = _SUBJECT.fullmatch(name)
         subject, serial = (matched[1], matched[2]) if matched else ("S1", name)
-        parameters = {
-            "calibration_matrix": nested(camera.K),
-            "distortion": nested(camera.distortion[:5]),
-        }
+        parameters = {"calibration_matrix": nested(camera.K), "distortion": nested(camera.distortion[:5])}
         if intrinsics.setdefault(serial, parameters) != parameters:
             message = "this format needs the same K and lens of a camera for all subjects"
             raise CameraError(message, key=name)
@@ -105,10 +100,6 @@ def _write_h36m(cameras: Mapping[str, Camera]) -> dict[str, str]:
 
 
 # -- Shelf and Campus: x = R (X - T), where T is the camera centre; millimetres, z up
-
-
-def _shelf_cameras(file: CalibrationFile) -> list[tuple[str, Keys]]:
-    return find_cameras(file, has_keys({"R"}, {"T"}, _SHELF_INTRINSICS), has_keys({"R", "T", "fx", "f"}))
 
 
 def _shelf_camera(file: CalibrationFile, at: Keys) -> RawCamera:
@@ -127,7 +118,9 @@ def _shelf_camera(file: CalibrationFile, at: Keys) -> RawCamera:
     return camera_at(file, at, places, **own, size=size, distortion=lens, model="plumb_bob")
 
 
-_is_shelf, _read_as_shelf = reader_of(_shelf_cameras, _shelf_camera)
+_is_shelf, _read_as_shelf = reader_of(
+    has_keys({"R"}, {"T"}, _SHELF_INTRINSICS), has_keys({"R", "T", "fx", "f"}), _shelf_camera
+)
 
 
 def _read_shelf(file: CalibrationFile) -> dict[str, RawCamera]:
@@ -148,10 +141,8 @@ def _read_shelf(file: CalibrationFile) -> dict[str, RawCamera]:
 
 def _is_panoptic(file: CalibrationFile) -> bool:
     cameras = file.get("cameras")
-    own = ({"K", "distCoef"}, {"K", "panel"}, {"K", "type", "resolution"})
-    return isinstance(cameras, list) and any(
-        isinstance(c, dict) and any(keys <= c.keys() for keys in own) for c in cameras
-    )
+    own = has_keys({"K"}, {"distCoef", "panel"}), has_keys({"K"}, {"type"}, {"resolution"})
+    return isinstance(cameras, list) and any(is_own(camera) for camera in cameras for is_own in own)
 
 
 def _read_panoptic(file: CalibrationFile) -> dict[str, RawCamera]:
@@ -180,11 +171,6 @@ PANOPTIC = calibration_format("panoptic", _is_panoptic, _read_panoptic, values=_
 _PARTS = {"matrix", "rotation", "translation", "distortions"}
 
 
-def _cameras_anipose(file: CalibrationFile) -> list[tuple[str, Keys]]:
-    found = find_cameras(file, has_keys({"matrix"}), has_keys(_PARTS))
-    return [(str(file.get(*at, "name") or "").strip() or table, at) for table, at in found]
-
-
 def _camera_anipose(file: CalibrationFile, at: Keys) -> RawCamera:
     places = {
         "K": "matrix",
@@ -210,37 +196,24 @@ def _anipose_model(file: CalibrationFile, at: Keys, distortion: Array) -> str:
     return model
 
 
-def _write_anipose(cameras: Mapping[str, Camera]) -> dict[str, str]:
-    lines: list[str] = []
-    for index, (name, camera) in enumerate(cameras.items()):
-        matrix = ", ".join(f"[{row(values, ', ')}]" for values in camera.K)
-        lines += [f"[cam_{index}]", f"name = {_text(name)}"]
-        lines += [f"size = [{camera.size[0]}, {camera.size[1]}]", f"matrix = [{matrix}]"]
-        lines += [f"distortions = [{row(camera.distortion, ', ')}]"]
-        lines += [f"rotation = [{row(vector_of(camera.R), ', ')}]"]
-        lines += [f"translation = [{row(camera.t, ', ')}]"]
-        lines += [f"fisheye = {str(camera.model == 'equidistant').lower()}", ""]
-    return {"": "\n".join([*lines, "[metadata]", 'unit = "m"']) + "\n"}
-
-
-def _text(name: str) -> str:
+def _anipose_values(own: Values, camera: Camera) -> Values:
+    name = own["name"]
     if not name.isprintable():
         raise CameraError("this format needs a name without control characters", key=name)
-    escaped: Any = name.replace("\\", "\\\\").replace('"', '\\"')
-    return f'"{escaped}"'
+    escaped = name.replace("\\", "\\\\").replace('"', '\\"')
+    return {"quoted": f'"{escaped}"', "fisheye": str(camera.model == "equidistant").lower()}
 
 
 ANIPOSE = calibration_format(
-    "anipose", *reader_of(_cameras_anipose, _camera_anipose), _write_anipose, find_unit=find_unit
+    "anipose",
+    *reader_of(has_keys({"matrix"}), has_keys(_PARTS), _camera_anipose, named=True),
+    values=_anipose_values,
+    find_unit=find_unit,
 )
 
 
 #: Keys of the lens, in order of precedence.
 _LENS = ("distCoeff", "distCoeffs", "distCoef", "distortion_coefficients", "D")
-
-
-def _cameras_association(file: CalibrationFile) -> list[tuple[str, Keys]]:
-    return find_cameras(file, _is_camera, has_keys({"K", "RT"}))
 
 
 #: Keys of a camera. If other camera parameters are there, the file has another format.
@@ -265,7 +238,9 @@ def _camera_association(file: CalibrationFile, at: Keys) -> RawCamera:
     return camera_at(file, at, places, R=matrix[:3, :3], t=matrix[:3, 3])
 
 
-ASSOCIATION = calibration_format("4dassociation", *reader_of(_cameras_association, _camera_association))
+ASSOCIATION = calibration_format(
+    "4dassociation", *reader_of(_is_camera, has_keys({"K", "RT"}), _camera_association)
+)
 
 
 # -- transforms.json
@@ -284,7 +259,7 @@ _COLMAP_LENSES = {
 
 def _is_transforms(file: CalibrationFile) -> bool:
     frames = file.get("frames")
-    return isinstance(frames, list) and any(isinstance(f, dict) and "transform_matrix" in f for f in frames)
+    return isinstance(frames, list) and any(map(has_keys({"transform_matrix"}), frames))
 
 
 def _read_transforms(file: CalibrationFile) -> dict[str, RawCamera]:
@@ -390,21 +365,18 @@ def _frame_lens(file: CalibrationFile, index: int) -> tuple[str, tuple[float, ..
     return model, tuple(values[key] for key in MODELS[model])
 
 
-def _lens_word(own: Values, camera: Camera) -> Values:
-    return {"lens": "OPENCV_FISHEYE" if camera.model == "equidistant" else "OPENCV"}
-
-
-TRANSFORMS = calibration_format("transforms", _is_transforms, _read_transforms, values=_lens_word)
+TRANSFORMS = calibration_format(
+    "transforms",
+    _is_transforms,
+    _read_transforms,
+    values=lambda own, camera: {"lens": "OPENCV_FISHEYE" if camera.model == "equidistant" else "OPENCV"},
+)
 
 
 # -- Blender: cameras as scripts write them, with the names of bpy
 
 _BLENDER_POSE = {"matrix_world", "location"}
 _BLENDER_LENS = {"lens", "angle", "angle_x", "focal_length_mm"}
-
-
-def _blender_cameras(file: CalibrationFile) -> list[tuple[str, Keys]]:
-    return find_cameras(file, has_keys(_BLENDER_POSE, _BLENDER_LENS), has_keys(_BLENDER_POSE))
 
 
 def _blender_value(file: CalibrationFile, at: Keys, key: str, otherwise: float | None = None) -> float:
@@ -474,4 +446,8 @@ def _blender_values(own: Values, camera: Camera) -> Values:
     }
 
 
-BLENDER = calibration_format("blender", *reader_of(_blender_cameras, _blender_camera), values=_blender_values)
+BLENDER = calibration_format(
+    "blender",
+    *reader_of(has_keys(_BLENDER_POSE, _BLENDER_LENS), has_keys(_BLENDER_POSE), _blender_camera),
+    values=_blender_values,
+)

@@ -54,10 +54,6 @@ _MOST_LINES = 2000
 _Section = dict[str, tuple[int, str]]
 
 
-def _is_zed(file: CalibrationFile) -> bool:
-    return ZED_SECTION.search(file.text, 0, TOML_HEAD) is not None
-
-
 def _zed_sections(file: CalibrationFile) -> dict[str, tuple[int, _Section]]:
     sections: dict[str, tuple[int, _Section]] = {}
     section: _Section = {}
@@ -160,7 +156,9 @@ def _write_zed(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
     return {"": "\n".join(lines) + "\n"}
 
 
-ZED = calibration_format("zed", _is_zed, _read_zed, _write_zed)
+ZED = calibration_format(
+    "zed", lambda file: ZED_SECTION.search(file.text, 0, TOML_HEAD) is not None, _read_zed, _write_zed
+)
 
 
 # -- Azure Kinect
@@ -175,10 +173,6 @@ _DEPTH_MODES = {
     (1024, 1024): (1024, (0, 0)),
     (512, 512): (512, (0, 0)),
 }
-
-
-def _is_k4a(file: CalibrationFile) -> bool:
-    return isinstance(file.get(*_K4A), list)
 
 
 def _read_k4a(file: CalibrationFile) -> dict[str, RawCamera]:
@@ -250,7 +244,7 @@ def _k4a_values(own: Values, camera: Camera) -> Values:
     return {"parameters": nested(values), "purpose": purpose}
 
 
-K4A = calibration_format("k4a", _is_k4a, _read_k4a, values=_k4a_values)
+K4A = calibration_format("k4a", lambda file: isinstance(file.get(*_K4A), list), _read_k4a, values=_k4a_values)
 
 
 # -- RealSense and Open3D
@@ -268,14 +262,15 @@ _WRITTEN = {"plumb_bob": "brown_conrady", "equidistant": "kannala_brandt4"}
 #: Keys of the lens of RealSense.
 _OWN_LENS = {"coeffs", "distortion"}
 _FIELDS = ({"fx"}, {"fy"}, {"ppx", "cx"}, {"ppy", "cy"}, {"width"}, {"height"})
+_STREAMS = has_keys(*_FIELDS), has_keys({"fx", "ppx"})
 
 
-def _realsense_cameras(file: CalibrationFile) -> list[tuple[str, Keys]]:
+def _is_realsense(file: CalibrationFile) -> bool:
     if '"ppx"' not in file.text and find_parameters(plain(file)).having(POSE):
-        return []  # cx, cy and extrinsics come from another program
-    found = find_cameras(file, has_keys(*_FIELDS), has_keys({"fx", "ppx"}))
+        return False  # cx, cy and extrinsics come from another program
+    found = find_cameras(file, *_STREAMS)
     own = (role_of(key) for _, at in found for key in file.mapping(*at).keys() - _OWN_LENS)
-    return [] if {"k1", "radial", "distortion"}.intersection(own) else found  # a file of another program
+    return bool(found) and not {"k1", "radial", "distortion"}.intersection(own)
 
 
 def _realsense_camera(file: CalibrationFile, at: Keys) -> RawCamera:
@@ -312,10 +307,6 @@ def _model(file: CalibrationFile, at: Keys, coefficients: str, distortion: Array
 # -- Open3D
 
 
-def _open3d_cameras(file: CalibrationFile) -> list[tuple[str, Keys]]:
-    return find_cameras(file, _is_open3d_camera, has_keys({"intrinsic", "intrinsic_matrix", "extrinsic"}))
-
-
 def _is_open3d_camera(value: Any) -> bool:
     if not isinstance(value, dict):
         return False
@@ -344,13 +335,12 @@ def _open3d_camera(file: CalibrationFile, at: Keys) -> RawCamera:
 
 #: Keys of rs2_extrinsics between the streams of one device.
 _EXTRINSICS = ("extrinsics", "depth_to_color", "depth_to_color_extrinsics", "extrinsics_depth_to_color")
-_matches_realsense, _read_streams = reader_of(_realsense_cameras, _realsense_camera)
 
 
 def _read_realsense(file: CalibrationFile) -> dict[str, RawCamera]:
     """Read streams. If rs2_extrinsics from the depth to the colour stream are known, the depth camera is the
     world."""
-    cameras = _read_streams(file)
+    cameras = reader_of(*_STREAMS, _realsense_camera)[1](file)
     at = next((key for key in _EXTRINSICS if isinstance(file.get(key), dict)), None)
     depth = [name for name in cameras if "depth" in name.lower()]
     color = [name for name in cameras if "color" in name.lower() or "rgb" in name.lower()]
@@ -372,5 +362,8 @@ def _realsense_values(own: Values, camera: Camera) -> Values:
     return {"lens": _WRITTEN[str(camera.model)], "coeffs": [*nested(camera.distortion), 0.0][:5]}
 
 
-REALSENSE = calibration_format("realsense", _matches_realsense, _read_realsense, values=_realsense_values)
-OPEN3D = calibration_format("open3d", *reader_of(_open3d_cameras, _open3d_camera))
+REALSENSE = calibration_format("realsense", _is_realsense, _read_realsense, values=_realsense_values)
+OPEN3D = calibration_format(
+    "open3d",
+    *reader_of(_is_open3d_camera, has_keys({"intrinsic", "intrinsic_matrix", "extrinsic"}), _open3d_camera),
+)

@@ -46,6 +46,8 @@ _FROM_DEPTH = re.compile(r'Extrinsic from "Depth"\s+To\s+"(.+?)"')
 _LEAST_POINTS = 50
 _HALF_PIXEL = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
 _FLYDRA = ("fc1", "fc2", "cc1", "cc2", "k1", "k2", "p1", "p2")
+#: Pose of a camera that is the world.
+_ORIGIN = {"c2w": np.eye(4)[:3].tolist()}
 #: Columns of the text files of Argus, by number of columns.
 _ARGUS = {
     12: "name fx width height cx cy aspect k1 k2 p1 p2 k3",
@@ -94,12 +96,12 @@ def _nuscenes(file: CalibrationFile) -> _Cameras:
 def _calibu(file: CalibrationFile) -> _Cameras:
     """Cameras with their axes ``right``, ``down`` and ``forward`` turned to those of OpenCV."""
     file, cameras = plain(file), []
-    for index, camera in enumerate(file.items("rig", "camera")):
-        lens, pose = ("rig", "camera", index, "camera_model", 0), ("rig", "camera", index, "pose", 0, "T_wc")
+    for at in file.elements(("rig",), "camera"):
+        lens, pose = (*at, "camera_model", 0), (*at, "pose", 0, "T_wc")
         axes = np.array([file.numbers((3,), *lens, axis) for axis in ("right", "down", "forward")])
         rows = 4 if len(file.optional_numbers(*pose)) == 16 else 3
-        matrix = np.eye(4) if file.get(*pose) is None else file.numbers((rows, 4), *pose)
-        cameras.append({**camera["camera_model"][0], **_placed(matrix[:3, :3] @ axes.T, matrix[:3, 3])})
+        matrix = file.numbers((rows, 4), *pose) if file.has(*pose) else np.eye(4)
+        cameras.append({**file.mapping(*lens), **_placed(matrix[:3, :3] @ axes.T, matrix[:3, 3])})
     return cameras
 
 
@@ -118,21 +120,20 @@ def _through(
     straight, bent = ((each - own[:2, 2]) @ np.linalg.inv(own[:2, :2]).T for each in (straight, bent))
     seen = np.isfinite(straight).all(axis=1)
     if seen.sum() < _LEAST_POINTS:
-        raise CameraError(f"{name}: the lens does not fit the image", path=file.path)
+        raise file.error(f"{name}: the lens does not fit the image")
     fitted = fitted_lens(file, f"{name}: a lens with another K than P", straight[seen], bent[seen], own[0, 0])
     return {**camera, "distortion": list(fitted.coefficients), "model": fitted.model}
 
 
 def _flydra(file: CalibrationFile) -> _Cameras:
     file, cameras = plain(file), {}
-    for index, _ in enumerate(file.items("multi_camera_reconstructor", "single_camera_calibration")):
-        at = ("multi_camera_reconstructor", "single_camera_calibration", index)
+    for at in file.elements(("multi_camera_reconstructor",), "single_camera_calibration"):
         fx, fy, cx, cy, *d = (file.number(*at, "non_linear_parameters", 0, key) for key in _FLYDRA)
         p = file.numbers((3, 4), *at, "calibration_matrix")
         p[:, 3] *= file.number(*at, "scale_factor", otherwise=1.0)
         name, size = str(file.need(*at, "cam_id")), file.optional_numbers(*at, "resolution")
         cameras[name] = _through(file, name, p, pinhole(fx, fy, cx, cy), d, size)
-    if file.get("multi_camera_reconstructor", "water") is not None:
+    if file.has("multi_camera_reconstructor", "water"):
         warn_about(file.path, "water is ignored: the cameras see through air")
     return cameras
 
@@ -145,7 +146,7 @@ def _selfcal(file: CalibrationFile) -> _Cameras:
     name = name or path.name[: -len(".Pmat.cal")]
     p = np.array([value for line, text in file.lines() for value in file.row(text.split(), line)])
     if p.shape != (12,):
-        raise CameraError(f"needs 3 x 4 numbers, not {p.size}", path=file.path)
+        raise file.error(f"needs 3 x 4 numbers, not {p.size}")
     k, lens = np.eye(3), np.zeros(0)
     for rad in sorted(path.parent.glob(f"*[!0-9]{number}.rad"))[:1]:
         inner = plain(read_document(rad, _MOST_BYTES))
@@ -170,7 +171,7 @@ def _stephi(file: CalibrationFile) -> _Cameras:
 def _captury(file: CalibrationFile) -> _Cameras:
     """Cameras of Captury. Lengths on the sensor are in mm; the scale of the width holds for both axes."""
     if file.given_size is None:
-        raise CameraError("the file has no image size: give the size", path=file.path, key="size")
+        raise file.error("the file has no image size: give the size", "size")
     width, cameras = file.given_size[0], {}
     file = plain(file)
     several = file.get("cameras")
@@ -246,23 +247,22 @@ def _orbslam3(file: CalibrationFile) -> _Cameras:
         shared["type"] = "PinHole"
         moved = _placed(np.eye(3), np.array([file.number("Stereo.b"), 0.0, 0.0]))
         cameras["Camera2"] = {**cameras.get(left, {}), **moved}
-    pose = next((file.get(key) for key in ("Stereo.T_c1_c2", "Tlr") if file.get(key) is not None), None)
+    pose = file.first((), "Stereo.T_c1_c2", "Tlr")
     if "Camera2" in cameras and pose is not None:
-        cameras["Camera2"]["c2w"] = pose
+        cameras["Camera2"]["c2w"] = file.get(pose)
     if left in cameras and "c2w" in cameras.get("Camera2", ()):
-        cameras[left] |= _placed(np.eye(3), np.zeros(3))
+        cameras[left] |= _ORIGIN
     return [{"name": name, **shared, **camera} for name, camera in cameras.items() if "fx" in camera]
 
 
 def _ncamera(file: CalibrationFile) -> _Cameras:
     """Cameras of a rig. The lens that this format calls fisheye is FOV."""
     cameras = []
-    for index, _ in enumerate(file.items("cameras")):
-        camera = dict(file.mapping("cameras", index, "camera"))
-        lens = {**file.mapping("cameras", index, "camera", "distortion")}
+    for at in file.paths("cameras"):
+        camera, lens = dict(file.mapping(*at, "camera")), dict(file.mapping(*at, "camera", "distortion"))
         kind = str(lens.pop("type", "none")).replace("fisheye", "fov")
         own = str(camera.pop("type", "pinhole"))
-        pose = {"T_B_C": value} if (value := file.get("cameras", index, "T_B_C")) is not None else {}
+        pose = {"T_B_C": file.get(*at, "T_B_C")} if file.has(*at, "T_B_C") else {}
         cameras.append({**camera, **lens, **pose, "model": kind if own.lower() == "pinhole" else own})
     return cameras
 
@@ -292,7 +292,7 @@ def _opensfm(file: CalibrationFile) -> _Cameras:
             raise file.error(message, *lens, "projection_type")
         width, height = file.size((*lens, "width"), (*lens, "height"))
         side = max(width, height)
-        fx, fy = (key if file.get(*lens, key) is not None else "focal" for key in ("focal_x", "focal_y"))
+        fx, fy = (key if file.has(*lens, key) else "focal" for key in ("focal_x", "focal_y"))
         k = pinhole(file.number(*lens, fx), file.number(*lens, fy), 0, 0) * side
         k[:, 2] = [(width - 1) / 2, (height - 1) / 2, 1]
         k[:2, 2] += [side * file.number(*lens, key, otherwise=0.0) for key in ("c_x", "c_y")]
@@ -306,8 +306,7 @@ def _opensfm(file: CalibrationFile) -> _Cameras:
 def _pymvg(file: CalibrationFile) -> _Cameras:
     """Cameras of pymvg. Pose (Q, translation) is that of the rectified camera, and R rectifies."""
     cameras = []
-    for index, _ in enumerate(file.items("camera_system")):
-        at: Keys = ("camera_system", index)
+    for at in file.paths("camera_system"):
         camera = file.mapping(*at)
         q = file.numbers((3, 3), *at, "Q" if "Q" in camera else "rotation")
         r, t = file.numbers((3, 3), *at, "R").T, file.numbers((3,), *at, "translation")
@@ -322,7 +321,7 @@ def _matlab(file: CalibrationFile) -> _Cameras:
     cameras: dict[str, dict[str, Any]] = {}
     for name in pair or [Path(file.path).stem]:
         at: Keys = (name,) if pair else ()
-        key = next((key for key in ("IntrinsicMatrix", "K") if file.get(*at, key) is not None), None)
+        key = file.first(at, "IntrinsicMatrix", "K")
         if key is None:
             k = pinhole(*file.numbers((2,), *at, "FocalLength"), *file.numbers((2,), *at, "PrincipalPoint"))
             k[0, 1] = file.number(*at, "Skew", otherwise=0.0)
@@ -334,8 +333,8 @@ def _matlab(file: CalibrationFile) -> _Cameras:
         given = {"K": nested(k), "shape": file.need(*at, "ImageSize")}
         cameras[name] = {**given, "radial": lens[0], "tangential": lens[1] or [0.0, 0.0]}
     if len(pair) == 2:
-        cameras[pair[0]] |= _placed(np.eye(3), np.zeros(3))
-        if file.get("PoseCamera2") is not None:
+        cameras[pair[0]] |= _ORIGIN
+        if file.has("PoseCamera2"):
             cameras[pair[1]] |= {"w2c": file.get("PoseCamera2", "A") or file.need("PoseCamera2")}
         else:
             rotation = file.numbers((3, 3), "RotationOfCamera2").T
@@ -349,7 +348,7 @@ def _argus(file: CalibrationFile) -> _Cameras:
         values = file.row(text.replace(",", " ").split(), line)
         if len(values) not in _ARGUS:
             message = f"needs {', '.join(map(str, _ARGUS))} numbers, not {len(values)}"
-            raise CameraError(message, path=file.path, line=line)
+            raise file.error(message, line=line)
         camera = dict(zip(_ARGUS[len(values)].split(), values, strict=True))
         name = str(int(camera.pop("name", len(cameras) + 1)))
         cameras[name] = {"fy": camera["fx"] * camera.pop("aspect"), **camera}

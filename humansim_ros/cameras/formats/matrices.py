@@ -31,13 +31,7 @@ from humansim_ros.cameras.formats.base import (
     opencv_model,
     without_suffix,
 )
-from humansim_ros.cameras.formats.conventions import (
-    FilePose,
-    find_model,
-    find_unit,
-    model_of_four,
-    resolved,
-)
+from humansim_ros.cameras.formats.conventions import FilePose, find_model, find_unit, model_of_four, resolved
 from humansim_ros.cameras.formats.plain_text import camera_of_model
 from humansim_ros.cameras.formats.spellings import (
     INTRINSIC,
@@ -218,10 +212,8 @@ def _pairs(file: CalibrationFile, found: Found) -> _Pairs:
             match = dict(zip(bare, only, strict=True))
         else:
             match = {}
-            warn_about(
-                file.path,
-                f"left out, because there are no intrinsics of them: {some_of('_'.join(o) for o in only)}",
-            )
+            what = f"there are no intrinsics of them: {some_of('_'.join(o) for o in only)}"
+            warn_about(file.path, f"left out, because {what}")
         every = [one for one in every if one in whole]
     else:
         match = {}
@@ -258,24 +250,17 @@ def _short(pairs: _Pairs, identities: Mapping[str, Identity]) -> _Pairs:
 # -- intrinsics
 
 
-def _scalar(entries: Mapping[str, Entry], role: str) -> float | None:
+def _scalar(entries: Mapping[str, Entry], role: str, otherwise: float | None = None) -> float | None:
     entry = entries.get(role)
-    return None if entry is None else float(entry.file.numbers((), *entry.keys))
+    return otherwise if entry is None else float(entry.file.numbers((), *entry.keys))
 
 
 def _intrinsics(file: CalibrationFile, entries: Mapping[str, Entry]) -> RawCamera:
     """K, size and lens of a camera. If they come from P, also its pose."""
     size = size_of(entries)
+    roles = {"K": ("K", "fx", "focal"), "distortion": ("distortion",), "size": ("size",)}
     locations = {
-        part: entries[role].location
-        for part, role in (
-            ("K", "K"),
-            ("K", "fx"),
-            ("K", "focal"),
-            ("distortion", "distortion"),
-            ("size", "size"),
-        )
-        if role in entries
+        part: entries[role].location for part, all_ in roles.items() for role in all_ if role in entries
     }
     if "params" in entries and not {"K", "fx", "focal"} & entries.keys():
         params = entries["params"]
@@ -299,28 +284,22 @@ def _k(entries: Mapping[str, Entry], size: ImageSize | None) -> Array:
             return pinhole(*values)
         k = values.reshape(4, 4)[:3, :3] if len(values) == 16 else entry.numbers(3, 3)
         if _is_transposed(k.ravel()):
-            why = (
-                "is transposed, as in MATLAB, whose pixels count from 1; here they are taken to count from 0"
-            )
-            warn_about(entry.file.path, f"{entry.location.key}: {why}")
+            why = "is transposed, as in MATLAB, whose pixels count from 1"
+            here = "here they are taken to count from 0"
+            warn_about(entry.file.path, f"{entry.location.key}: {why}; {here}")
             return k.T
         return k
-    focal = entries["focal"].numbers() if "focal" in entries else np.zeros(0)
-    fx = _scalar(entries, "fx")
-    fx = float(focal[0]) if fx is None else fx
-    fy = _scalar(entries, "fy")
-    fy = (float(focal[-1]) if len(focal) else fx) if fy is None else fy
-    middle = (None, None) if size is None else tuple(side / 2 - _CENTRED for side in size)
-    center = entries["principal"].numbers() if "principal" in entries else ()
-    if len(center) == 2:
-        cx, cy = (float(value) for value in center)
-    else:
-        given = [_scalar(entries, role) for role in ("cx", "cy")]
-        values_ = [value if value is not None else side for value, side in zip(given, middle, strict=True)]
-        if values_[0] is None or values_[1] is None:
-            entry = entries.get("fx") or entries["focal"]
-            raise entry.error("needs a principal point (cx, cy) or an image size as well")
-        cx, cy = values_[0], values_[1]
+    focal = entries["focal"].numbers().tolist() if "focal" in entries else []
+    fx = _scalar(entries, "fx", *focal[:1])
+    fy = _scalar(entries, "fy", *(focal[-1:] or [fx]))
+    center = entries["principal"].numbers().tolist() if "principal" in entries else []
+    if len(center) != 2:
+        middle = (None, None) if size is None else tuple(side / 2 - _CENTRED for side in size)
+        center = [_scalar(entries, role, side) for role, side in zip(("cx", "cy"), middle, strict=True)]
+    if fx is None or fy is None or None in center:
+        entry = entries.get("fx") or entries["focal"]
+        raise entry.error("needs a principal point (cx, cy) or an image size as well")
+    cx, cy = center
     k = pinhole(fx, fy, cx, cy)
     alpha = _scalar(entries, "alpha") or 0.0  # alpha of cv2.fisheye; a larger alpha belongs to another lens
     k[0, 1] = _scalar(entries, "skew") or fx * alpha * (abs(alpha) < _LARGEST_ALPHA)
@@ -377,7 +356,9 @@ def _lens(
             coefficients = np.resize([*coefficients, 0.0, 0.0, 0.0, 0.0, 0.0], 5)
         stated = False if fisheye else None
         model = (
-            model_of_four(entry.file, keys, coefficients, k, stated) if four else opencv_model(coefficients)
+            model_of_four(entries["distortion"].file, keys, coefficients, k, stated)
+            if four
+            else opencv_model(coefficients)
         )
         file.check_count(model, coefficients, keys)
         return tuple(coefficients), model
@@ -399,22 +380,17 @@ def _pose(entries: Mapping[str, Entry]) -> FilePose | None:
     shift = next((entries[r] for r in ("t", "center") if r in entries), None)
     if rotation is None and shift is None:
         return None
-    if rotation is None or shift is None:
-        present = rotation or shift
-        assert present is not None
-        what = "rotation" if rotation is None else "translation"
-        raise present.error(f"needs a {what} (such as {'R' if rotation is None else 't'}) as well")
+    if rotation is None:
+        assert shift is not None
+        raise shift.error("needs a rotation (such as R) as well")
+    if shift is None:
+        raise rotation.error("needs a translation (such as t) as well")
     r = _rotation(rotation)
     t = shift.numbers(3)
     locations = {"R": rotation.location, "t": shift.location}
     if "Rinverse" in entries and rotation is entries["Rinverse"]:
-        return FilePose(
-            r.T if shift is entries.get("center") else r,
-            t,
-            "center" if "center" in entries else "camera",
-            True,
-            locations,
-        )
+        r = r.T if shift is entries.get("center") else r
+        return FilePose(r, t, "center" if "center" in entries else "camera", True, locations)
     if "center" in entries and shift is entries["center"]:
         placed = shift.key in _PLACES and rotation.key not in ("r", "rmat", "rvec")
         clear = rotation.key not in _UNCLEAR and rotation is not entries.get("quaternion")
@@ -461,9 +437,8 @@ def _find_unit(file: CalibrationFile, cameras: Mapping[str, RawCamera]) -> float
 def _write_npz(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
     models = {str(camera.model) for camera in cameras.values()}
     if len(models) > 1:
-        raise CameraError(
-            f"this format needs one lens model for all cameras, not {' and '.join(sorted(models))}"
-        )
+        given = " and ".join(sorted(models))
+        raise CameraError(f"this format needs one lens model for all cameras, not {given}")
     values = list(cameras.values())
     arrays = {
         "names": np.array(list(cameras)),

@@ -41,16 +41,12 @@ from humansim_ros.cameras.formats.base import (
 )
 from humansim_ros.cameras.formats.conventions import fitted_lens
 from humansim_ros.cameras.formats.spellings import SCALARS, role_of
-from humansim_ros.cameras.formats.table import Values, calibration_format, check_names, row
+from humansim_ros.cameras.formats.table import Values, calibration_format, row
 from humansim_ros.errors import CameraError, some_of, warn_about
 from humansim_ros.geometry import matrix_to_quaternion
 from humansim_ros.types import Array, ImageSize
 
 # -- Vicon
-
-
-def _is_vicon(file: CalibrationFile) -> bool:
-    return isinstance(file.get("Cameras", "Camera"), list)
 
 
 def _read_vicon(file: CalibrationFile) -> dict[str, RawCamera]:
@@ -93,9 +89,8 @@ def _vicon_lens(
     if file.get(*frame, "VICON_RADIAL2") is not None:
         kind, *words = str(file.get(*frame, "VICON_RADIAL2")).split() or [""]
         if kind != "Vicon3Parameter" or len(words) != 5:
-            raise file.error(
-                "needs Vicon3Parameter, a centre (2) and three coefficients", *frame, "VICON_RADIAL2"
-            )
+            message = "needs Vicon3Parameter, a centre (2) and three coefficients"
+            raise file.error(message, *frame, "VICON_RADIAL2")
         values = np.array(file.row(words, 0, file.location(*frame, "VICON_RADIAL2").key))
         center, radial = values[:2], values[2:]
     elif file.get(*frame, "VICON_RADIAL") is not None:
@@ -114,7 +109,7 @@ def _vicon_lens(
     return lens.model, lens.coefficients
 
 
-VICON = calibration_format("vicon", _is_vicon, _read_vicon)
+VICON = calibration_format("vicon", lambda file: isinstance(file.get("Cameras", "Camera"), list), _read_vicon)
 
 
 # -- OptiTrack Motive
@@ -122,10 +117,6 @@ VICON = calibration_format("vicon", _is_vicon, _read_vicon)
 _MOTIVE: Keys = ("calibrationProfile", "Calibration", 0, "Cameras", 0, "Camera")
 _LENS = "k1 k2 TangentialX TangentialY k3"
 _ORIENT = " ".join(f"OrientMatrix{i}" for i in range(9))
-
-
-def _is_motive(file: CalibrationFile) -> bool:
-    return isinstance(file.get(*_MOTIVE), list)
 
 
 def _read_motive(file: CalibrationFile) -> dict[str, RawCamera]:
@@ -154,7 +145,7 @@ def _read_motive(file: CalibrationFile) -> dict[str, RawCamera]:
     return cameras
 
 
-MOTIVE = calibration_format("motive", _is_motive, _read_motive)
+MOTIVE = calibration_format("motive", lambda file: isinstance(file.get(*_MOTIVE), list), _read_motive)
 
 
 # -- Theia3D
@@ -331,6 +322,7 @@ _EGO = (
     *("image_width", "image_height", "intrinsics_type"),
     *(f"intrinsics_{i}" for i in range(8)),
 )
+_EGO_LENS = ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4")
 
 
 def _is_ego(file: CalibrationFile) -> bool:
@@ -375,21 +367,14 @@ def _read_ego(file: CalibrationFile) -> dict[str, RawCamera]:
     return cameras
 
 
-def _write_ego(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
-    lines = [",".join(_EGO)]
-    for name, camera in cameras.items():
-        check_names([name])
-        if camera.model != "equidistant":
-            raise CameraError("this format has only the equidistant lens", key=name)
-        if set(name) & set(',"'):
-            raise CameraError("this format needs a name without commas and quotation marks", key=name)
-        k = camera.K
-        pose = (*camera.center, *matrix_to_quaternion(camera.R.T))
-        lens = (k[0, 0], k[1, 1], k[0, 2], k[1, 2], *camera.distortion)
-        lines.append(
-            f"{name},{row(pose, ',')},{camera.size[0]},{camera.size[1]},KANNALABRANDTK3,{row(lens, ',')}"
-        )
-    return {"": "\n".join(lines) + "\n"}
+def _ego_values(own: Values, camera: Camera) -> Values:
+    name = own["name"]
+    if camera.model != "equidistant":
+        raise CameraError("this format has only the equidistant lens", key=name)
+    if set(name) & set(',"'):
+        raise CameraError("this format needs a name without commas and quotation marks", key=name)
+    numbers = (*camera.center, *matrix_to_quaternion(camera.R.T)), (*(own[key] for key in _EGO_LENS),)
+    return {"pose": row(numbers[0], ","), "lens": row(numbers[1], ",")}
 
 
-EGOEXO = calibration_format("egoexo4d", _is_ego, _read_ego, _write_ego)
+EGOEXO = calibration_format("egoexo4d", _is_ego, _read_ego, values=_ego_values)

@@ -55,10 +55,6 @@ def _chunk(file: CalibrationFile) -> Keys | None:
     return None
 
 
-def _is_metashape(file: CalibrationFile) -> bool:
-    return _chunk(file) is not None or file.get("calibration", "projection", 0, "text") is not None
-
-
 def _read_metashape(file: CalibrationFile) -> dict[str, RawCamera]:
     chunk = _chunk(file)
     if chunk is None:
@@ -234,7 +230,12 @@ def _metashape_values(own: Values, camera: Camera) -> Values:
     return {"cx_middle": middle[0], "cy_middle": middle[1], "b1": own["fx"] - own["fy"], "kind": kind}
 
 
-METASHAPE = calibration_format("metashape", _is_metashape, _read_metashape, values=_metashape_values)
+METASHAPE = calibration_format(
+    "metashape",
+    lambda file: _chunk(file) is not None or file.get("calibration", "projection", 0, "text") is not None,
+    _read_metashape,
+    values=_metashape_values,
+)
 
 
 # -- OpenMVG and Meshroom: views with a lens and a pose
@@ -298,10 +299,6 @@ def _view(
     return replace(camera, R=r.T if turned else r, center=center, locations=locations)
 
 
-def _is_openmvg(file: CalibrationFile) -> bool:
-    return file.get("sfm_data_version") is not None and isinstance(file.get("views"), list)
-
-
 def _read_openmvg(file: CalibrationFile) -> dict[str, RawCamera]:
     below = ("value", "ptr_wrapper", "data")
     lenses = {key: _openmvg_lens(file, at) for key, at in _by_id(file, "intrinsics", "key", *below).items()}
@@ -349,7 +346,12 @@ def _openmvg_values(own: Values, camera: Camera) -> Values:
     return {"lens": lens, key: [own[name] for name in _OPENMVG[key][0]]}
 
 
-OPENMVG = calibration_format("openmvg", _is_openmvg, _read_openmvg, values=_openmvg_values)
+OPENMVG = calibration_format(
+    "openmvg",
+    lambda file: file.get("sfm_data_version") is not None and isinstance(file.get("views"), list),
+    _read_openmvg,
+    values=_openmvg_values,
+)
 
 
 def _is_meshroom(file: CalibrationFile) -> bool:
@@ -427,10 +429,6 @@ MESHROOM = calibration_format("meshroom", _is_meshroom, _read_meshroom, values=_
 # -- Bundler
 
 
-def _is_bundler(file: CalibrationFile) -> bool:
-    return file.text.lstrip()[:14].lower().startswith("# bundle file")
-
-
 def _read_bundler(file: CalibrationFile) -> dict[str, RawCamera]:
     lines = ((line, text.split()) for line, text in file.lines())
     first, head = next(lines, (1, []))
@@ -491,4 +489,9 @@ def _write_bundler(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
     return {"bundle.out": "\n".join(lines) + "\n", "list.txt": "\n".join(images.values()) + "\n"}
 
 
-BUNDLER = calibration_format("bundler", _is_bundler, _read_bundler, _write_bundler)
+BUNDLER = calibration_format(
+    "bundler",
+    lambda file: file.text.lstrip()[:14].lower().startswith("# bundle file"),
+    _read_bundler,
+    _write_bundler,
+)

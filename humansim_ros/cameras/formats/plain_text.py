@@ -34,7 +34,7 @@ from humansim_ros.cameras.formats.base import (
 )
 from humansim_ros.cameras.formats.checks import size_of_named_image
 from humansim_ros.cameras.formats.spellings import COLMAP_MODELS, COLMAP_PARAMETERS, role_of
-from humansim_ros.cameras.formats.table import calibration_format, check_names, image_names, row
+from humansim_ros.cameras.formats.table import Values, calibration_format, image_names, row
 from humansim_ros.errors import CameraError
 from humansim_ros.files.reading import read_text
 from humansim_ros.geometry import matrix_to_quaternion
@@ -44,10 +44,6 @@ _SIZE = re.compile(r"([0-9]{1,5})x([0-9]{1,5})")
 #: Transforms that KITTI's calib.txt has in addition to cameras.
 _OTHER_SENSORS = re.compile(r"(?:Tr(?:_[a-z_]+)?|R0?_rect)[:\s]")
 _NAMED = re.compile(r"([A-Za-z_][^\s:=]*)\s*[:=]\s*(.*)")
-
-
-def _is_projection(file: CalibrationFile) -> bool:
-    return next(_rows(file), None) is not None
 
 
 def _rows(file: CalibrationFile) -> Iterator[tuple[int, str, list[str]]]:
@@ -119,15 +115,7 @@ def _name_and_size(comment: str) -> tuple[str, ImageSize | None]:
     return name, (int(size[1]), int(size[2])) if size else None
 
 
-def _write_projection(cameras: Mapping[str, Camera]) -> dict[str, str]:
-    check_names(cameras, words=True)
-    lines = []
-    for name, camera in cameras.items():
-        lines += [f"# {name} {camera.size[0]}x{camera.size[1]}", *(row(values) for values in camera.P)]
-    return {"": "\n".join(lines) + "\n"}
-
-
-PROJECTION = calibration_format("p", _is_projection, _read_projection, _write_projection)
+PROJECTION = calibration_format("p", lambda file: next(_rows(file), None) is not None, _read_projection)
 
 
 #: most coefficients of OpenCV, and most lines
@@ -163,18 +151,11 @@ def _read_krtd(file: CalibrationFile) -> dict[str, RawCamera]:
     }
 
 
-def _write_krtd(cameras: Mapping[str, Camera]) -> dict[str, str]:
-    (camera,) = cameras.values()
-    distortion = np.trim_zeros(np.array(camera.distortion), "b")
-    blocks = [
-        *("\n".join(row(values) for values in matrix) for matrix in (camera.K, camera.R)),
-        row(camera.t),
-        row(distortion) if len(distortion) else "0",
-    ]
-    return {"": "\n\n".join(blocks) + "\n"}
+def _trimmed(own: Values, camera: Camera) -> Values:
+    return {"trimmed": row(np.trim_zeros(np.array(camera.distortion), "b")) or "0"}
 
 
-KRTD = calibration_format("krtd", _is_krtd, _read_krtd, _write_krtd)
+KRTD = calibration_format("krtd", _is_krtd, _read_krtd, values=_trimmed)
 
 
 def _is_par(file: CalibrationFile) -> bool:
@@ -207,23 +188,10 @@ def _read_middlebury(file: CalibrationFile) -> dict[str, RawCamera]:
     return cameras
 
 
-def _write_middlebury(cameras: Mapping[str, Camera]) -> dict[str, str]:
-    images = image_names(cameras)
-    lines = [str(len(cameras))]
-    for name, camera in cameras.items():
-        numbers = (*camera.K.ravel(), *camera.R.ravel(), *camera.t)
-        lines.append(f"{images[name]} {row(numbers)}")
-    return {"": "\n".join(lines) + "\n"}
-
-
-MIDDLEBURY = calibration_format("middlebury", _is_par, _read_middlebury, _write_middlebury)
+MIDDLEBURY = calibration_format("middlebury", _is_par, _read_middlebury)
 
 
 # -- MVSNet
-
-
-def _is_mvsnet(file: CalibrationFile) -> bool:
-    return bool(file.head) and file.head[0].lower() == "extrinsic"
 
 
 def _read_mvsnet(file: CalibrationFile) -> dict[str, RawCamera]:
@@ -244,14 +212,9 @@ def _read_mvsnet(file: CalibrationFile) -> dict[str, RawCamera]:
     return {name: RawCamera(k, pose[:3, :3], pose[:3, 3], locations=where)}
 
 
-def _write_mvsnet(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
-    check_names(cameras, words=True)
-    (camera,) = cameras.values()
-    lines = ["extrinsic", *(row(values) for values in camera.optical_from_world), "", "intrinsic"]
-    return {"": "\n".join([*lines, *(row(values) for values in camera.K), "", "0.1 0.01"]) + "\n"}
-
-
-MVSNET = calibration_format("mvsnet", _is_mvsnet, _read_mvsnet, _write_mvsnet)
+MVSNET = calibration_format(
+    "mvsnet", lambda file: bool(file.head) and file.head[0].lower() == "extrinsic", _read_mvsnet
+)
 
 
 # -- COLMAP

@@ -26,9 +26,9 @@ from humansim_ros.cameras.camera.camera import Camera, pinhole
 from humansim_ros.cameras.formats.base import (
     CalibrationFile,
     Key,
+    Keys,
     Place,
     RawCamera,
-    SourceLocation,
     camera_at,
     opencv_model,
     vector_of,
@@ -36,7 +36,7 @@ from humansim_ros.cameras.formats.base import (
 from humansim_ros.cameras.formats.conventions import find_model, model_of_four
 from humansim_ros.cameras.formats.spellings import CAMERA_KEYS, Entry, size_of
 from humansim_ros.cameras.formats.syntax import Matrix, name_of_half, other_half, read_document
-from humansim_ros.cameras.formats.table import calibration_format, json_file, nested, row
+from humansim_ros.cameras.formats.table import Values, calibration_format, json_file, nested, row
 from humansim_ros.errors import CameraError, warn_about
 from humansim_ros.geometry import invert_rigid, nearest_rotations, transform
 from humansim_ros.types import Array
@@ -93,8 +93,7 @@ def _read_message(file: CalibrationFile) -> dict[str, RawCamera]:
     letters."""
     spelling = {str(key).lower(): key for key in file.document}
     camera = _camera(
-        file,
-        {part: " ".join(spelling.get(k, k) for k in keys.split()) for part, keys in _IN_MESSAGE.items()},
+        file, {part: " ".join(spelling.get(k, k) for k in keys.split()) for part, keys in _IN_MESSAGE.items()}
     )
     parts = ("x_offset", "y_offset", "height", "width")
     binned = any(file.get(key) not in (None, 0, 1) for key in ("binning_x", "binning_y"))
@@ -108,46 +107,32 @@ def _camera(file: CalibrationFile, places: Mapping[str, Place]) -> RawCamera:
     paths = {part: (place,) if isinstance(place, str) else place for part, place in places.items()}
     lens = file.optional_numbers(*paths["distortion"])
     model = find_model(file, file.get(*paths["model"]), lens, paths["model"], paths["distortion"])
-    # drivers that do not rectify omit both matrices, or write zeros
-    rectified: dict[str, Any] = {
-        part: matrix if (matrix := file.numbers(shape, *paths[part])).any() else None
-        for part, shape in (("rectification", (3, 3)), ("rectified", (3, 4)))
-        if file.has(*paths[part])
-    }
-    camera = camera_at(file, (), places, distortion=lens, model=model, rectification=None, rectified=None)
+    camera = camera_at(file, (), places, distortion=lens, model=model)
     if not camera.K.any():
         raise file.error("is all zeros, which means 'not calibrated' in ROS", *paths["K"])
-    return replace(camera, **rectified)
+    # drivers that do not rectify write zeros
+    absent: dict[str, Any] = {
+        part: None
+        for part in ("rectification", "rectified")
+        if (matrix := getattr(camera, part)) is not None and not matrix.any()
+    }
+    return replace(camera, **absent)
 
 
-def _write_camera_info(cameras: Mapping[str, Camera]) -> dict[str, str]:
-    ((name, camera),) = cameras.items()
+def _info_values(own: Values, camera: Camera) -> Values:
+    name = own["name"]
     plain = _PLAIN.fullmatch(name) and name.lower() not in _WORDS
-    lines = [
-        f"image_width: {camera.size[0]}",
-        f"image_height: {camera.size[1]}",
-        f"camera_name: {name if plain else json.dumps(name)}",
-        *_matrix_lines("camera_matrix", camera.K),
-        f"distortion_model: {camera.model}",
-        *_matrix_lines("distortion_coefficients", np.array([camera.distortion])),
-        *_matrix_lines("rectification_matrix", camera.rectification_matrix),
-        *_matrix_lines("projection_matrix", camera.rectified_projection),
-    ]
-    return {"": "\n".join(lines) + "\n"}
-
-
-def _matrix_lines(key: str, matrix: Array) -> list[str]:
-    rows, columns = matrix.shape
-    return [f"{key}:", f"  rows: {rows}", f"  cols: {columns}", f"  data: [{row(matrix.ravel(), ', ')}]"]
+    return {"quoted": name if plain else json.dumps(name)}
 
 
 # -- INI files of the Videre software: a line with a key, then lines with its numbers
 
-#: By value of a camera: its key, and its shape.
-_INI_KEYS = {
-    "K": ("camera matrix", (3, 3)),
-    "rectification": ("rectification", (3, 3)),
-    "rectified": ("projection", (3, 4)),
+#: Places of the values of a camera in its section.
+_IN_SECTION = {
+    "K": "camera_matrix",
+    "distortion": "distortion",
+    "rectification": "rectification",
+    "rectified": "projection",
 }
 #: Sections that are not cameras. ROS ignores the second one.
 _IMAGE, _EXTERNALS = "image", "externals"
@@ -162,98 +147,62 @@ def _is_ini(file: CalibrationFile) -> bool:
 
 
 def _read_ini(file: CalibrationFile) -> dict[str, RawCamera]:
-    sections = _sections(file)
-    size = _whole(file, sections, "width"), _whole(file, sections, "height")
+    file = _sections(file)
+    size = file.size((_IMAGE, "width"), (_IMAGE, "height"))
     cameras: dict[str, RawCamera] = {}
-    for name, (line, section) in sections.items():
-        if name not in (_IMAGE, _EXTERNALS):
-            camera = _ini_camera(file, name, line, section, size)
-            file.add(cameras, name or Path(file.path).stem, camera, line=line)
+    for name in [name for name in file.document if name not in (_IMAGE, _EXTERNALS)]:
+        at: Keys = (name,)
+        for key in _IN_SECTION.values():
+            file.need(name, key)
+        lens = file.some_numbers(name, "distortion")
+        if len(lens) not in (4, 5, 8):
+            message = f"needs 5 coefficients (plumb_bob) or 8 (rational_polynomial), not {len(lens)}"
+            raise file.error(message, name, "distortion")
+        model = "rational_polynomial" if len(lens) == 8 else "plumb_bob"
+        camera = camera_at(file, at, _IN_SECTION, size=size, distortion=lens, model=model)
+        file.add(cameras, name or Path(file.path).stem, camera, *at)
     if not cameras:
         raise file.error("the file has no section of a camera, such as [narrow_stereo]")
     return cameras
 
 
-_Section = dict[str, tuple[int, list[float]]]
-
-
-def _sections(file: CalibrationFile) -> dict[str, tuple[int, _Section]]:
-    """Sections by name. Each has its line, and its keys with their lines and numbers."""
-    sections: dict[str, tuple[int, _Section]] = {}
-    section: _Section = {}
-    values: list[float] | None = None
+def _sections(file: CalibrationFile) -> CalibrationFile:
+    """The file with its sections as a document: lists of numbers by section and key."""
+    document: dict[str, dict[str, list[float]]] = {}
+    lines: dict[tuple[str, ...], int] = {}
+    section: dict[str, list[float]] = {}
+    name, values = "", None
     for number, line in file.lines():
         heading = _HEADING.fullmatch(line)
         if heading:
             name, section, values = heading[1].strip(), {}, None
-            if name in sections:
+            if name in document:
                 raise file.error("this section is duplicate", name, line=number)
-            sections[name] = number, section
+            document[name], lines[name,] = section, number
         elif any(c.isalpha() for c in line.split()[0]) and line.split()[0].lower() not in ("nan", "inf"):
-            values = []
-            if line in section:
+            key = line.replace(" ", "_")
+            if key in section:
                 raise file.error("this key is duplicate", line, line=number)
-            section[line] = number, values
+            values = section[key] = []
+            lines[name, line] = number
         elif values is None:
             raise file.error("numbers without a key above them", line=number)
         else:
             values += file.row(line.split(), number)
             if len(values) > _MAX_NUMBERS:
                 raise file.error(f"more than {_MAX_NUMBERS} numbers for a key", line=number)
-    return sections
+    return replace(file, document=document, key_lines=lines, renamed={"camera_matrix": "camera matrix"})
 
 
-def _whole(file: CalibrationFile, sections: Mapping[str, tuple[int, _Section]], key: str) -> int:
-    line, values = _values(file, sections.get(_IMAGE, (None, {}))[1], _IMAGE, key)
-    if len(values) != 1 or values[0] != int(values[0]) or values[0] <= 0:
-        raise file.error("needs a whole number above zero", key, line=line)
-    return int(values[0])
-
-
-def _values(file: CalibrationFile, section: _Section, name: str, key: str) -> tuple[int, list[float]]:
-    if key not in section:
-        raise file.error(f"is missing in section [{name}]", key)
-    return section[key]
-
-
-def _ini_camera(
-    file: CalibrationFile, name: str, line: int, section: _Section, size: tuple[int, int]
-) -> RawCamera:
-    matrices, locations = {}, {"": SourceLocation(name, line)}
-    for part, (key, shape) in _INI_KEYS.items():
-        key_line, values = _values(file, section, name, key)
-        if len(values) != shape[0] * shape[1]:
-            message = f"needs {shape[0]} x {shape[1]} numbers, not {len(values)}"
-            raise file.error(message, key, line=key_line)
-        matrices[part], locations[part] = np.reshape(values, shape), SourceLocation(key, key_line)
-    key_line, distortion = _values(file, section, name, "distortion")
-    if len(distortion) not in (4, 5, 8):
-        message = f"needs 5 coefficients (plumb_bob) or 8 (rational_polynomial), not {len(distortion)}"
-        raise file.error(message, "distortion", line=key_line)
-    locations["distortion"] = SourceLocation("distortion", key_line)
-    model = "rational_polynomial" if len(distortion) == 8 else "plumb_bob"
-    return RawCamera(size=size, distortion=tuple(distortion), model=model, locations=locations, **matrices)
-
-
-def _write_ini(cameras: Mapping[str, Camera]) -> dict[str, str]:
-    ((name, camera),) = cameras.items()
+def _ini_values(own: Values, camera: Camera) -> Values:
+    name = own["name"]
     if name in (_IMAGE, _EXTERNALS) or any(c in "[]\n\r" for c in name) or not name.strip():
         raise CameraError("this format cannot store a camera of this name", key=name)
-    parts: dict[str, Any] = {
-        "camera matrix": camera.K,
-        "distortion": np.array([camera.distortion]),
-        "rectification": camera.rectification_matrix,
-        "projection": camera.rectified_projection,
-    }
-    lines = ["# Camera intrinsics", "", "[image]", "", "width", str(camera.size[0]), ""]
-    lines += ["height", str(camera.size[1]), "", f"[{name}]"]
-    for key, matrix in parts.items():
-        lines += ["", key, *(row(values) for values in matrix)]
-    return {"": "\n".join(lines) + "\n"}
+    return {}
 
 
-CAMERA_INFO = calibration_format("camera_info", _is_camera_info, _read_camera_info, _write_camera_info)
-INI = calibration_format("ini", _is_ini, _read_ini, _write_ini)
+CAMERA_INFO = calibration_format("camera_info", _is_camera_info, _read_camera_info, values=_info_values)
+INI = calibration_format("ini", _is_ini, _read_ini, values=_ini_values)
 
 
 #: Rounding explains errors of orthonormality up to this.
@@ -267,10 +216,6 @@ _MODELS = {"radtan": "plumb_bob", "equidistant": "equidistant", "equi": "equidis
 def _kalibr_names(file: CalibrationFile) -> list[str]:
     keys = file.document if isinstance(file.document, dict) else {}
     return [key for key in keys if isinstance(key, str) and _CAMERA.fullmatch(key)]
-
-
-def _is_camchain(file: CalibrationFile) -> bool:
-    return any(isinstance(file.get(name, "camera_model"), str) for name in _kalibr_names(file))
 
 
 def _read_kalibr(file: CalibrationFile) -> dict[str, RawCamera]:
@@ -308,10 +253,7 @@ def _camera_kalibr(file: CalibrationFile, name: str, pose: Array, pose_key: str)
         message = f"unknown distortion model {word!r}; known are {', '.join(_MODELS)}"
         raise file.error(message, name, "distortion_model")
     model = _MODELS[word]
-    lens: Array = np.zeros(0)
-    if model is not None:
-        lens = file.numbers((4,), name, "distortion_coeffs")
-        file.check_count(model, lens, (name, "distortion_coeffs"))
+    lens = np.zeros(0) if model is None else file.numbers((4,), name, "distortion_coeffs")
     file.numbers((2,), name, "resolution")
     places = {"K": "intrinsics", "distortion": "distortion_coeffs", "size": "resolution"}
     places |= {"R": pose_key, "t": pose_key}
@@ -348,7 +290,12 @@ def _matrix_lines_kalibr(key: str, matrix: Array) -> list[str]:
     return [f"  {key}:", *(f"  - [{row(values, ', ')}]" for values in matrix)]
 
 
-KALIBR = calibration_format("kalibr", _is_camchain, _read_kalibr, _write_kalibr)
+KALIBR = calibration_format(
+    "kalibr",
+    lambda file: any(isinstance(file.get(name, "camera_model"), str) for name in _kalibr_names(file)),
+    _read_kalibr,
+    _write_kalibr,
+)
 
 
 # -- OpenCV

@@ -45,6 +45,7 @@ _COUNTS = {
     **dict.fromkeys(("R", "Rinverse"), (9, 3)),
     **dict.fromkeys(("rvec", "t", "center"), (3,)),
     "quaternion": (4,),
+    "distortion": range(1, 15),
     **dict.fromkeys(("pose", "inverse", "P"), (16, 12)),
     **dict.fromkeys(("focal", "principal"), (2, 1)),
     "size": (2,),
@@ -375,14 +376,10 @@ def _vector(value: Any) -> list[float] | None:
     if not isinstance(value, Mapping) or not 3 <= len(value) <= 4:
         return None
     by_key = {str(key).lower(): number for key, number in value.items()}
-    for names in _COMPONENTS:
-        if by_key.keys() == set(names):
-            numbers = [by_key[name] for name in names]
-            known = all(
-                isinstance(number, (int, float)) and not isinstance(number, bool) for number in numbers
-            )
-            return numbers if known else None
-    return None
+    names = next((names for names in _COMPONENTS if by_key.keys() == set(names)), ())
+    numbers = [by_key[name] for name in names]
+    known = all(isinstance(number, (int, float)) and not isinstance(number, bool) for number in numbers)
+    return numbers if numbers and known else None
 
 
 _Shape = tuple[int, ...] | str
@@ -521,24 +518,20 @@ def _parts(keys: Keys) -> Identity:
 def _count(role: str, shape: _Shape) -> int | None:
     """Number of cameras that a value has: 0 for a single value. None if the shape does not fit."""
     if isinstance(shape, str):
-        number = re.fullmatch(r"[+-]?[0-9.]+([eE][+-]?[0-9]+)?", shape) is not None
-        return 0 if role in _TEXTS or (role in SCALARS and number) else None
-    size = int(np.prod(shape)) if shape else 1
-    if role in _TEXTS:
-        return 0 if size == 1 else None
-    if role in SCALARS:
-        return 0 if size == 1 else (size if len(shape) == 1 else None)
-    if role == "distortion":
-        single = size <= 14 and (len(shape) <= 1 or 1 in shape)
-        return 0 if single else (shape[0] if len(shape) in (2, 3) and size // shape[0] <= 14 else None)
+        return 0 if role in _TEXTS or (role in SCALARS and is_number(shape)) else None
+    size = int(np.prod(shape))
+    if role in (*_TEXTS, *SCALARS):
+        several = role in SCALARS and len(shape) == 1
+        return 0 if size == 1 else size if several else None
     if role == "params" and len(shape) == 2:
         return shape[0]
     if role == "K" and size == 4 and 4 not in shape:
         return None  # 2 x 2 numbers are ambiguous
-    counts = _COUNTS[role]
-    if size in counts and not (role == "R" and size == 3 and len(shape) > 2):
+    depth, counts = len(shape), _COUNTS[role]
+    lists = {"R": depth > 2 and size == 3, "distortion": depth > 1 and 1 not in shape}
+    if size in counts and not lists.get(role):
         return 0
-    each = size // shape[0] if len(shape) > 1 else 0
+    each = size // shape[0] if depth > 1 and (role != "distortion" or depth < 4) else 0
     return shape[0] if each in counts else None
 
 
@@ -558,12 +551,11 @@ def numbers_found(file: CalibrationFile, most: int = 4, least: int = 1) -> list[
 def parts_found(found: Found) -> tuple[list[str], list[str]]:
     """The four things that a camera needs: which ones a file has, and which ones are missing."""
     roles = {role for entries in found.cameras.values() for role in entries}
-    needed = (
-        ("K or focal length", INTRINSIC),
-        ("image size", SIZE),
-        ("rotation", ROTATION),
-        ("translation", TRANSLATION),
-    )
-    return [name for name, words in needed if words & roles], [
-        name for name, words in needed if not words & roles
-    ]
+    needed = {
+        "K or focal length": INTRINSIC,
+        "image size": SIZE,
+        "rotation": ROTATION,
+        "translation": TRANSLATION,
+    }
+    has = [name for name, words in needed.items() if words & roles]
+    return has, [name for name in needed if name not in has]

@@ -4,11 +4,11 @@
 :class:`CalibrationFormat`, which has their defaults. The module of the format's family adds the functions
 with :func:`calibration_format`.
 
-``written`` of a row is a template: the content of a JSON file, or of an XML file as attributes and lists of
-elements by tag. ``$fx`` is replaced by the value ``fx`` of a camera (:func:`_values`, and the values of the
-format); in a longer text, by its digits. The content of the key ``$each`` is written once for each camera, as
-a list; the content of ``$name`` once for each camera, under its name. A key is left out if the camera has no
-value for it. ``names`` is ``words`` or ``printable``: the names that can be written.
+``written`` of a row is a template: the content of a JSON file; that of an XML file as attributes and lists of
+elements by tag; or the lines of a text. ``$fx`` is replaced by the value ``fx`` of a camera (:func:`_values`,
+and the values of the format); in a longer text, by its digits. The content of the key ``$each`` is written
+once for each camera, as a list; the content of ``$name`` once for each camera, under its name. A key is left
+out if the camera has no value for it. ``names`` is ``words`` or ``printable``: the names that can be written.
 """
 
 from __future__ import annotations
@@ -16,11 +16,13 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from string import Template
 from typing import Any
 from xml.etree.ElementTree import Element, indent, tostring
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from humansim_ros.cameras.camera.camera import Camera
 from humansim_ros.cameras.camera.lens import MODELS
@@ -99,8 +101,8 @@ def calibration_format(
         find_unit: Metres per unit.
         values: Computes values that only this template needs from the other values of a camera.
     """
-    row: Any = {key: _tuples(value) for key, value in _ROWS[name].items()}
-    template, names = row.pop("written", None), row.pop("names", "")
+    row: Any = {key: _tuples(value) for key, value in _ROWS[name].items() if key not in ("written", "names")}
+    template, names = _ROWS[name].get("written"), _ROWS[name].get("names", "")
 
     def write_template(cameras: Mapping[str, Camera]) -> Mapping[str, str | bytes]:
         if names:
@@ -110,8 +112,8 @@ def calibration_format(
             own = _values(name, index, camera)
             each.append({**own, **values(own, camera)})
         fisheyes = all(camera.model == "equidistant" for camera in cameras.values()) or None
-        content = _filled(template, each, {"count": len(each), "all_fisheye": fisheyes})
-        return json_file(content) if row["syntax"] == "json" else xml_file(content)
+        shared = {**(each[0] if len(each) == 1 else {}), "count": len(each), "all_fisheye": fisheyes}
+        return _FILES.get(row["syntax"], text_file)(_filled(template, each, shared))
 
     write = write or write_template
     return CalibrationFormat(name, matches=matches, read=read, write=write, find_unit=find_unit, **row)
@@ -126,17 +128,29 @@ def _values(name: str, index: int, camera: Camera) -> dict[str, Any]:
 
     Matrices are ``K``, ``R``, ``Rt``, ``w2c``, ``c2w`` (camera to world) and ``gl`` (like ``c2w`` with the
     camera axes of OpenGL: y up, z backward). The end ``_flat`` gives row order, ``_columns`` column order.
+    ``_lines`` gives a line for each row, ``_list`` numbers with commas.
     Single numbers of R and gl have row and column in their names (``R12``). Vectors are ``t`` and ``center``,
     also with the end ``_column``.
     """
     (width, height), k = camera.size, camera.K
     own = dict(zip(MODELS[str(camera.model)], camera.distortion, strict=True))
     c2w, w2c = camera.world_from_optical, camera.optical_from_world
-    matrices = {"K": k, "R": camera.R, "Rt": w2c[:3], "w2c": w2c, "c2w": c2w, "gl": c2w @ OPENGL}
+    matrices = {
+        "K": k,
+        "R": camera.R,
+        "Rt": w2c[:3],
+        "w2c": w2c,
+        "c2w": c2w,
+        "gl": c2w @ OPENGL,
+        "P": camera.P,
+    }
+    matrices |= {"rectification": camera.rectification_matrix, "projection": camera.rectified_projection}
     vectors = {"t": camera.t, "center": camera.center, "distortion": np.array(camera.distortion)}
+    vectors["rvec"] = Rotation.from_matrix(camera.R).as_rotvec()
     return {
         "name": name,
         "image": f"{name}.png",
+        "coefficients": len(camera.distortion),
         "index": index,
         "number": index + 1,
         "size": list(camera.size),
@@ -154,6 +168,9 @@ def _values(name: str, index: int, camera: Camera) -> dict[str, Any]:
         **{key: nested(value) for key, value in {**matrices, **vectors}.items()},
         **{f"{key}_flat": nested(matrix.ravel()) for key, matrix in matrices.items()},
         **{f"{key}_columns": nested(matrix.T.ravel()) for key, matrix in matrices.items()},
+        **{f"{key}_lines": "\n".join(map(row, matrix)) for key, matrix in matrices.items()},
+        **{f"{key}_list": row(matrix.ravel(), ", ") for key, matrix in {**matrices, **vectors}.items()},
+        "K_rows": ", ".join(f"[{row(values, ', ')}]" for values in k),
         **{f"{key}_column": nested(vector[:, None]) for key, vector in vectors.items()},
         **{f"{m}{i + 1}{j + 1}": matrices[m][i, j] for m in ("R", "gl") for i in range(3) for j in range(3)},
         "quaternion": nested(matrix_to_quaternion(camera.R)),
@@ -200,6 +217,15 @@ def row(values: Iterable[float], between: str = " ") -> str:
 def nested(matrix: Array | Sequence[float]) -> list[Any]:
     """Nested lists of a matrix for JSON. -0.0 becomes 0.0."""
     return (np.asarray(matrix, dtype=float) + 0.0).tolist()
+
+
+def text_file(content: list[Any]) -> dict[str, str]:
+    """Texts by file name, for a format that consists of one text. ``content``: lines, or lists of the
+    lines of each camera."""
+    lines: list[Any] = []
+    for one in content:
+        lines += chain.from_iterable(one) if isinstance(one, list) and isinstance(one[0], list) else [one]
+    return {"": "\n".join(map(text_of, lines)) + "\n"}
 
 
 def text_of(value: Any) -> str:
@@ -249,3 +275,6 @@ def image_names(cameras: Iterable[str]) -> dict[str, str]:
     names = list(cameras)
     check_names(names, words=True)
     return {name: f"{name}.png" for name in names}
+
+
+_FILES: Mapping[str, Callable[[Any], dict[str, str]]] = {"json": json_file, "xml": xml_file}

@@ -223,10 +223,6 @@ def _text(values: tuple[float, ...], separator: str = "") -> str:
 _LINE = re.compile(r"(C|f|R|k|size|format)\s*=.*")
 
 
-def _is_cam(file: CalibrationFile) -> bool:
-    return bool(file.head) and _LINE.fullmatch(file.head[0]) is not None
-
-
 def _read_cam(file: CalibrationFile) -> dict[str, RawCamera]:
     cam = parse_cam(file.text, file.path)
     if max(map(abs, (*cam.center, cam.focal, *cam.euler_deg, *cam.aspect))) > LARGEST:
@@ -240,7 +236,9 @@ def _write_cam(cameras: Mapping[str, Camera]) -> dict[str, str]:
     return {"": format_cam(cam_of(camera))}
 
 
-CAM = calibration_format("cam", _is_cam, _read_cam, _write_cam)
+CAM = calibration_format(
+    "cam", lambda file: bool(file.head) and _LINE.fullmatch(file.head[0]) is not None, _read_cam, _write_cam
+)
 
 
 # -- scene files
@@ -250,10 +248,6 @@ _SIZE, _FOV = (640, 480), 60.0
 _PARTS = ("K", "R", "t", "size", "distortion", "rectification", "rectified")
 #: Keys that take a camera from another file; and keys that are not part of a calibration.
 _OTHER_FILES, _IGNORED = ("calibration", "trajectory"), ("binning", "roi", "sensor")
-
-
-def _is_scene(file: CalibrationFile) -> bool:
-    return isinstance(file.get("cameras"), Mapping)
 
 
 def _read_scene(file: CalibrationFile) -> dict[str, RawCamera]:
@@ -336,4 +330,6 @@ def _listed(values: Array) -> str:
     return f"[{row(values, ', ') if values.ndim == 1 else ', '.join(map(_listed, values))}]"
 
 
-SCENE = calibration_format("scene", _is_scene, _read_scene, _write_scene)
+SCENE = calibration_format(
+    "scene", lambda file: isinstance(file.get("cameras"), Mapping), _read_scene, _write_scene
+)

@@ -126,7 +126,7 @@ def directions(azimuths: Array, elevations: Array) -> Array:
 def spinning(
     rate: float,
     elevations: Sequence[float],
-    columns: int,
+    columns: int = 0,
     azimuth: tuple[float, float] = (180.0, -180.0),
     firing: float = 0.0,
     channel: float = 0.0,
@@ -137,13 +137,14 @@ def spinning(
     Args:
         rate: Turns per second.
         elevations: Degrees of each laser, in the order in which the lasers of a column fire.
-        columns: Number of columns of a sweep.
+        columns: Number of columns of a sweep. If 0, as many as are fired in a turn.
         azimuth: First and last azimuth in degrees. If they are less than a turn apart, the last one is that
             of the last column. Otherwise it is that of the first column of the next sweep.
         firing: Seconds from column to column. If 0, columns are spread evenly over the angle.
         channel: Seconds from laser to laser in a column. The scanner turns in this time.
         top_first: Whether ring 0 is the highest laser. If False, it is the lowest.
     """
+    columns = columns or int(1 / rate / firing + 1e-6)
     first, last = np.radians(azimuth)
     turn = abs(last - first) >= 2 * np.pi - 1e-9
     step = (last - first) / (columns if turn else max(columns - 1, 1))
@@ -167,7 +168,9 @@ def spinning(
     return Pattern(period, len(rays), rays.from_top() if top_first else rays)
 
 
-def raster(rate: float, elevations: Sequence[float], columns: int, *azimuths: tuple[float, float]) -> Pattern:
+def raster(
+    rate: float, elevations: Sequence[float], columns: int, azimuths: Sequence[tuple[float, float]]
+) -> Pattern:
     """Pattern of a solid-state scanner: a table of rays, fired row after row.
 
     Args:
@@ -217,12 +220,7 @@ def _rosette_rays(count: int, points: int, fov: float, turns: tuple[float, float
 
 
 def oscillating(
-    rate: float,
-    points: int,
-    elevation: tuple[float, float],
-    turns: float,
-    swings: float,
-    lines: int,
+    rate: float, points: int, elevation: tuple[float, float], turns: float, swings: float, lines: int
 ) -> Pattern:
     """Pattern of a scanner that turns about z while its beam swings up and down. No sweep repeats another.
 
@@ -235,7 +233,8 @@ def oscillating(
         lines: Lasers that fire in turn, a degree apart in azimuth.
     """
     count = round(points / rate)
-    make = partial(_oscillating_rays, count, points, elevation, turns, swings, lines)
+    speeds = turns, swings
+    make = partial(_oscillating_rays, count, points, elevation, speeds, lines)
     return Pattern(_SECOND / rate, count, make=make)
 
 
@@ -243,16 +242,15 @@ def _oscillating_rays(
     count: int,
     points: int,
     elevation: tuple[float, float],
-    turns: float,
-    swings: float,
+    speeds: tuple[float, float],
     lines: int,
     number: int,
 ) -> Rays:
     low, high = np.radians(elevation)
     after = (number * count + np.arange(count)) / points
     line = np.arange(count) % lines
-    swing = np.abs(2 * np.mod(after * swings, 1.0) - 1)
-    azimuths = -2 * np.pi * np.mod(after * turns, 1.0) + np.radians(line)
+    swing = np.abs(2 * np.mod(after * speeds[1], 1.0) - 1)
+    azimuths = -2 * np.pi * np.mod(after * speeds[0], 1.0) + np.radians(line)
     vectors = directions(azimuths, low + (high - low) * swing)
     return Rays(vectors, _even_times(count, points), line.astype(np.uint16))
 
@@ -439,49 +437,18 @@ class ScannerModel:
     stamp: StampOf = "start"
 
 
-def _firing(
-    rate: float, elevations: Sequence[float], firing: float, channel: float, top_first: bool = False
-) -> Pattern:
-    """Lasers that fire one after the other, with the same interval at any rate. See :func:`spinning`."""
-    columns = int(1 / rate / firing + 1e-6)
-    return spinning(rate, elevations, columns, firing=firing, channel=channel, top_first=top_first)
-
-
-def _even(rate: float, elevations: tuple[float, float], count: int, columns: int) -> Pattern:
-    """Lasers that fire together, at even elevations from the highest on. Ring 0 is the highest."""
-    return spinning(rate, np.linspace(*elevations, count).tolist(), columns, top_first=True)
-
-
-def _plane(rate: float, azimuth: tuple[float, float], columns: int) -> Pattern:
-    """One laser in the x-y plane, which turns to the left."""
-    return spinning(rate, (0.0,), columns, azimuth)
-
-
-def _rows(
-    rate: float,
-    elevations: tuple[float, float],
-    count: int,
-    columns: int,
-    azimuths: Sequence[tuple[float, float]],
-) -> Pattern:
-    """Rows at even elevations. See :func:`raster`."""
-    return raster(rate, np.linspace(*elevations, count).tolist(), columns, *azimuths)
-
-
 _PATTERNS: dict[str, Callable[..., Pattern]] = {
-    "firing": _firing,
-    "even": _even,
-    "plane": _plane,
-    "rows": _rows,
-    "rosette": rosette,
-    "oscillating": oscillating,
+    function.__name__: function for function in (spinning, raster, rosette, oscillating)
 }
 
 
 def _model(row: dict[str, Any]) -> ScannerModel:
     settings = dict(row["pattern"])
-    pattern = partial(_PATTERNS[settings.pop("kind")], **settings)
-    return ScannerModel(**{**row, "pattern": pattern, "range": tuple(row["range"])})
+    make = _PATTERNS[settings.pop("kind")]
+    if "count" in settings:
+        low, high = settings["elevations"]
+        settings["elevations"] = np.linspace(low, high, settings.pop("count")).tolist()
+    return ScannerModel(**{**row, "pattern": partial(make, **settings), "range": tuple(row["range"])})
 
 
 #: All models by name.

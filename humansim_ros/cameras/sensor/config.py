@@ -78,10 +78,7 @@ class SensorConfig(Section):
         description="time from row to row, seconds, from the top; 0 is a global shutter",
     )
     samples: int = Field(
-        default=8,
-        ge=1,
-        le=256,
-        description="images rendered for a frame with motion blur or rolling shutter",
+        default=8, ge=1, le=256, description="images rendered for a frame with motion blur or rolling shutter"
     )
     exposure: Factor = Field(
         default=1.0, description="factor of the collected light; 1 is the rendered light"
@@ -252,9 +249,8 @@ class DepthSensorConfig(ShortSection):
     @classmethod
     def _check_range(cls, value: tuple[float, float]) -> tuple[float, float]:
         if value[0] >= value[1]:
-            raise ValueError(
-                f"give the nearest depth, then a farther one, unlike [{value[0]:g}, {value[1]:g}]"
-            )
+            message = f"give the nearest depth, then a farther one, unlike [{value[0]:g}, {value[1]:g}]"
+            raise ValueError(message)
         return value
 
     @model_validator(mode="after")

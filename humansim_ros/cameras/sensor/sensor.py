@@ -140,13 +140,38 @@ class Sensor:
 
     def times(self) -> Array:
         """Times (T,) at which the scene must be rendered, seconds from the stamp of the frame. The stamp is
-        the midpoint of the exposure of the middle row. Without motion blur and rolling shutter, there is a
-        single time, 0.0."""
-        return sample_times(*self._shutter)
+        the midpoint of the exposure of the middle row.
+
+        With a global shutter, they are the midpoints of equal parts of the exposure. With a rolling shutter,
+        they are spread evenly from the start of the first row to the end of the last row. Without motion blur
+        and rolling shutter, there is a single time, 0.0.
+        """
+        exposure, row_time, samples = self._shutter
+        span = exposure + (self.camera.size[1] - 1) * row_time
+        if span < _SHORTEST or samples == 1:
+            return np.zeros(1)
+        if row_time == 0:
+            return exposure * ((np.arange(samples) + 0.5) / samples - 0.5)
+        return np.linspace(-span / 2, span / 2, samples, dtype=float)
 
     def weights(self) -> Array:
-        """Weights (H, T) of the images of :meth:`times` for each row."""
-        return row_weights(*self._shutter)
+        """Weights (H, T) of the images of :meth:`times` in the light of each row. The sum of a row is 1.
+
+        With a rolling shutter, the midpoint of the exposure of row y is (y - (H - 1) / 2) row_time. Light is
+        interpolated linearly between samples, so that the mean time of each row is exact for any number of
+        samples.
+        """
+        (exposure, row_time, _), times, height = self._shutter, self.times(), self.camera.size[1]
+        if len(times) == 1 or row_time == 0:
+            return np.full((height, len(times)), 1 / len(times))
+        step = times[1] - times[0]
+        middle = (np.arange(height) - (height - 1) / 2)[:, None] * row_time
+        if exposure < _SHORTEST:
+            weights = np.maximum(0.0, 1 - np.abs(middle - times) / step)
+        else:
+            weights = _triangle_integral((middle + exposure / 2 - times) / step)
+            weights = weights - _triangle_integral((middle - exposure / 2 - times) / step)
+        return np.asarray(weights / weights.sum(axis=1, keepdims=True), dtype=float)
 
     def expose(self, images: Iterable[Image], stamp: int, light: Float32Array | None = None) -> Image:
         """Compute the image of the sensor.
@@ -249,9 +274,9 @@ class Sensor:
         return bayer_mosaic(light) if self.config.encoding == "bayer_rggb8" else light
 
     @property
-    def _shutter(self) -> tuple[int, float, float, int]:
+    def _shutter(self) -> tuple[float, float, int]:
         config = self.config
-        return self.camera.size[1], config.exposure_time, config.rolling_shutter, config.samples
+        return config.exposure_time, config.rolling_shutter, config.samples
 
     @cached_property
     def _weights(self) -> Float32Array:
@@ -377,59 +402,6 @@ def aberrate(light: Float32Array, camera: Camera, aberration: ChromaticAberratio
 
 #: Shortest exposure, seconds, since stamps are whole nanoseconds.
 _SHORTEST = 1e-9
-
-
-def sample_times(height: int, exposure: float, row_time: float, samples: int) -> Array:
-    """Times at which the scene is rendered.
-
-    With a global shutter, they are the midpoints of equal parts of the exposure. With a rolling shutter, they
-    are spread evenly from the start of the first row to the end of the last row.
-
-    Args:
-        height: Number of image rows.
-        exposure: Exposure time of a row, seconds.
-        row_time: Time from the exposure of one row to that of the next, seconds. 0 for a global shutter.
-        samples: Number of times.
-
-    Returns:
-        Times (T,) in seconds from the midpoint of the exposure of the middle row. A single 0.0 if there is
-        neither motion blur nor a rolling shutter.
-    """
-    span = exposure + (height - 1) * row_time
-    if span < _SHORTEST or samples == 1:
-        return np.zeros(1)
-    if row_time == 0:
-        return exposure * ((np.arange(samples) + 0.5) / samples - 0.5)
-    return np.linspace(-span / 2, span / 2, samples, dtype=float)
-
-
-def row_weights(height: int, exposure: float, row_time: float, samples: int) -> Array:
-    """Weights of the images at :func:`sample_times` in the light of each row.
-
-    With a rolling shutter, the midpoint of the exposure of row y is (y - (H - 1) / 2) row_time. Light is
-    interpolated linearly between samples, so that the mean time of each row is exact for any number of
-    samples.
-
-    Args:
-        height: Number of image rows.
-        exposure: Exposure time of a row, seconds.
-        row_time: Time from the exposure of one row to that of the next, seconds.
-        samples: Number of times.
-
-    Returns:
-        Weights (H, T). The sum of each row is 1.
-    """
-    times = sample_times(height, exposure, row_time, samples)
-    if len(times) == 1 or row_time == 0:
-        return np.full((height, len(times)), 1 / len(times))
-    step = times[1] - times[0]
-    middle = (np.arange(height) - (height - 1) / 2)[:, None] * row_time
-    if exposure < _SHORTEST:
-        weights = np.maximum(0.0, 1 - np.abs(middle - times) / step)
-    else:
-        weights = _triangle_integral((middle + exposure / 2 - times) / step)
-        weights = weights - _triangle_integral((middle - exposure / 2 - times) / step)
-    return np.asarray(weights / weights.sum(axis=1, keepdims=True), dtype=float)
 
 
 def _triangle_integral(u: Array) -> Array:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from humansim_ros.cameras.camera import Camera, Optics, ring
+from humansim_ros.cameras.camera import Camera, Rig
 from humansim_ros.cameras.formats import read_calibration
 from humansim_ros.data.evaluation import LiveOptions, is_bag, set_of_names, split_topic
 from humansim_ros.errors import EvaluationError, HumansimError, SceneError, did_you_mean, some_of
@@ -290,7 +290,7 @@ def _is_calibration(path: Path) -> bool:
 
 def _around(human: Mapping[str, Any], title: str) -> ViewSource:
     """A person between four cameras, without a room."""
-    cameras = ring(_COUNT, _RADIUS, _HEIGHT, _TARGET, Optics())
+    cameras = Rig(_TARGET, _RADIUS, _HEIGHT).ring(_COUNT)
     scene = Scene.build(humans={"person": dict(human)}, cameras=dict(cameras), room=None)
     return SceneViewSource(scene, title)
 

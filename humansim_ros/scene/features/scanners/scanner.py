@@ -136,7 +136,7 @@ def _model(config: ScannerConfig) -> ScannerModel:
             "pattern",
             "scene",
             config.rate,
-            lambda rate: raster(rate, own.elevations_deg, own.columns, own.azimuth_deg),
+            lambda rate: raster(rate, own.elevations_deg, own.columns, [own.azimuth_deg]),
             config.range,
             0.0,
         )

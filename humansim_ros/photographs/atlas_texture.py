@@ -83,11 +83,8 @@ def align_colours(colours: Array, weights: Array) -> Alignment:
     squares, which alternates with estimates of the true colours. Views that share too few places with the
     others keep gain 1.
 
-
-    Args:
-        colours: (C, N, 3) sRGB values, 0 to 255.
-        weights: (C, N) how well the view sees the place. The weight is 0 if the view does not see the place
-            or the colour is clipped.
+    ``colours``: (C, N, 3) sRGB values, 0 to 255. ``weights``: (C, N) how well the view sees the place. The
+    weight is 0 if the view does not see the place or the colour is clipped.
     """
     usable = (colours > _DARKEST).all(axis=2) & (weights > 0)
     shared = usable.astype(float) @ usable.T.astype(float)
@@ -138,10 +135,8 @@ def _solve(seen: Array, weights: Array) -> tuple[Array, Array]:
 
 
 def _gains(seen: Array, weights: Array) -> Array:
-    """Gains (C,) from the ratios of the mean colours of the places that each pair of views shares.
-
-    Means do not depend on how sharp the views are, unlike lines through samples of a pattern.
-    """
+    """Gains (C,) from the ratios of the mean colours of the places that each pair of views shares. Means do
+    not depend on how sharp the views are, unlike lines through samples of a pattern."""
     rows, values = [np.ones(len(seen))], [0.0]
     for first in range(len(seen)):
         for second in range(first):
@@ -182,7 +177,6 @@ def texture_atlas(
     Gains and biases between the cameras are removed first. Three bands of spatial frequency are blended with
     different sharpness, so that neither seams nor blur appear. Hidden parts take the colours next to them, or
     those of the other side of the body.
-
 
     Args:
         human: The person, with texture coordinates, or with the package xatlas installed.

@@ -31,11 +31,8 @@ def detect_points(
     that it has to write, in the form of COCO, of OpenPose or of this package. If the views file names the
     points of a view, the view keeps these points.
 
-
-    Args:
-        photos: Photographs.
-        command: Command line. It does not go through a shell.
-        report: Function that is called with the number of finished images and the number of all images.
+    ``command``: command line. It does not go through a shell. ``report``: function that is called with the
+    number of finished images and the number of all images.
 
     Returns:
         The photographs with the points found. If the file of an image has no person, the image has no points.

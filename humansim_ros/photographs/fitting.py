@@ -75,7 +75,6 @@ def fit_person(
     girths and refine the lengths. If the human is an SMPL model, the betas are found that make the model most
     similar to this body, and the model is fitted again.
 
-
     Args:
         photos: Photographs with points.
         human: Name or file of the human to start from; if None, the human of ``start`` or of the views file.
@@ -101,12 +100,7 @@ def fit_person(
 
 def find_doubts(fit: PersonFit, photos: PhotoSet, silhouettes: bool = True) -> list[str]:
     """Sentences about what is guessed or implausible in a fit, and what the user can do about it.
-
-    Args:
-        fit: Fit of the photographs.
-        photos: Photographs.
-        silhouettes: Whether the masks were used.
-    """
+    ``silhouettes``: whether the masks were used."""
     model = PoseModel(shaped_human(fit.human, fit.proportions), photos.keypoints)
     found = []
     masks = silhouettes and any(photo.mask_path is not None for frame in photos.frames for photo in frame)

@@ -118,7 +118,6 @@ class SurfaceOffsets:
     way have similar offsets. The process is given by its values at the controls, vertices that are spread
     evenly.
 
-
     Attributes:
         controls: (K,) numbers of the vertices that are controls.
         factor: (K, K) lower Cholesky factor of the covariances of the controls; their variance is 1.
@@ -210,9 +209,7 @@ def fit_shape(name: str, vertices: Array) -> tuple[float, ...]:
 
     The prior is that betas of people have a standard deviation of 1.
 
-    Args:
-        name: Name or file of an SMPL model.
-        vertices: Vertices (V, 3) of the other body in the rest pose.
+    ``name``: name or file of an SMPL model. ``vertices``: vertices (V, 3) of the other body in the rest pose.
     """
     mean, directions = _directions(str(find_asset(name, "humans")))
     goal = vertices - vertices.mean(axis=0) - mean
@@ -289,9 +286,7 @@ class PersonFit:
 
 
 def fit_motion(fit: PersonFit) -> Motion:
-    """Motion of the F frames of a fit, with the skeleton of the person, to write as BVH.
-
-    With ``anchor: file`` in a scene, the person moves where it was photographed.
-    """
+    """Motion of the F frames of a fit, with the skeleton of the person, to write as BVH. With ``anchor:
+    file`` in a scene, the person moves where it was photographed."""
     posed = np.array([fit.posed(frame) for frame in range(len(fit.root))])
     return PosedBones(fit.body.skeleton, posed, fit.period / 1e9).to_motion()

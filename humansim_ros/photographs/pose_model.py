@@ -285,11 +285,9 @@ class PoseModel:
 
 @dataclass(frozen=True)
 class _Body:
-    """Posed bones.
-
-    ``axes``: (B, 3, 3) in ``map``; ``origins``: (B, 3); ``scales``: (B, 3); ``turns``: (B, 3, 3) rotation of
-    the subtree of each bone in ``map`` by a step of its numbers; ``parts``: (K, B, 3) parts of the keypoints.
-    """
+    """Posed bones. ``axes``: (B, 3, 3) in ``map``; ``origins``: (B, 3); ``scales``: (B, 3); ``turns``: (B, 3,
+    3) rotation of the subtree of each bone in ``map`` by a step of its numbers; ``parts``: (K, B, 3) parts of
+    the keypoints."""
 
     axes: Array
     origins: Array

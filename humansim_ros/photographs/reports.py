@@ -61,12 +61,9 @@ _PANEL = 4
 
 
 def draw_report(fit: PersonFit, photos: PhotoSet, before: PersonFit | None = None) -> Image:
-    """Draw a fit over its photographs, and the distances between given and fitted keypoints.
-
-    Args:
-        fit: Person fitted to the photographs.
-        photos: The photographs. A view without an image has a grey background.
-        before: The same person before a step of the fit, to compare with.
+    """Draw a fit over its photographs, and the distances between given and fitted keypoints. ``photos``: the
+    photographs. A view without an image has a grey background. ``before``: the same person before a step of
+    the fit, to compare with.
 
     Returns:
         Image (H, W, 3): rows of views, then bars. For a sequence, the rows show the first, middle and last

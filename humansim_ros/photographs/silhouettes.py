@@ -136,7 +136,6 @@ def find_edges(
     Each point of the rendered outline is paired with the nearest point of the given outline, and the reverse.
     So an arm of the mask that the body does not cover attracts the nearest part of the body.
 
-
     Args:
         given: Outline of the given mask.
         camera: Camera of the image.
@@ -217,13 +216,9 @@ def fit_silhouettes(fit: PersonFit, photos: PhotoSet, frames: Sequence[int] = (0
     In the last rounds the surface also moves along its normals, since the remaining distances are due to
     clothes and hair.
 
-
-    Args:
-        fit: Person fitted to the keypoints.
-        photos: Photographs with masks. Photographs without a mask are not used. A HumansimWarning names empty
-            masks.
-        frames: Numbers of the frames with masks to use. Other frames get the new proportions and keep their
-            poses.
+    ``fit``: person fitted to the keypoints. ``photos``: photographs with masks. Photographs without a mask
+    are not used. A HumansimWarning names empty masks. ``frames``: numbers of the frames with masks to use.
+    Other frames get the new proportions and keep their poses.
 
     Returns:
         The refined person. If there is no mask, ``fit`` is returned.
@@ -307,12 +302,8 @@ def _fit_offsets(
 
     Robust least squares with the Gaussian process of the offsets as prior.
 
-    Args:
-        name: Name or file of the human.
-        model: Model of the human with its present offsets.
-        photos: Photographs.
-        states: States of the frames.
-        edges: Edges of the frames by view.
+    ``name``: name or file of the human. ``model``: model of the human with its present offsets. ``edges``:
+    edges of the frames by view.
     """
     field = surface_offsets(name, model.base.shape)
     plain = shaped_human(name, replace(model.base, offsets=()))

@@ -74,7 +74,6 @@ class TexturedPerson:
         seen: (N,) whether some view shows the triangle. The colours of other triangles are guesses.
         gains: (C, 3) factors of the red, green and blue sRGB values of each view. They were removed from the
             colours. None if colours were not aligned.
-
         views: Names of the C views.
         notes: Sentences with further facts about the result, by a keyword.
     """
@@ -208,7 +207,6 @@ def fill_colours(surface: Surface, colours: Array, seen: NDArray[np.bool_], symm
     is seen, hidden places also take the differences of colour from there (Poisson's equation on the surface
     [Perez 2003]). Parts without any seen place take the colour of the nearest seen place.
 
-
     Args:
         surface: The surface.
         colours: (P, 3) colours. Only those of seen places are used.
@@ -263,7 +261,6 @@ class SurfaceSight:
         tolerance: (P,) tolerance of the depths, metres.
         weights: (P,) float32 how well the places are seen. The weight is 0 if the place is hidden, and grows
             with the number of pixels per metre. It fades out towards the border of the seen surface.
-
         depth_image: (H, W) float32 depths, metres. Infinite where the person or the mask is absent.
         inside: (H, W) float32 from 0 to 1. It is 0 where colours of the person and of things behind mix, and
             grows away from borders.

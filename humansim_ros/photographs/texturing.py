@@ -47,11 +47,7 @@ def count_faces(human: Human, views: Sequence[TextureView], renderer: GLRenderer
     Both counts are of pixel centres, through the lens. They are equal for a triangle that nothing hides. If a
     view has a mask, only pixels of the mask show the person.
 
-
-    Args:
-        human: The person.
-        views: Poses and cameras.
-        renderer: Renderer of an empty scene. If None, a new renderer is made.
+    ``renderer``: renderer of an empty scene. If None, a new renderer is made.
 
     Raises:
         PhotographError: There is no view, or a view does not fit the person.
@@ -138,10 +134,8 @@ def texture_thesis(
     The photographs keep their colours and light, and neighbouring triangles may differ in them. The faces of
     the result are triangles, in the order of ``human.mesh.triangles``. Its only outfit is ``photographs``.
 
-    Args:
-        human: The person without its texture.
-        views: Photographs, and the pose of the person in each.
-        renderer: Renderer of an empty scene. If None, a new renderer is made.
+    ``human``: the person without its texture. ``views``: Photographs, and the pose of the person in each.
+    ``renderer``: renderer of an empty scene. If None, a new renderer is made.
 
     Raises:
         PhotographError: There is no view, a view does not fit the person, or no view shows the person.
@@ -169,9 +163,7 @@ def _photographs(
     views: Sequence[TextureView], view_of: Indices, vertex: Indices
 ) -> tuple[NDArray[np.uint8], Array]:
     """Texture (H, W, 3) of the used parts of the photographs, and texture coordinates (T, 2), v up.
-
-    ``view_of``, ``vertex``: (T,) view and vertex of each texture coordinate.
-    """
+    ``view_of``, ``vertex``: (T,) view and vertex of each texture coordinate."""
     pixels: Array = np.zeros((len(vertex), 2))
     tiles, corners, numbers = [], [], []
     for number, view in enumerate(views):

@@ -189,10 +189,8 @@ class Sightlines:
         )
 
     def exchanged(self, views: NDArray[np.bool_], partners: Sequence[int]) -> Sightlines:
-        """The lines with left and right exchanged in some views.
-
-        ``views``: (V,). ``partners``: (K,), as :attr:`KeypointSet.mirrored`.
-        """
+        """The lines with left and right exchanged in some views. ``views``: (V,). ``partners``: (K,), as
+        :attr:`KeypointSet.mirrored`."""
         order = np.where(views[:, None], np.asarray(partners), np.arange(len(partners)))
         pixels, weights, directions = (
             np.take_along_axis(each, order.reshape(*order.shape, *(1,) * (each.ndim - 2)), axis=1)
@@ -250,10 +248,8 @@ class Sightlines:
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """Points of P pairs of views for each of K keypoints.
-
-    ``positions``: (P, K, 3), NaN where lines do not meet. ``errors``: (P, V, K) pixels. ``weights``: (V, K).
-    """
+    """Points of P pairs of views for each of K keypoints. ``positions``: (P, K, 3), NaN where lines do not
+    meet. ``errors``: (P, V, K) pixels. ``weights``: (V, K)."""
 
     positions: Array
     errors: Array
@@ -294,7 +290,6 @@ def find_exchanged(
     Left and right of a view are exchanged if more points then agree with the other views. If the views do not
     show which of them are right, or if all views agree, the front of the body decides: the nose is in front
     of the ears, and the toes are in front of the heels.
-
 
     Args:
         lines: Lines of sight of all views.
@@ -366,7 +361,6 @@ class Triangulation:
         inliers: (V, K) whether the point agrees with the position.
         errors: (V, K) distance in pixels of the point from the image of the position. NaN if the point or the
             position is absent. Infinite if the position has no image.
-
         swapped: (V,) whether left and right of the view are exchanged.
         points: (V, K, 3) x, y and confidence as given, but with left and right exchanged back.
     """
@@ -494,12 +488,8 @@ def _plausible(
     Two wrong points often agree, but three seldom do. Therefore a keypoint with three or more points counts
     as known. The places of other keypoints are checked, from the trunk outwards.
 
-    Args:
-        costs: Costs of the candidates, (P, K).
-        found: Candidates.
-        lengths: Possible lengths of edges.
-        positions: Positions (K, 3) of least cost.
-        inliers: (V, K) points that agree with them.
+    ``lengths``: possible lengths of edges. ``positions``: positions (K, 3) of least cost. ``inliers``: (V, K)
+    points that agree with them.
     """
     costs, positions = costs.copy(), positions.copy()
     known = inliers.sum(axis=0) >= 3

@@ -46,11 +46,8 @@ def read_points(path: Path, keypoints: KeypointSet, images: Sequence[Path] | Non
     A folder has one file for each frame, ordered by the numbers in their names. If a frame has several
     people, the person with the largest sum of confidences is taken.
 
-
-    Args:
-        path: JSON file, or folder of JSON files.
-        keypoints: Keypoint set of the points.
-        images: Images of the frames, because COCO files refer to images by name.
+    ``path``: JSON file, or folder of JSON files. ``keypoints``: keypoint set of the points. ``images``:
+    images of the frames, because COCO files refer to images by name.
 
     Raises:
         PhotographError: The file is wrong; the message has file and key.

@@ -39,13 +39,12 @@ class OpenGLContext:
     :meth:`close` frees the context. Without a call, it is freed when the last reference to it is gone, in any
     thread.
 
+    ``device``: number of the device in the order of EGL, GPUs first. If None, the first one that works.
+
     Attributes:
         gl: The context of moderngl, to create objects with.
         device: Name of the device, such as ``llvmpipe (LLVM 15.0.6, 256 bits)``.
         on_processor: Whether the device is Mesa's renderer for the CPU, so that images are in main memory.
-
-    Args:
-        device: Number of the device in the order of EGL, GPUs first. If None, the first one that works.
 
     Raises:
         RenderError: There is no such device, or OpenGL is missing (the message names the packages to

@@ -50,14 +50,8 @@ class ExpandedMesh:
 
 
 class MaterialBuffers:
-    """Texture and material of a mesh on the device.
-
-    Args:
-        ctx: OpenGL context.
-        mesh: The mesh.
-        images: Images of several static meshes, which become the layers of one texture. If None, the image of
-            ``mesh`` alone.
-    """
+    """Texture and material of a mesh on the device. ``images``: images of several static meshes, which become
+    the layers of one texture. If None, the image of ``mesh`` alone."""
 
     def __init__(
         self, ctx: moderngl.Context, mesh: Mesh, images: Sequence[NDArray[np.uint8]] | None = None
@@ -494,11 +488,8 @@ _STRENGTH = 0.62
 
 @dataclass(frozen=True)
 class ContactShadow:
-    """A shadow on the floor.
-
-    ``corner``: lowest x and y, metres. ``side``: length of a side, metres. ``darkness``: (64, 64) uint8, 255
-    is black, rows along y.
-    """
+    """A shadow on the floor. ``corner``: lowest x and y, metres. ``side``: length of a side, metres.
+    ``darkness``: (64, 64) uint8, 255 is black, rows along y."""
 
     corner: tuple[float, float]
     side: float
@@ -524,10 +515,8 @@ class ContactShadow:
 
 @dataclass(frozen=True, eq=False)
 class ShadowCaster:
-    """A body that casts a contact shadow. The shadow is computed when it is needed.
-
-    ``points``: (3, V) points on its surface. ``areas``: (V,) surface area of each, square metres.
-    """
+    """A body that casts a contact shadow. The shadow is computed when it is needed. ``points``: (3, V) points
+    on its surface. ``areas``: (V,) surface area of each, square metres."""
 
     points: Float32Array
     areas: Float32Array

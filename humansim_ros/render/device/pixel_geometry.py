@@ -260,11 +260,9 @@ class ImageBackdrop:
 
 @dataclass(frozen=True, eq=False)
 class Panorama:
-    """An equirectangular panorama at infinite distance.
-
-    ``image``: (H, W, 3) uint8 sRGB. Its center is in direction +x of ``map``, the first row straight up.
-    ``yaw``: rotation of the panorama to the left, radians.
-    """
+    """An equirectangular panorama at infinite distance. ``image``: (H, W, 3) uint8 sRGB. Its center is in
+    direction +x of ``map``, the first row straight up. ``yaw``: rotation of the panorama to the left,
+    radians."""
 
     image: NDArray[np.uint8]
     yaw: float = 0.0

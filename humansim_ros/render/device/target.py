@@ -135,12 +135,7 @@ class RenderTarget:
 
     def keep(self, depth_buffer: Float32Array, rgba: NDArray[np.uint8] | None) -> moderngl.Framebuffer | None:
         """Keep the images that frames start from on the device. Returns None where writing them takes no
-        longer.
-
-        Args:
-            depth_buffer: (H, W) of OpenGL.
-            rgba: (H, W, 4); undefined if None.
-        """
+        longer. ``depth_buffer``: (H, W) of OpenGL. ``rgba``: (H, W, 4); undefined if None."""
         if self._to_read is None:
             return None
         colour = self._ctx.texture(self.size, 4, None if rgba is None else rgba.tobytes())
@@ -320,12 +315,8 @@ class RenderTargets(LruCache[tuple[ImageSize, int], RenderTarget]):
         self._context = context
 
     def of(self, size: ImageSize, number: int = 0) -> RenderTarget:
-        """Return a target of an image size, with what was drawn last.
-
-        Args:
-            size: Width and height, pixels.
-            number: 0, or its own number for each image that is read only after other images are drawn.
-        """
+        """Return a target of an image size, with what was drawn last. ``size``: width and height, pixels.
+        ``number``: 0, or its own number for each image that is read only after other images are drawn."""
         return self.get_or_make(
             (size, number), lambda: RenderTarget(self._context.gl, size, self._context.on_processor)
         )

@@ -367,10 +367,8 @@ class ProjectedPoints:
         Most small triangles have one pixel center between their corners. Only these are tested: a triangle is
         hidden if it misses the center, or if a nearer surface covers it.
 
-        Args:
-            corners: Vertices of the triangles, three of (M,).
-            nearest: (H, W) upper bound of the depth that each pixel shows, metres. The call lowers it where
-                these triangles are nearer.
+        ``corners``: vertices of the triangles, three of (M,). ``nearest``: (H, W) upper bound of the depth
+        that each pixel shows, metres. The call lowers it where these triangles are nearer.
         """
         x, y = ([axis.take(corner) for corner in corners] for axis in self.pixels)
         column, row = (np.ceil(_least(each) - _ROUNDING) for each in (x, y))

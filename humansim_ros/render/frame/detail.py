@@ -22,13 +22,9 @@ _CORNERS = np.stack(np.meshgrid(*[(0, 1)] * 3), axis=-1).reshape(8, 3)
 
 
 def coarsest(levels: Sequence[Simplification | None], boxes: FloatArray, camera: Camera) -> tuple[int, ...]:
-    """Choose the coarsest level of each body with an error below a tenth of a pixel.
-
-    Args:
-        levels: Levels of each body; None if there is only the whole mesh.
-        boxes: Lowest and highest corner of each body, (M, 2, 3) metres in ``map``.
-        camera: Camera that sees them.
-    """
+    """Choose the coarsest level of each body with an error below a tenth of a pixel. ``levels``: levels of
+    each body; None if there is only the whole mesh. ``boxes``: lowest and highest corner of each body, (M, 2,
+    3) metres in ``map``."""
     scales = pixels_per_metre(boxes, camera)
     return tuple(
         0 if known is None else int(np.searchsorted(known.errors, LARGEST_ERROR / scale, side="right")) - 1

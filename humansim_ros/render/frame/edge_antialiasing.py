@@ -196,13 +196,8 @@ _VISIBLE = 1 / 64
 
 
 class StaticEdges:
-    """Edges between triangles.
-
-    Args:
-        positions: (V, 3) metres in ``map``.
-        corners: (N, 3) vertices of the triangles.
-        owner: (N,) mesh of each triangle; the colour changes from one mesh to the next.
-    """
+    """Edges between triangles. ``positions``: (V, 3) metres in ``map``. ``corners``: (N, 3) vertices of the
+    triangles. ``owner``: (N,) mesh of each triangle; the colour changes from one mesh to the next."""
 
     def __init__(self, positions: Float32Array, corners: NDArray[Any], owner: Indices) -> None:
         places = welded(positions)

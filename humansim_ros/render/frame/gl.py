@@ -395,7 +395,9 @@ class GLRenderer(Renderer):
         behind: Float32Array,
         uncovered: bool = False,
     ) -> tuple[TriangleIds, dict[int, NDArray[np.bool_]]]:
-        """Draw those triangles of some bodies that may be visible, each with its own id.
+        """Draw those triangles of some bodies that may be visible, each with its own id. Returns the
+        triangles that were drawn. And by number of each body that is not hidden, (N,) whether each triangle
+        shows its front.
 
         Args:
             bodies: The bodies of the frame.
@@ -406,10 +408,6 @@ class GLRenderer(Renderer):
             lit: Draw colours too.
             behind: (H, W) depth of the static scene, which may hide bodies, metres.
             uncovered: Leave out off-body surfaces.
-
-        Returns:
-            The triangles that were drawn. And by number of each body that is not hidden, (N,) whether each
-            triangle shows its front.
         """
         ids, facing = TriangleIds(), dict[int, NDArray[np.bool_]]()
         if not numbers:

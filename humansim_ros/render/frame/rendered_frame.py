@@ -220,13 +220,7 @@ class RenderedFrame:
         return self._geometry
 
     def view(self, bodies: Sequence[Body], channels: Collection[str], adjacent: AdjacentFrames) -> View:
-        """Return channels of the whole image.
-
-        Args:
-            bodies: Bodies that were rendered.
-            channels: Names of the channels.
-            adjacent: Adjacent frames that the channels need.
-        """
+        """Return channels of the whole image. ``adjacent``: adjacent frames that the channels need."""
         images: dict[str, Any] = self.layer.images(channels)
         if self.static_labels is not None:
             images |= self.static_labels.images(channels)

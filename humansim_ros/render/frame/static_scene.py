@@ -60,13 +60,8 @@ class Charts:
 
     @classmethod
     def of(cls, positions: NDArray[np.floating], corners: NDArray[Any], texel: float) -> Charts:
-        """Lay out triangles.
-
-        Args:
-            positions: (V, 3) metres.
-            corners: (N, 3) vertices of the triangles.
-            texel: Side of a texel in metres; larger texels are used if the triangles need too much room.
-        """
+        """Lay out triangles. ``positions``: (V, 3) metres. ``corners``: (N, 3) vertices of the triangles.
+        ``texel``: side of a texel in metres; larger texels are used if the triangles need too much room."""
         points = positions[corners].astype(float)
         normals = np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0])
         axis = np.abs(normals).argmax(axis=1)
@@ -180,12 +175,7 @@ _WHITE = np.full((1, 3), 255, np.uint8)
 
 
 class StaticScene:
-    """Meshes in ``map`` with their materials on the device.
-
-    Args:
-        ctx: OpenGL context.
-        meshes: The meshes.
-    """
+    """Meshes in ``map`` with their materials on the device."""
 
     def __init__(self, ctx: moderngl.Context, meshes: Sequence[Mesh]) -> None:
         self._ctx = ctx
@@ -292,10 +282,8 @@ class StaticScene:
         return StaticTriangles(buffers, self._materials, self._count(towards), towards)
 
     def tessellated(self, camera: Camera, tolerance: float, checked: bool = False) -> StaticTriangles:
-        """Return the triangles that a camera may see, tessellated if its lens bends edges.
-
-        ``tolerance``, ``checked``: see :meth:`LensView.tessellate`.
-        """
+        """Return the triangles that a camera may see, tessellated if its lens bends edges. ``tolerance``,
+        ``checked``: see :meth:`LensView.tessellate`."""
         visible = self._visible(camera.center)
         corners = self._corners[visible].astype(np.intp)
         mesh = TessellatedMesh(self._attributes, corners, np.arange(len(visible)))
@@ -409,11 +397,7 @@ UNIT, _BAKING = 5, 12
 
 class LightMap:
     """Visible share of sky and ground, on the front and the back of each surface of a static scene.
-
-    Args:
-        ctx: OpenGL context.
-        static: The scene. Its charts are computed.
-    """
+    ``static``: the scene. Its charts are computed."""
 
     def __init__(self, ctx: moderngl.Context, static: StaticScene) -> None:
         self._ctx, self._corners = ctx, ctx.buffer(unit_square(1))

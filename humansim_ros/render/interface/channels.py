@@ -198,13 +198,9 @@ class View(Pictured):
 
 
 def missing_channels(what: str, needed: Collection[str], present: Collection[str]) -> ChannelError:
-    """Error about channels that were not requested, with the arguments that request them.
-
-    Args:
-        what: What needs the channels, such as ``frame.joints``.
-        needed: Names of the channels that it needs.
-        present: Names of the channels that were requested.
-    """
+    """Error about channels that were not requested, with the arguments that request them. ``what``: what
+    needs the channels, such as ``frame.joints``. ``needed``: names of the channels that it needs.
+    ``present``: names of the channels that were requested."""
     absent = [name for name in needed if name not in present]
     wanted = tuple(name for name in CHANNEL_TABLE if name in {*present, *needed})
     text = ", ".join(f'"{name}"' for name in wanted) + "," * (len(wanted) == 1)

@@ -67,10 +67,8 @@ class Lighting:
         return np.array(self.sun) / np.linalg.norm(self.sun)
 
     def on_ground(self, visibility: NDArray[np.floating]) -> Array:
-        """(..., 3) light of level ground, relative to light without shadow.
-
-        ``visibility``: (...) visible share of the sun.
-        """
+        """(..., 3) light of level ground, relative to light without shadow. ``visibility``: (...) visible
+        share of the sun."""
         sun = np.array(self.sun_color) * max(float(self.direction[2]), 0.0)
         sky = np.array(self.sky_color)
         return np.asarray((sky + sun * np.asarray(visibility)[..., None]) / np.maximum(sky + sun, 1e-9))
@@ -82,10 +80,8 @@ class Lighting:
 
 
 def tone_mapped(radiance: NDArray[np.floating], lighting: Lighting) -> NDArray[np.uint8]:
-    """Convert linear light (..., 3) to uint8 sRGB as the shaders do.
-
-    The steps are exposure, tone mapping, and a square root for the sRGB curve.
-    """
+    """Convert linear light (..., 3) to uint8 sRGB as the shaders do. The steps are exposure, tone mapping,
+    and a square root for the sRGB curve."""
     light = np.maximum(np.asarray(radiance, dtype=np.float32), 0) * np.float32(2.0**lighting.exposure)
     if lighting.tone_mapping == "filmic":
         light = filmic(light)

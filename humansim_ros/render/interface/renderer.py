@@ -115,11 +115,9 @@ class RenderRequest:
 
 
 class Renderer(ABC):
-    """Renders bodies in a static scene as a camera sees them.
-
-    A subclass defines ``channels``, the channels that it supports, ``name``, :meth:`render_request` and
-    :meth:`close`. Use it in a ``with`` statement, or call :meth:`close`, to free its memory at once.
-    """
+    """Renders bodies in a static scene as a camera sees them. A subclass defines ``channels``, the channels
+    that it supports, ``name``, :meth:`render_request` and :meth:`close`. Use it in a ``with`` statement, or
+    call :meth:`close`, to free its memory at once."""
 
     channels: Collection[str]
     name: str

@@ -94,9 +94,7 @@ def visible(camera: Camera, rotations: Array, translations: Array, points: Array
 
 def covered_pixels(name: str, samples: SceneSamples) -> float:
     """Pixels of the rectangles that all humans cover in an image, mean over time and the checked humans.
-
-    Scenes of many cameras are looked at less often.
-    """
+    Scenes of many cameras are looked at less often."""
     if not samples.joints:
         return 0.0
     camera, times = samples.scene.scene_cameras[name].camera, len(samples.times)
@@ -456,9 +454,7 @@ def cpu_ms(scene: Scene, covered: Mapping[str, float]) -> float:
 
     All images of the table of the scaling in docs/performance.md are subscribed: rgb, depth, instance, part.
 
-    Args:
-        scene: The scene.
-        covered: Pixels of the rectangles that humans cover in a frame, by camera.
+    ``covered``: pixels of the rectangles that humans cover in a frame, by camera.
     """
     triangles = sum(len(actor.human.mesh.triangles) for actor in scene.actors.values()) / 1e4
     cameras = sum(

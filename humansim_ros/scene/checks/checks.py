@@ -202,9 +202,8 @@ def _in_obstacles(
     obstacles: Sequence[Obstacle],
 ) -> Iterator[Finding]:
     """Findings about a human inside things, the first time for each thing. Contact with a seat is meant.
-
-    ``joints``: (N, J, 3). ``outside``: (N,) whether it is outside the room, where it is in the walls as well.
-    """
+    ``joints``: (N, J, 3). ``outside``: (N,) whether it is outside the room, where it is in the walls as
+    well."""
     names = samples.joint_names(name)
     pairs = [(names.index(a), names.index(b)) for a, b in _BONES if a in names and b in names]
     inside = np.flatnonzero(~outside)
@@ -233,14 +232,8 @@ def _in_obstacles(
 
 
 def _is_seat(obstacle: Obstacle, joints: Array, names: Sequence[str], times: Array) -> bool:
-    """Whether a human sits on a thing at any time: bent legs, and the thing below the hips only.
-
-    Args:
-        obstacle: The thing.
-        joints: Joints (N, J, 3) in ``map``.
-        names: Names of the joints.
-        times: Seconds (N,).
-    """
+    """Whether a human sits on a thing at any time: bent legs, and the thing below the hips only. ``joints``:
+    joints (N, J, 3) in ``map``. ``times``: seconds (N,)."""
     legs = [name for side in "lr" for name in (f"{side}_hip", f"{side}_knee", f"{side}_ankle")]
     if not set(legs) <= set(names):
         return False
@@ -259,10 +252,8 @@ def _is_seat(obstacle: Obstacle, joints: Array, names: Sequence[str], times: Arr
 
 
 def _is_deep(obstacle: Obstacle, starts: Array, ends: Array, times: Array) -> NDArray[np.bool_]:
-    """Whether a part (N,) of bones from ``starts`` to ``ends`` (N, S, 3) is deeper in a thing than contact.
-
-    A point is deep if it stays inside when it is moved by ``_CONTACT`` sideways or up.
-    """
+    """Whether a part (N,) of bones from ``starts`` to ``ends`` (N, S, 3) is deeper in a thing than contact. A
+    point is deep if it stays inside when it is moved by ``_CONTACT`` sideways or up."""
     deep = np.zeros(len(times), dtype=bool)
     moves = _CONTACT * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1]])
     for bone in range(starts.shape[1]):

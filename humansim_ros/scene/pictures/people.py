@@ -178,12 +178,9 @@ class StickFigureArtist:
     ) -> None:
         """Make an artist; :meth:`of_world` and :meth:`of_file` are simpler.
 
-        Args:
-            figure: Positions of the joints over time.
-            parents: Parent of each joint, (J,); -1 for a root.
-            sides: Side of each joint, (J,): 1 left, -1 right, 0 neither.
-            size: Width and height of the images in pixels.
-            viewpoint: Direction that the figure is drawn from.
+        ``figure``: positions of the joints over time. ``parents``: parent of each joint, (J,); -1 for a root.
+        ``sides``: side of each joint, (J,): 1 left, -1 right, 0 neither. ``size``: width and height of the
+        images in pixels. ``viewpoint``: direction that the figure is drawn from.
         """
         self.figure = figure
         self._parents, self._sides = parents, sides

@@ -39,12 +39,8 @@ _JOINT_CHANNELS = ("depth", "instance", "part")
 
 @dataclass(frozen=True)
 class _Layout:
-    """Blocks of ``columns`` cameras, each with a row of tiles for every channel.
-
-    Attributes:
-        columns: Cameras in a block.
-        tile: Width and height of a tile in pixels.
-    """
+    """Blocks of ``columns`` cameras, each with a row of tiles for every channel. ``columns``: cameras in a
+    block. ``tile``: width and height of a tile in pixels."""
 
     columns: int
     tile: tuple[int, int]
@@ -127,15 +123,8 @@ def _middle(sizes: Sequence[tuple[int, int]]) -> tuple[int, int]:
 def _from_above(
     scene: Scene, cameras: Mapping[str, Camera], seconds: float, tile: tuple[int, int], rows: int
 ) -> list[Image]:
-    """Picture of the scene from above, as a column of tiles.
-
-    Args:
-        scene: The scene.
-        cameras: Its cameras at their poses.
-        seconds: Scene time.
-        tile: Width and height of a tile.
-        rows: Number of tiles.
-    """
+    """Picture of the scene from above, as a column of tiles. ``cameras``: its cameras at their poses.
+    ``tile``: width and height of a tile. ``rows``: number of tiles."""
     width, height = tile
     whole = rows * (height + _GAP) - _GAP
     column = np.full((rows * (height + _GAP), width, 3), _BACKGROUND, np.uint8)
@@ -168,16 +157,8 @@ def _tiles(
     size: tuple[int, int],
     overlay: bool,
 ) -> list[Image]:
-    """Pictures of the channels of one camera.
-
-    Args:
-        scene: The scene.
-        frame: Frame with the view of the camera.
-        name: Name of the camera.
-        channels: Channels to draw.
-        size: Width and height of a tile.
-        overlay: Draw the joints over rgb.
-    """
+    """Pictures of the channels of one camera. ``channels``: channels to draw. ``size``: width and height of a
+    tile. ``overlay``: draw the joints over rgb."""
     view, camera = frame.views[name], scene.scene_cameras[name]
     out = []
     for channel in channels:

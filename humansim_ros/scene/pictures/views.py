@@ -66,9 +66,7 @@ def color_channel(name: str, values: Any) -> Image:
     coordinates: u, v as red, green. Flow: direction as hue, length as brightness. Masks: a colour for each
     human or object. Shadow: white where the light is blocked.
 
-    Args:
-        name: Name of the channel.
-        values: The channel, as :class:`~humansim_ros.render.View` has it.
+    ``values``: the channel, as :class:`~humansim_ros.render.View` has it.
     """
     return _PICTURES[name](values)
 

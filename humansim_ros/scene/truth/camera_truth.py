@@ -133,10 +133,8 @@ class BodyBox:
 
 
 def view_boxes(camera: Camera, bodies: Sequence[Body], view: View) -> dict[int, BodyBox]:
-    """Compute the boxes of all labelled bodies by instance label.
-
-    ``view`` must have the channels instance and amodal.
-    """
+    """Compute the boxes of all labelled bodies by instance label. ``view`` must have the channels instance
+    and amodal."""
     boxes = {}
     for body in bodies:
         if not body.instance:

@@ -21,7 +21,7 @@ from humansim_ros.people.loading.levels import levels_of, levels_of_person, make
 from humansim_ros.people.makehuman.building import build_unpainted
 from humansim_ros.people.makehuman.data import people_data
 from humansim_ros.people.makehuman.population import draw_person, model_of, person_config
-from humansim_ros.render.frame.detail import LARGEST_ERROR, coarsest, pixels_per_metre
+from humansim_ros.render.frame.body_buffers import LARGEST_ERROR, coarsest, pixels_per_metre
 from humansim_ros.types import Array, Indices
 
 CAMERA = {"eye": {"size": [160, 120], "position": [7, 4, 2.5], "look_at": [-4, -2, 0.8], "fov_deg": 60}}

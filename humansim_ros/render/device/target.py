@@ -87,8 +87,8 @@ class RenderTarget:
         self._to_read = (
             None if on_processor else ctx.buffer(reserve=4 * len(_ATTACHMENTS) * size[0] * size[1])
         )
-        #: pixels of the colours; pixels of depth and triangle ids
-        self._coloured = self._identified = Rectangle(0, 0, *size)
+        #: pixels that are drawn, and pixels from which depth and triangle ids are read
+        self.coloured = self.identified = Rectangle(0, 0, *size)
 
     def start(
         self,
@@ -108,13 +108,13 @@ class RenderTarget:
             kept: Result of :meth:`keep` for ``depth_buffer`` and ``rgba``.
         """
         self._limit_to(rectangle)
-        self._identified = rectangle if bodies is None else bodies
+        self.identified = rectangle if bodies is None else bodies
         if kept is None:
             self._write_all(rectangle, depth_buffer, rgba)
         else:
             cleared = self._framebuffers[False]
             cleared.use()
-            cleared.clear(viewport=self._identified.xywh)
+            cleared.clear(viewport=self.identified.xywh)
             self._colour.use()  # the scissor of the framebuffer in use limits the copy
             self._ctx.copy_framebuffer(self._colour, kept)
         self._colour.use()
@@ -123,9 +123,9 @@ class RenderTarget:
         self, rectangle: Rectangle, depth_buffer: Float32Array | None, rgba: NDArray[np.uint8] | None
     ) -> None:
         # zeros are written, since a clear costs Mesa more, and a copy with a scissor becomes a draw
-        zeros = bytes(4 * self._identified.shape[0] * self._identified.shape[1])
+        zeros = bytes(4 * self.identified.shape[0] * self.identified.shape[1])
         for texture in self._textures[:2]:
-            texture.write(zeros, viewport=self._identified.xywh, alignment=1)
+            texture.write(zeros, viewport=self.identified.xywh, alignment=1)
         if depth_buffer is None:
             self._write(self._depth_buffer, np.ones(rectangle.shape, np.float32).tobytes())
         else:
@@ -142,17 +142,12 @@ class RenderTarget:
         return self._ctx.framebuffer([colour], self._ctx.depth_texture(self.size, depth_buffer.tobytes()))
 
     def _write(self, image: moderngl.Texture, pixels: bytes) -> None:
-        image.write(pixels, viewport=self._coloured.xywh, alignment=1)
+        image.write(pixels, viewport=self.coloured.xywh, alignment=1)
 
     def _limit_to(self, rectangle: Rectangle) -> None:
-        self._coloured = self._identified = rectangle
+        self.coloured = self.identified = rectangle
         for framebuffer in (*self._framebuffers.values(), self._colour):
             framebuffer.scissor = rectangle.xywh
-
-    @property
-    def identified(self) -> Rectangle:
-        """Pixels from which depths and triangle ids are read."""
-        return self._identified
 
     def clear(self, colour: Sequence[int]) -> None:
         """Clear the whole image to a colour (sRGB, 0 to 255) at infinite distance."""
@@ -236,7 +231,7 @@ class RenderTarget:
 
     def _read_of(self, name: str) -> Rectangle:
         """Pixels that are read of an attachment."""
-        return self._coloured if name == "rgba" else self._identified
+        return self.coloured if name == "rgba" else self.identified
 
     def release(self) -> None:
         """Free the memory on the device."""

@@ -1,4 +1,4 @@
-"""Buffers of bodies on the device, the pixels that the bodies may cover, and their contours."""
+"""Bodies in a frame: buffers on the device, pixels that they may cover, contours, levels of detail."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from humansim_ros.render.device.mesh_buffers import (
 from humansim_ros.render.device.target import Rectangle
 from humansim_ros.render.frame.edge_antialiasing import ImageEdges
 from humansim_ros.render.interface.renderer import Body
-from humansim_ros.types import Array, Float32Array, Indices
+from humansim_ros.types import Array, Float32Array, FloatArray, Indices
 
 #: Most poses of a body for which derived arrays are cached: enough for some frames and one exposure.
 _MAX_POSES = 12
@@ -39,7 +39,7 @@ class BodyCache:
 
     def __init__(self, ctx: moderngl.Context, lit: moderngl.Program, ids: moderngl.Program) -> None:
         self._ctx, self._programs = ctx, (lit, ids)
-        self._meshes: WeakCache[_MeshBuffers] = WeakCache()
+        self._meshes: WeakCache[MeshBuffers] = WeakCache()
 
     def __len__(self) -> int:
         return len(self._meshes)
@@ -48,7 +48,7 @@ class BodyCache:
         """The body in its pose. It is uploaded when it is drawn."""
         buffers = self._meshes.get(body.mesh)
         if buffers is None:
-            buffers = self._meshes.put(body.mesh, _MeshBuffers(self._ctx, body.mesh, self._programs))
+            buffers = self._meshes.put(body.mesh, MeshBuffers(self._ctx, body.mesh, self._programs))
         return buffers.body(body.instance).pose(body)
 
     def release_unused(self) -> None:
@@ -57,7 +57,7 @@ class BodyCache:
             buffers.release()
 
 
-class _MeshBuffers:
+class MeshBuffers:
     """Buffers of a mesh that are the same in all poses."""
 
     def __init__(
@@ -75,9 +75,9 @@ class _MeshBuffers:
         self.has_skin_mask = mesh.texture is not None and mesh.skin is not None
         self.uv_colors = ctx.buffer(self.expanded.uv_colors.tobytes())
         self._bodies: dict[int, _BodyBuffers] = {}
-        self._levels: dict[int, tuple[Indices, _MeshBuffers]] = {}
+        self._levels: dict[int, tuple[Indices, MeshBuffers]] = {}
 
-    def level(self, number: int, mesh: Mesh, levels: Simplification) -> tuple[Indices, _MeshBuffers]:
+    def level(self, number: int, mesh: Mesh, levels: Simplification) -> tuple[Indices, MeshBuffers]:
         """Vertices (v,) of the mesh that a level of detail uses, and the buffers of that level."""
         if number not in self._levels:
             _, uv, corners = split_seams(mesh)
@@ -94,7 +94,7 @@ class _MeshBuffers:
                 materials=None,
                 off_body=None,
             )
-            self._levels[number] = kept, _MeshBuffers(self.ctx, shown, self.programs, self.material)
+            self._levels[number] = kept, MeshBuffers(self.ctx, shown, self.programs, self.material)
         return self._levels[number]
 
     def body(self, instance: int) -> _BodyBuffers:
@@ -116,73 +116,64 @@ class _MeshBuffers:
 class _BodyBuffers:
     """Positions, normals and visible triangles of a body on the device."""
 
-    def __init__(self, mesh: _MeshBuffers) -> None:
+    def __init__(self, mesh: MeshBuffers) -> None:
         ctx, expanded, (lit, ids) = mesh.ctx, mesh.expanded, mesh.programs
         self.mesh = mesh
         size = len(expanded.source) * 12
-        self.positions, self.normals = (ctx.buffer(reserve=size, dynamic=True) for _ in range(2))
+        self._vertices = positions, normals = tuple(ctx.buffer(reserve=size, dynamic=True) for _ in range(2))
+        #: the poses with the positions and the normals that are on the device
+        self._shown: list[PosedMesh | None] = [None, None]
         self._index = ctx.buffer(expanded.corners.tobytes(), dynamic=True)
+        # (unlit shaders have no normals)
+        shaded = [(normals, "3f", "normal")] if "normal" in lit else []
         self._lit = ctx.vertex_array(
             lit,
-            [
-                (self.positions, "3f", "position"),
-                # (unlit shaders have no normals)
-                *([(self.normals, "3f", "normal")] if "normal" in lit else []),
-                (mesh.uv_colors, "2f 3f", "uv", "color"),
-            ],
+            [(positions, "3f", "position"), *shaded, (mesh.uv_colors, "2f 3f", "uv", "color")],
             index_buffer=self._index,
         )
-        self._ids = ctx.vertex_array(ids, [(self.positions, "3f", "position")], index_buffer=self._index)
+        self._ids = ctx.vertex_array(ids, [(positions, "3f", "position")], index_buffer=self._index)
         self._depths: moderngl.VertexArray | None = None
         self._all: moderngl.Buffer | None = None
         self._poses: LruCache[int, tuple[weakref.ref[Body], PosedMesh]] = LruCache(_MAX_POSES)
-        self._positions_of: PosedMesh | None = None
-        self._normals_of: PosedMesh | None = None
 
     def pose(self, body: Body) -> PosedBody:
         """The body in its pose, cached."""
-        key = id(body)
-        entry = self._poses.get(key)
+        key, poses = id(body), self._poses
+        entry = poses.get(key)
         if entry is None or entry[0]() is not body:
-            poses = self._poses
             reference = weakref.ref(body, lambda _: poses.discard(key))
             entry = poses.put(key, (reference, PosedMesh(self.mesh.topology, body.vertices)))
         return PosedBody(body, entry[1], self)
 
-    def upload_positions(self, posed: PosedMesh) -> None:
-        if self._positions_of is not posed:
-            self._upload(self.positions, posed.vertices)
-            self._positions_of = posed
-
-    def upload_normals(self, posed: PosedMesh) -> None:
-        if self._normals_of is not posed:
-            self._upload(self.normals, posed.normals)
-            self._normals_of = posed
-
-    def draw(self, lit: bool, triangles: NDArray[np.intp]) -> None:
+    def draw(self, posed: PosedMesh, lit: bool, triangles: NDArray[np.intp]) -> None:
+        self._upload(posed, lit)
         corners = self.mesh.expanded.corners.take(triangles, axis=0)
         self._index.orphan()
         self._index.write(corners)
         self.mesh.material.texture.use(0)
         (self._lit if lit else self._ids).render(moderngl.TRIANGLES, vertices=corners.size)
 
-    def draw_depths(self, program: moderngl.Program) -> None:
+    def draw_depths(self, posed: PosedMesh, program: moderngl.Program) -> None:
+        self._upload(posed, False)
         if self._depths is None:
-            ctx = self.mesh.ctx
+            ctx, positions = self.mesh.ctx, [(self._vertices[0], "3f", "position")]
             self._all = ctx.buffer(self.mesh.expanded.corners.tobytes())
-            self._depths = ctx.vertex_array(
-                program, [(self.positions, "3f", "position")], index_buffer=self._all
-            )
+            self._depths = ctx.vertex_array(program, positions, index_buffer=self._all)
         self._depths.render(moderngl.TRIANGLES)
 
+    def _upload(self, posed: PosedMesh, normals: bool) -> None:
+        """Upload the positions and, if needed, the normals of a pose, unless the device has them."""
+        for number, buffer in enumerate(self._vertices[: 1 + normals]):
+            if self._shown[number] is not posed:
+                values = posed.normals if number else posed.vertices
+                buffer.orphan()
+                buffer.write(values.take(self.mesh.expanded.source, axis=0))
+                self._shown[number] = posed
+
     def release(self) -> None:
-        for one in (self._lit, self._ids, self._depths, self._all, self.positions, self.normals, self._index):
+        for one in (self._lit, self._ids, self._depths, self._all, self._index, *self._vertices):
             if one is not None:
                 one.release()
-
-    def _upload(self, buffer: moderngl.Buffer, values: Float32Array) -> None:
-        buffer.orphan()
-        buffer.write(values.take(self.mesh.expanded.source, axis=0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,29 +184,19 @@ class PosedBody:
     posed: PosedMesh
     _buffers: _BodyBuffers
 
+    @property
+    def mesh(self) -> MeshBuffers:
+        """Buffers of the mesh."""
+        return self._buffers.mesh
+
     def level(self, number: int) -> PosedBody:
         """The body at a level of detail."""
         levels = self.body.levels
         if not number or levels is None:
             return self
-        kept, mesh = self._buffers.mesh.level(number, self.body.mesh, levels)
+        kept, mesh = self.mesh.level(number, self.body.mesh, levels)
         posed = self.posed.level(number, mesh.topology, kept)
         return PosedBody(self.body, posed, mesh.body(self.body.instance))
-
-    @property
-    def topology(self) -> Topology:
-        """Topology of the mesh."""
-        return self._buffers.mesh.topology
-
-    @property
-    def closed(self) -> bool:
-        """See :attr:`humansim_ros.files.mesh.mesh.Mesh.closed`."""
-        return self._buffers.mesh.closed
-
-    @property
-    def has_skin_mask(self) -> bool:
-        """Whether the texture marks the pixels that show skin."""
-        return self._buffers.mesh.has_skin_mask
 
     @property
     def near_floor(self) -> bool:
@@ -229,42 +210,37 @@ class PosedBody:
 
     def draw(self, lit: bool, triangles: NDArray[np.intp]) -> None:
         """Draw the triangles with the indices ``triangles`` (M,)."""
-        if not len(triangles):
-            return
-        self._buffers.upload_positions(self.posed)
-        if lit:
-            self._buffers.upload_normals(self.posed)
-        self._buffers.draw(lit, triangles)
+        if len(triangles):
+            self._buffers.draw(self.posed, lit, triangles)
 
     def draw_depths(self, program: moderngl.Program) -> None:
         """Draw all triangles with a program that needs positions only. Each call must pass the same
         program."""
-        self._buffers.upload_positions(self.posed)
-        self._buffers.draw_depths(program)
+        self._buffers.draw_depths(self.posed, program)
 
     def bent(self, camera: Camera, angle: float) -> NDArray[np.bool_] | None:
         """(N,) whether the lens visibly bends an edge of each triangle; None if no edge is bent. ``angle``:
         edges that span a smaller angle (radians) look straight."""
-        offsets = self.posed.points - camera.center.astype(np.float32)[:, None]
+        topology, offsets = self.mesh.topology, self.posed.points - camera.center.astype(np.float32)[:, None]
         closest = float(np.sqrt(np.einsum("ij,ij->j", offsets, offsets).min()))
         for tolerance in (VISIBLE, TOLERANCE):
             smallest = angle * (tolerance / VISIBLE) ** 0.5
             # objects may have any size, so each one is tested
             human = self.body.kind == "human"
-            edges = self.topology.longer(smallest * closest) if human else np.arange(len(self.topology.edges))
-            starts, ends = self.posed.vertices[self.topology.edges[edges].T]
-            wide = wider_than(smallest, starts, ends, camera)
+            edges = topology.longer(smallest * closest) if human else np.arange(len(topology.edges))
+            starts, ends = self.posed.vertices[topology.edges[edges].T]
+            wide = _wider_than(smallest, starts, ends, camera)
             edges = edges[wide][LensView(camera).bent(starts[wide], ends[wide], tolerance)]
             if not len(edges):
                 return None
-        found = np.zeros(len(self.topology.corners[0]), bool)
-        for side in self.topology.sides:
+        found = np.zeros(len(topology.corners[0]), bool)
+        for side in topology.sides:
             found[side[edges]] = True
         return found
 
     def tessellated(self, camera: Camera, triangles: Indices) -> TessellatedMesh:
         """The triangles (M,), tessellated so that the lens can bend their edges."""
-        expanded = self._buffers.mesh.expanded
+        expanded = self.mesh.expanded
         used, corners = np.unique(expanded.corners.take(triangles, axis=0), return_inverse=True)
         attributes = expanded.attributes(self.posed).take(used, axis=0)
         mesh = LensView(camera).tessellate(attributes, corners.reshape(-1, 3))
@@ -273,18 +249,13 @@ class PosedBody:
     @property
     def whole(self) -> TessellatedMesh:
         """All triangles, not tessellated."""
-        expanded = self._buffers.mesh.expanded
+        expanded = self.mesh.expanded
         corners = expanded.corners.astype(np.intp)
         return TessellatedMesh(expanded.attributes(self.posed), corners, np.arange(len(corners)))
 
-    @property
-    def material(self) -> MaterialBuffers:
-        """Texture and material of the mesh."""
-        return self._buffers.mesh.material
-
     def draw_tessellated(self, program: moderngl.Program, tessellated: TessellatedMesh) -> None:
         """Draw tessellated triangles."""
-        mesh = self._buffers.mesh
+        mesh = self.mesh
         with TriangleBuffers(mesh.ctx, tessellated.attributes, tessellated.triangles) as pieces:
             pieces.draw(program, [mesh.material], [len(tessellated.triangles)])
 
@@ -416,13 +387,9 @@ class HiddenBodies:
     """Finds bodies that other bodies hide, from the depths drawn so far.
 
     A read waits until everything drawn before is finished. So depths are read only when they are likely to
-    show that a body is hidden.
-
-    Args:
-        bodies: Vertices of the bodies in the order in which they are drawn.
-        static: (H, W) depth of the static scene, metres.
-        rectangle: Pixels that the bodies may touch.
-        read: Reads depths (h, w) of the bodies drawn so far within the rectangle, 0 for none.
+    show that a body is hidden. ``bodies``: in the order in which they are drawn. ``static``: (H, W) depth of
+    the static scene, metres. ``read``: reads depths (h, w) of the bodies drawn so far within ``rectangle``,
+    which are the pixels that bodies may touch; 0 for none.
     """
 
     def __init__(
@@ -508,8 +475,7 @@ def contour(
     """Return the contour edges of a body in the image.
 
     Args:
-        posed: The body.
-        projected: Its projected vertices.
+        posed, projected: The body, and its vertices in the image.
         facing: (N,) whether each triangle shows its front to the camera.
         angle: See :func:`straight_angle`.
     """
@@ -517,7 +483,7 @@ def contour(
     camera, vertices = projected.camera, posed.vertices
     bent: NDArray[np.bool_] = np.zeros(len(starts), bool)
     if camera.distorted:
-        bent = wider_than(angle, vertices.take(starts, axis=0), vertices.take(ends, axis=0), camera)
+        bent = _wider_than(angle, vertices.take(starts, axis=0), vertices.take(ends, axis=0), camera)
     edges = []
     if bent.any():
         *pieces, _ = LensView(camera).divide_edges(vertices[starts[bent]], vertices[ends[bent]])
@@ -536,17 +502,9 @@ def contour(
     return edges
 
 
-def wider_than(angle: float, starts: Float32Array, ends: Float32Array, camera: Camera) -> NDArray[np.bool_]:
-    """Find the edges that may span more than an angle when a camera looks at them.
-
-    Args:
-        angle: Radians.
-        starts, ends: Ends of the edges, (N, 3) metres in ``map``.
-        camera: Camera that sees them.
-
-    Returns:
-        (N,) mask.
-    """
+def _wider_than(angle: float, starts: Float32Array, ends: Float32Array, camera: Camera) -> NDArray[np.bool_]:
+    """(N,) whether edges from ``starts`` to ``ends``, (N, 3) metres in ``map``, may span more than an angle
+    (radians) when a camera looks at them."""
     eye = camera.center.astype(np.float32)
     nearest = np.minimum(_squares(starts - eye), _squares(ends - eye))
     return np.asarray(_squares(ends - starts) > angle * angle * nearest)
@@ -555,3 +513,47 @@ def wider_than(angle: float, starts: Float32Array, ends: Float32Array, camera: C
 def _squares(vectors: Float32Array) -> Float32Array:
     """(N,) squared lengths of vectors."""
     return np.asarray(np.einsum("ij,ij->i", vectors, vectors))
+
+
+#: Largest error of the surface of a level, pixels.
+LARGEST_ERROR = 0.1
+#: A level with more than this share of all vertices saves no time.
+LARGEST_SHARE = 0.25
+#: Metres by which points are moved, to measure how far they move in the image.
+_STEP = 1e-3
+#: Corners of a box.
+_CORNERS = np.stack(np.meshgrid(*[(0, 1)] * 3), axis=-1).reshape(8, 3)
+
+
+def coarsest(levels: Sequence[Simplification | None], boxes: FloatArray, camera: Camera) -> tuple[int, ...]:
+    """Choose the coarsest level of each body with an error below a tenth of a pixel. ``levels``: levels of
+    each body; None if there is only the whole mesh. ``boxes``: lowest and highest corner of each body, (M, 2,
+    3) metres in ``map``."""
+    scales = pixels_per_metre(boxes, camera)
+    return tuple(
+        0 if known is None else int(np.searchsorted(known.errors, LARGEST_ERROR / scale, side="right")) - 1
+        for known, scale in zip(levels, scales.tolist(), strict=True)
+    )
+
+
+def pays(levels: Sequence[Simplification | None], chosen: Sequence[int]) -> bool:
+    """Whether levels of detail save time, although labels need the whole meshes too."""
+    known = [(each.counts, number) for each, number in zip(levels, chosen, strict=True) if each is not None]
+    return sum(counts[number] for counts, number in known) < LARGEST_SHARE * sum(
+        counts[0] for counts, _ in known
+    )
+
+
+def pixels_per_metre(boxes: FloatArray, camera: Camera) -> Array:
+    """Largest number of pixels that a metre in any direction has within each box (M, 2, 3). It is infinite
+    near the camera and beyond the lens."""
+    corners = np.where(_CORNERS == 0, boxes[:, None, 0], boxes[:, None, 1])
+    moved = corners[..., None, :] + _STEP * np.concatenate([np.zeros((1, 3)), np.eye(3)])
+    pixels, depth = camera.project(moved.reshape(-1, 3))
+    at, *others = np.moveaxis(pixels.reshape(*moved.shape[:-1], 2), 2, 0)
+    # the largest singular value of the derivatives (2 x 3)
+    x, y = np.moveaxis((np.stack(others) - at) / _STEP, -1, 0)
+    xx, yy, xy = (x * x).sum(axis=0), (y * y).sum(axis=0), (x * y).sum(axis=0)
+    scales = np.sqrt((xx + yy) / 2 + np.hypot((xx - yy) / 2, xy))
+    unknown = np.isnan(scales) | (depth.reshape(moved.shape[:-1])[..., 0] < 2 * NEAR)
+    return np.asarray(np.where(unknown, np.inf, scales).max(axis=1))

@@ -13,10 +13,10 @@ nothing hides are equal.
 from __future__ import annotations
 
 import weakref
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import moderngl
 import numpy as np
@@ -41,11 +41,12 @@ from humansim_ros.render.frame.body_buffers import (
     HiddenBodies,
     PosedBody,
     ProjectedPoints,
+    coarsest,
     contour,
     image_bounds,
+    pays,
     straight_angle,
 )
-from humansim_ros.render.frame.detail import coarsest, pays
 from humansim_ros.render.frame.edge_antialiasing import edge_crossings
 from humansim_ros.render.frame.rendered_frame import (
     AdjacentFrames,
@@ -70,6 +71,14 @@ from humansim_ros.types import Float32Array, Indices
 
 if TYPE_CHECKING:
     from humansim_ros.render.frame.pyrender import PyrenderRenderer
+
+
+class _SeenBody(NamedTuple):
+    """A body in its pose, with its points in the image. ``number``: number of the body in the frame."""
+
+    number: int
+    body: PosedBody
+    points: ProjectedPoints
 
 
 class GLRenderer(Renderer):
@@ -146,41 +155,33 @@ class GLRenderer(Renderer):
             waiting: list[Callable[[], RenderedFrame]] = []
             for request in requests[:count]:
                 request.check(self)
-                bodies = self._moving(request.bodies)
-                for channels, levels in self._drawings(bodies, request):
-                    passes, target = Passes.of(channels), len(waiting) + 1
-                    waiting.append(self._start_frame(bodies, request.camera, passes, request, levels, target))
+                for part, levels in self._parts(request):
+                    waiting.append(self._start(part, levels, len(waiting) + 1))
             for wait in waiting:
                 wait()
 
     def render_request(self, request: RenderRequest) -> View:
-        bodies = self._moving(request.bodies)
         with self._context.current():
             self._bodies.release_unused()
-            view, *others = (
-                self._view(bodies, replace(request, channels=channels), levels)
-                for channels, levels in self._drawings(bodies, request)
-            )
+            view, *others = (self._view(part, levels) for part, levels in self._parts(request))
             for other in others:
                 view = view.with_channels(**{name: getattr(other, name) for name in other.channels})
             return view
 
-    def _drawings(
-        self, bodies: Sequence[Body], request: RenderRequest
-    ) -> list[tuple[Collection[str], tuple[int, ...]]]:
-        """Groups of channels that are drawn together, each with the level of detail of each body (empty: all
-        whole)."""
+    def _parts(self, request: RenderRequest) -> list[tuple[RenderRequest, tuple[int, ...]]]:
+        """Requests for the channels that are drawn together, each with the level of detail of each body
+        (empty: all whole). The requests have no static bodies."""
+        request = replace(request, bodies=self._moving(request.bodies))
         coloured = {name for name in request.channels if "lit" in CHANNEL_TABLE[name].passes}
-        levels = self._levels(bodies, request.camera) if coloured else ()
+        levels = self._levels(request.bodies, request.camera) if coloured else ()
         if not any(levels):
-            return [(request.channels, ())]
-        exact = set(request.channels) - coloured
-        return [*([(exact, ())] if exact else []), (coloured, levels)]
+            return [(request, ())]
+        parts = ((set(request.channels) - coloured, ()), (coloured, levels))
+        return [(replace(request, channels=channels), chosen) for channels, chosen in parts if channels]
 
-    def _view(self, bodies: Sequence[Body], request: RenderRequest, levels: tuple[int, ...]) -> View:
+    def _view(self, request: RenderRequest, levels: tuple[int, ...]) -> View:
         """Channels of bodies at some levels of detail."""
-        passes = Passes.of(request.channels)
-        frame = self._frame(bodies, request.camera, passes, request, levels)
+        frame = self._start(request, levels)()
         adjacent: AdjacentFrames = {}
         for name in ADJACENT_NAMES:
             channels, other = comparing_with(name, request.channels), request.adjacent(name)
@@ -188,19 +189,20 @@ class GLRenderer(Renderer):
                 continue
             other, rendered = replace(other, bodies=self._moving(other.bodies)), None
             if any(CHANNEL_TABLE[channel].occlusion for channel in channels):
-                # keep the passes of this frame, since it will be requested next
-                rendered = self._frame(other.bodies, other.camera, passes, request)
+                # keep the channels of this frame, since it will be requested next
+                rendered = self._start(replace(request, bodies=other.bodies, camera=other.camera))()
             adjacent = {**adjacent, name: (other, rendered)}
-        return frame.view(bodies, request.channels, adjacent)
+        return frame.view(request.bodies, request.channels, adjacent)
 
     def _levels(self, bodies: Sequence[Body], camera: Camera) -> tuple[int, ...]:
         """Level of detail of each body for colours. Empty if all are drawn whole, as with shadows of the
         sun."""
-        if self._static.sun_shadows is not None or all(body.levels is None for body in bodies):
+        known = [body.levels for body in bodies]
+        if self._static.sun_shadows is not None or all(each is None for each in known):
             return ()
-        posed = [self._bodies.pose(body).posed for body in bodies]
-        levels = coarsest([body.levels for body in bodies], np.stack([each.box for each in posed]), camera)
-        return levels if pays([body.levels for body in bodies], levels) else ()
+        boxes = np.stack([self._bodies.pose(body).posed.box for body in bodies])
+        levels = coarsest(known, boxes, camera)
+        return levels if pays(known, levels) else ()
 
     def coverage(self, body: Body, camera: Camera) -> Indices:
         """Count the pixels that each triangle of a body covers, also where another surface hides it.
@@ -227,49 +229,29 @@ class GLRenderer(Renderer):
 
     def _moving(self, bodies: Sequence[Body]) -> Sequence[Body]:
         """Bodies that are not part of the static scene."""
-        if not self._static_bodies:
-            return bodies
         static = {id(body) for body in self._static_bodies}
-        return [body for body in bodies if id(body) not in static]
+        return [body for body in bodies if id(body) not in static] if static else bodies
 
-    def _frame(
-        self,
-        bodies: Sequence[Body],
-        camera: Camera,
-        passes: Passes,
-        request: RenderRequest,
-        levels: tuple[int, ...] = (),
-    ) -> RenderedFrame:
-        """Rendered frame from the cache, or a new one. ``levels``: level of each body; empty if all are
-        whole."""
-        return self._start_frame(bodies, camera, passes, request, levels)()
-
-    def _start_frame(
-        self,
-        bodies: Sequence[Body],
-        camera: Camera,
-        passes: Passes,
-        request: RenderRequest,
-        levels: tuple[int, ...],
-        number: int = 0,
+    def _start(
+        self, request: RenderRequest, levels: tuple[int, ...] = (), number: int = 0
     ) -> Callable[[], RenderedFrame]:
-        """Start to draw a frame into target ``number``, unless it is cached. The result waits for the
-        images."""
+        """Start to draw the frame of a request into target ``number``, unless the frame is cached. The result
+        waits for the images. ``levels``: level of each body; empty if all are whole."""
+        bodies, camera, passes = request.bodies, request.camera, Passes.of(request.channels)
         moving, backdrop = request.moving_camera, request.backdrop
         view = camera_key(camera), moving, id(backdrop), levels
         cached = self._frames.get(bodies, view)
         if cached is not None and cached.passes.covers(passes):
             return lambda: cached
         layer = self._static.layer(camera, moving, backdrop, passes.lit)
-        target = self._targets.of(camera.size, number)
-        finish = self._render(bodies, camera, passes, layer, levels, target)
+        read = self._render(bodies, passes, layer, self._targets.of(camera.size, number), camera, levels)
 
         def wait() -> RenderedFrame:
-            frame = finish()
+            frame = read()
             if self._static_bodies:
-                frame.static_labels = self._static_labels(camera, passes, moving, layer)
+                frame.static_labels = self._static_labels(frame, moving)
             if passes.uncovered:
-                frame.body_part = self._uncovered(frame, bodies, camera, moving)
+                frame.body_part = self._uncovered(frame, bodies, moving)
             return self._frames.put(bodies, view, frame)
 
         return wait
@@ -277,20 +259,22 @@ class GLRenderer(Renderer):
     def _render(
         self,
         bodies: Sequence[Body],
-        camera: Camera,
         passes: Passes,
         layer: StaticLayer,
-        levels: tuple[int, ...],
         target: RenderTarget,
+        camera: Camera,
+        levels: tuple[int, ...] = (),
         uncovered: bool = False,
     ) -> Callable[[], RenderedFrame]:
-        """Start to draw a frame. The result waits for the images. ``uncovered``: without off-body
-        surfaces."""
+        """Start to draw a frame. The result reads the images. ``uncovered``: without off-body surfaces."""
         posed = [self._bodies.pose(body) for body in bodies]
         if levels:
             posed = [body.level(number) for body, number in zip(posed, levels, strict=True)]
-        projected = [ProjectedPoints(body.posed.points, camera) for body in posed]
-        drawn = [not points.is_hidden(layer.depth) for points in projected]
+        everybody = [
+            _SeenBody(number, body, ProjectedPoints(body.posed.points, camera))
+            for number, body in enumerate(posed)
+        ]
+        drawn = [each for each in everybody if not each.points.is_hidden(layer.depth)]
         shadows = []
         if passes.lit and self._static.contact_shadows:
             shadows = _contact_shadows(posed, camera, layer.depth)
@@ -298,7 +282,7 @@ class GLRenderer(Renderer):
         sun = self._static.sun_shadows if passes.lit else None
         if sun is not None and posed:
             shaded += sun.update(posed)
-        clouds = [points for points, draw in zip(projected, drawn, strict=True) if draw]
+        clouds = [each.points for each in drawn]
         touched = image_bounds(clouds, camera)
         rectangle = image_bounds([*clouds, *(ProjectedPoints(points, camera) for points in shaded)], camera)
         target.start(rectangle, layer.depth_buffer, layer.rgba, touched, layer.kept)
@@ -308,48 +292,44 @@ class GLRenderer(Renderer):
             if sun is not None and layer.shadow_inputs is not None:
                 sun.apply(layer.shadow_inputs, target, camera)
             target.use(passes.lit)
-            numbers = [number for number, draw in enumerate(drawn) if draw]
-            ids, facing = self._draw(
-                posed, projected, numbers, target, rectangle, passes.lit, layer.depth, uncovered
-            )
-            if passes.outlined and clouds:
+            ids, facing = self._draw(drawn, target, passes.lit, layer.depth, uncovered)
+            if passes.outlined and drawn:
                 angle = straight_angle(camera, rectangle)
                 edges = [
-                    contour(posed[number].posed, projected[number], front, angle)
-                    for number, front in sorted(facing.items())
+                    contour(each.body.posed, each.points, facing[each.number], angle)
+                    for each in drawn
+                    if each.number in facing
                 ]
                 outline = edge_crossings([part for body in edges for part in body], camera.size)
         wait = target.read_together(("triangle_id", "depth", "rgba")[: 2 + passes.lit], passes.lit)
         alone = None
         if passes.alone:
-            labelled = [pair for pair in zip(posed, projected, strict=True) if pair[0].body.instance]
-            alone = {body.body.instance: self._alone(body, points) for body, points in labelled}
+            labelled = [each for each in everybody if each.body.body.instance]
+            alone = {each.body.body.instance: self._alone(each) for each in labelled}
+        instances = tuple(body.instance for body in bodies)
 
-        def finish() -> RenderedFrame:
+        def read() -> RenderedFrame:
             triangle_ids, depth, *colours = wait()
-            rgba = colours[0] if passes.lit else None
-            instances = tuple(body.instance for body in bodies)
             return RenderedFrame(
-                *(passes, instances, camera, layer, touched, rectangle),
-                *(ids, triangle_ids, depth, rgba, outline, alone),
+                *(passes, instances, camera, layer, touched, rectangle, ids, triangle_ids, depth),
+                *(colours[0] if passes.lit else None, outline, alone),
             )
 
-        return finish
+        return read
 
-    def _static_labels(
-        self, camera: Camera, passes: Passes, moving_camera: bool, layer: StaticLayer
-    ) -> StaticLabels:
-        """Labels of the static bodies in a layer, from the cache or new."""
-        passes = Passes(lit=False, outlined=True, alone=passes.alone)
+    def _static_labels(self, frame: RenderedFrame, moving_camera: bool) -> StaticLabels:
+        """Labels of the static bodies in the layer of a frame, from the cache or new."""
+        camera, layer = frame.camera, frame.layer
+        passes = Passes(outlined=True, alone=frame.passes.alone)
         if layer.labels is None or not layer.labels.passes.covers(passes):
             target = self._targets.of(camera.size)
             self._static.draw_unlabelled(target, camera, moving_camera)
-            frame = self._render(self._static_bodies, camera, passes, StaticLayer(target, None), (), target)()
-            layer.labels = StaticLabels(replace(frame, layer=layer), self._static_bodies)
+            own = self._render(self._static_bodies, passes, StaticLayer(target, None), target, camera)()
+            layer.labels = StaticLabels(replace(own, layer=layer), self._static_bodies)
         return layer.labels
 
     def _uncovered(
-        self, frame: RenderedFrame, bodies: Sequence[Body], camera: Camera, moving_camera: bool
+        self, frame: RenderedFrame, bodies: Sequence[Body], moving_camera: bool
     ) -> NDArray[np.uint8] | None:
         """(H, W) part labels without off-body surfaces. None if no pixel of the frame shows such a
         surface."""
@@ -358,79 +338,67 @@ class GLRenderer(Renderer):
         )
         if not (static or (moving and frame.ids.table("off_body").take(frame.triangle_ids).any())):
             return None
-        target, layer = self._targets.of(camera.size), frame.layer
-        parts = np.zeros(camera.size[::-1], np.uint8)
+        camera, layer = frame.camera, frame.layer
+        target, parts = self._targets.of(camera.size), np.zeros(camera.size[::-1], np.uint8)
         if static:  # the layer shows off-body surfaces of static bodies too
             self._static.draw_unlabelled(target, camera, moving_camera)
             layer, bodies = StaticLayer(target, None), [*bodies, *self._static_bodies]
         elif frame.static_labels is not None:
             parts = frame.static_labels.images(("body_part",))["body_part"]
-        drawn = self._render(bodies, camera, Passes(), layer, (), target, uncovered=True)()
+        drawn = self._render(bodies, Passes(), layer, target, camera, uncovered=True)()
         values = drawn.ids.table("part").take(drawn.triangle_ids)
         np.copyto(parts[drawn.rectangle.slices], values, where=drawn.triangle_ids > 0)
         return parts
 
-    def _alone(self, body: PosedBody, projected: ProjectedPoints) -> NDArray[np.bool_]:
+    def _alone(self, seen: _SeenBody) -> NDArray[np.bool_]:
         """(H, W) mask of a body without occluders."""
-        camera = projected.camera
-        mask = np.zeros(camera.size[::-1], bool)
-        rectangle = image_bounds([projected], camera)
+        camera = seen.points.camera
+        mask, rectangle = np.zeros(camera.size[::-1], bool), seen.points.rectangle
         if not rectangle.empty:
             target = self._targets.of(camera.size)
             target.start(rectangle)
             target.use(False)
-            nothing = np.full(camera.size[::-1], np.inf, np.float32)
-            self._draw([body], [projected], [0], target, rectangle, False, nothing)
+            self._draw([seen], target, False, np.full(mask.shape, np.inf, np.float32))
             mask[rectangle.slices] = target.read("triangle_id", False) > 0
         return mask
 
     def _draw(
         self,
-        bodies: Sequence[PosedBody],
-        projected: Sequence[ProjectedPoints],
-        numbers: Sequence[int],
+        bodies: Sequence[_SeenBody],
         target: RenderTarget,
-        rectangle: Rectangle,
         lit: bool,
         behind: Float32Array,
         uncovered: bool = False,
     ) -> tuple[TriangleIds, dict[int, NDArray[np.bool_]]]:
-        """Draw those triangles of some bodies that may be visible, each with its own id. Returns the
-        triangles that were drawn. And by number of each body that is not hidden, (N,) whether each triangle
-        shows its front.
+        """Draw the triangles of some bodies that may be visible, each with its own id, into the target in
+        use. ``lit``: draw colours too. ``behind``: (H, W) depth of the static scene, which may hide bodies,
+        metres. ``uncovered``: leave out off-body surfaces.
 
-        Args:
-            bodies: The bodies of the frame.
-            projected: Their vertices in the image.
-            numbers: The bodies to draw.
-            target: Target that is in use.
-            rectangle: Pixels that the bodies may touch.
-            lit: Draw colours too.
-            behind: (H, W) depth of the static scene, which may hide bodies, metres.
-            uncovered: Leave out off-body surfaces.
+        Returns:
+            The triangles that were drawn. And by number of each body that is not hidden, (N,) whether each
+            triangle shows its front.
         """
         ids, facing = TriangleIds(), dict[int, NDArray[np.bool_]]()
-        if not numbers:
+        if not bodies:
             return ids, facing
-        camera, program = projected[0].camera, self._lit if lit else self._ids
+        camera, program = bodies[0].points.camera, self._lit if lit else self._ids
         use_camera(self._ctx, program, camera)
         self._ctx.enable_only(moderngl.DEPTH_TEST)
-        straight = straight_angle(camera, rectangle)
+        straight = straight_angle(camera, target.coloured)
         # the nearest body first, so that hidden pixels are not shaded
-        order = sorted(numbers, key=lambda number: projected[number].closest)
+        order = sorted(bodies, key=lambda each: each.points.closest)
         hidden = HiddenBodies(
-            *([projected[number] for number in order], behind),
+            *([each.points for each in order], behind),
             *(target.identified, lambda: target.read("depth", lit)),
         )
-        for number in order:
-            body, points = bodies[number], projected[number]
+        for number, body, points in order:
             if hidden.contains(points):
                 continue
             front = facing[number] = body.posed.facing(camera.center)
             set_uniform(program, "first_id", ids.count)
-            set_uniform(program, "has_skin_mask", float(body.has_skin_mask))
+            set_uniform(program, "has_skin_mask", float(body.mesh.has_skin_mask))
             # a closed surface never shows its back faces to a camera outside; a near camera may be inside
-            visible = np.flatnonzero(front) if body.closed and not points.near else np.arange(len(front))
+            visible = np.flatnonzero(front) if body.mesh.closed and not points.near else np.arange(len(front))
             if uncovered and body.body.kind == "human" and body.body.mesh.off_body is not None:
                 visible = visible[~body.body.mesh.triangles_off_body[visible]]
             bent = body.bent(camera, straight) if camera.distorted else None
@@ -441,7 +409,7 @@ class GLRenderer(Renderer):
                 set_uniform(program, "first_id", ids.count)
                 visible = visible[~bent[visible]]
             if not points.near:
-                corners = body.topology.corners
+                corners = body.mesh.topology.corners
                 visible = visible[points.covering([c.take(visible) for c in corners])]
                 visible = visible[points.unhidden([c.take(visible) for c in corners], hidden.depth)]
             body.draw(lit, visible)
@@ -478,16 +446,11 @@ class CoveragePass:
         self._program = link(ctx, "triangle_ids.vert", "triangle_layers.frag")
 
     def count(self, body: PosedBody, mesh: TessellatedMesh, camera: Camera, rectangle: Rectangle) -> Indices:
-        """Count the pixels of each triangle of a body.
+        """Count the pixels (N,) of each triangle of the mesh of a body.
 
         Args:
-            body: The body.
-            mesh: Its triangles as they are drawn.
-            camera: Camera that sees it.
-            rectangle: Pixels that it may touch.
-
-        Returns:
-            (N,) number of pixels of each triangle of the body's mesh.
+            body, mesh: The body, and its triangles as they are drawn.
+            camera, rectangle: Camera that sees the body, and the pixels that the body may touch.
         """
         pixels = np.zeros(len(mesh.triangles) + 1, np.intp)
         if not rectangle.empty and len(mesh.triangles):
@@ -495,7 +458,7 @@ class CoveragePass:
                 for lowest, highest in self._layers(body, pieces, len(mesh.triangles), camera, rectangle):
                     pixels += np.bincount(lowest, minlength=len(pixels))
                     pixels += np.bincount(highest[highest != lowest], minlength=len(pixels))
-        count = len(body.topology.corners[0])
+        count = len(body.mesh.topology.corners[0])
         return np.bincount(mesh.parents, pixels[1:], count).astype(np.intp)
 
     def _layers(
@@ -521,7 +484,7 @@ class CoveragePass:
                 targets[after].use()
                 targets[after].clear(_NONE, _NONE, _NONE, _NONE)
                 textures[before].use(_UNIT)
-                pieces.draw(self._program, [body.material], [count])
+                pieces.draw(self._program, [body.mesh.material], [count])
                 ids = np.frombuffer(
                     targets[after].read(rectangle.xywh, components=4, dtype="f4", alignment=1), np.float32
                 ).reshape(-1, 4)
@@ -579,10 +542,7 @@ def make_renderer(
 
     Args:
         name: Name of the renderer.
-        static_meshes: Meshes of the static scene, in ``map``, metres.
-        lighting: Light. If None, the default light.
-        device: Number of the GPU in the order of EGL. If None, the first one that works.
-        static_bodies: Bodies that never move. They are rendered with the static scene, once per camera.
+        static_meshes, lighting, device, static_bodies: Arguments of :class:`GLRenderer`.
 
     Raises:
         RenderError: A library or the device is missing. The message says what to install.

@@ -37,10 +37,10 @@ from humansim_ros.errors import HumansimWarning  # noqa: E402
 from humansim_ros.motion import write_bvh  # noqa: E402
 from humansim_ros.people.humans.human import write_human  # noqa: E402
 from humansim_ros.photographs import read_views  # noqa: E402
+from humansim_ros.photographs.atlas_texture import texture_person  # noqa: E402
 from humansim_ros.photographs.fitting import fit_person  # noqa: E402
 from humansim_ros.photographs.person_fit import PersonFit, fit_motion  # noqa: E402
 from humansim_ros.photographs.silhouettes import silhouette_iou  # noqa: E402
-from humansim_ros.photographs.texturing import texture_person  # noqa: E402
 from humansim_ros.render import Body, GLRenderer, Lighting  # noqa: E402
 from humansim_ros.scene import Scene  # noqa: E402
 

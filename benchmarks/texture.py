@@ -27,8 +27,7 @@ sys.path.insert(0, str(ROOT))
 from humansim_ros.cameras import Camera  # noqa: E402
 from humansim_ros.people import Human, load_human  # noqa: E402
 from humansim_ros.photographs.atlas_texture import texture_atlas  # noqa: E402
-from humansim_ros.photographs.surface import TexturedPerson, TextureView  # noqa: E402
-from humansim_ros.photographs.texturing import texture_thesis  # noqa: E402
+from humansim_ros.photographs.surface import TexturedPerson, TextureView, texture_thesis  # noqa: E402
 from humansim_ros.render import Body, GLRenderer, Lighting  # noqa: E402
 from humansim_ros.types import Float32Array, Image  # noqa: E402
 

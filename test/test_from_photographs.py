@@ -21,7 +21,7 @@ from waiting import PATIENCE
 
 from humansim_ros.cameras import read_calibration
 from humansim_ros.people import Human, load_human
-from humansim_ros.photographs.fit_file import read_fit
+from humansim_ros.photographs.person_fit import read_fit
 from humansim_ros.scene import Scene
 
 PAGE = (ROOT / "docs" / "from_photographs.md").read_text()

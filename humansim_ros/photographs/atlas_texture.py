@@ -1,5 +1,5 @@
-"""One texture of a person from several photographs. The photographs are blended, their colours are aligned,
-and gaps are filled."""
+"""Texture a person from photographs. In the method ``atlas``, the photographs are blended, their colours are
+aligned, and gaps are filled."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -18,7 +19,9 @@ from humansim_ros.errors import HumansimWarning, PhotographError
 from humansim_ros.files.mesh import Mesh, SurfaceTexels, padded, rasterise_uv, subdivide
 from humansim_ros.files.reading import encode_image
 from humansim_ros.people.humans import Human
+from humansim_ros.photographs.person_fit import PersonFit
 from humansim_ros.photographs.surface import (
+    OUTFIT,
     Surface,
     SurfaceSight,
     TexturedPerson,
@@ -27,7 +30,9 @@ from humansim_ros.photographs.surface import (
     fill_colours,
     lookup,
     see_surface,
+    texture_thesis,
 )
+from humansim_ros.photographs.views import PhotoSet
 from humansim_ros.render.frame import GLRenderer
 from humansim_ros.types import Array, Float32Array, Image, Indices
 
@@ -43,8 +48,6 @@ _SAMPLES = 20
 #: round.
 _FARTHEST = (0.5, 0.25, 0.15, 0.12, 0.12)
 _ROUNDS = 20
-#: Name of the outfit from photographs.
-OUTFIT = "photographs"
 #: Smallest and largest side of a texture that is chosen, texels. Texels for each pixel of the photographs
 #: along a line.
 SMALLEST, LARGEST, _DENSITY = 256, 8192, 2.0
@@ -449,3 +452,60 @@ def _dressed(human: Human, image: Image, outfit: str) -> Human:
     # the clothes of the photographs replace the clothes of the human
     mesh = replace(human.mesh, texture=image, colors=None, skin=skin, materials=None, hair=None)
     return replace(human, mesh=mesh, looks=looks, outfit=outfit)
+
+
+#: Name of a method.
+TextureMethod = Literal["atlas", "thesis"]
+
+
+def texture_views(fit: PersonFit, photos: PhotoSet, frames: Sequence[int] = (0,)) -> list[TextureView]:
+    """Photographs of some frames with the pose of the person in each.
+
+    Raises:
+        PhotographError: The fit was made from other views or frames, or an image cannot be read.
+    """
+    if fit.views != photos.names or len(fit.root) != len(photos.frames):
+        raise PhotographError(
+            f"the fit is of {len(fit.root)} frames of {', '.join(fit.views)}, but these are "
+            f"{len(photos.frames)} frames of {', '.join(photos.names)}: fit these photographs",
+            path=photos.path,
+        )
+    views = []
+    for frame in frames:
+        if not 0 <= frame < len(photos.frames):
+            raise PhotographError(
+                f"no frame {frame}: there are {len(photos.frames)}", path=photos.path, key="--frame"
+            )
+        vertices = fit.vertices(frame)
+        for photo in photos.frames[frame]:
+            if photo.image_path is not None:
+                name = photo.name if len(frames) == 1 else f"{photo.name} {frame}"
+                views.append(TextureView(name, photo.camera, photo.image(), vertices, photo.mask()))
+    if not views:
+        raise PhotographError("no view has an image", path=photos.path, key="views")
+    return views
+
+
+def texture_person(
+    fit: PersonFit,
+    photos: PhotoSet,
+    method: TextureMethod = "atlas",
+    frames: Sequence[int] = (0,),
+    size: int | None = None,
+) -> TexturedPerson:
+    """Texture the body of a fit from the photographs of some frames.
+
+    Args:
+        fit: Fit of the photographs.
+        photos: Photographs.
+        method: ``atlas``: :func:`~humansim_ros.photographs.atlas_texture.texture_atlas`. ``thesis``:
+            :func:`~humansim_ros.photographs.surface.texture_thesis`.
+        frames: Numbers of the frames.
+        size: Side of the texture of ``atlas``, texels. If None, the texture is as fine as the photographs.
+
+    Raises:
+        PhotographError: The photographs do not fit, cannot be read, or show nothing of the person.
+        RenderError: OpenGL is missing or failed.
+    """
+    views = texture_views(fit, photos, frames)
+    return texture_thesis(fit.body, views) if method == "thesis" else texture_atlas(fit.body, views, size)

@@ -1,11 +1,16 @@
-"""Photographs of a person, with cameras, 2D points and masks, as a views file names them."""
+"""Photographs of a person, with cameras, 2D points and masks, as a views file names them.
+
+A detector is an external command that writes the 2D points of one image.
+"""
 
 from __future__ import annotations
 
 import json
 import os
 import re
-from collections.abc import Mapping, Sequence
+import shlex
+import subprocess
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -18,7 +23,15 @@ from pydantic import ConfigDict, Field
 
 from humansim_ros.cameras.camera import Camera
 from humansim_ros.cameras.formats import load_calibration
-from humansim_ros.errors import MAX_COORDINATE, HumansimError, PhotographError, located, unknown, warn_about
+from humansim_ros.errors import (
+    MAX_COORDINATE,
+    HumansimError,
+    PhotographError,
+    located,
+    printable,
+    unknown,
+    warn_about,
+)
 from humansim_ros.files.reading import (
     MAX_IMAGE_BYTES,
     atomic_path,
@@ -28,6 +41,7 @@ from humansim_ros.files.reading import (
     read_bytes,
     read_json,
     resolve_relative,
+    temporary_folder,
 )
 from humansim_ros.files.yaml import Axis, Section, line_of, read_yaml, validated
 from humansim_ros.people.keypoints import KeypointSet, keypoint_set
@@ -77,17 +91,9 @@ def read_points(path: Path, keypoints: KeypointSet, images: Sequence[Path] | Non
 def write_points(path: str | os.PathLike[str], keypoints: KeypointSet, frames: Sequence[Array]) -> None:
     """Write points (K, 3) of each frame in the form of this package, atomically. Absent points are left
     out."""
-    content = {
-        "keypoints": keypoints.name,
-        "frames": [
-            {
-                name: np.round(point, 3).tolist()
-                for name, point in zip(keypoints.names, points, strict=True)
-                if point[2] > 0
-            }
-            for points in frames
-        ],
-    }
+    named = (zip(keypoints.names, points, strict=True) for points in frames)
+    rows = [{name: np.round(point, 3).tolist() for name, point in row if point[2] > 0} for row in named]
+    content = {"keypoints": keypoints.name, "frames": rows}
     Path(path).parent.mkdir(parents=True, exist_ok=True)
     with atomic_path(path) as part:
         part.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
@@ -131,14 +137,9 @@ class _PointsReader:
         """Points of the person with the largest confidence in an OpenPose file."""
         if not isinstance(people, list):
             raise self._error("a list of people is needed", "people")
-        found = [
-            self._row(
-                person.get("pose_keypoints_2d") if isinstance(person, dict) else None,
-                f"people[{number}].pose_keypoints_2d",
-            )
-            for number, person in enumerate(people)
-        ]
-        return self._best(found)
+        key = "pose_keypoints_2d"
+        rows = (person.get(key) if isinstance(person, dict) else None for person in people)
+        return self._best([self._row(row, f"people[{number}].{key}") for number, row in enumerate(rows)])
 
     def image_numbers(self, content: Mapping[str, Any], images: Sequence[Path] | None) -> list[Any]:
         """Image ids of the frames of a COCO file, found by the names of the images, or in the order of the
@@ -320,17 +321,17 @@ class PhotoSet:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the V views."""
-        return tuple(photograph.name for photograph in self.frames[0])
+        return tuple(photo.name for photo in self.frames[0])
 
     @property
     def cameras(self) -> tuple[Camera, ...]:
         """Cameras of the V views."""
-        return tuple(photograph.camera for photograph in self.frames[0])
+        return tuple(photo.camera for photo in self.frames[0])
 
     @cached_property
     def points(self) -> Array:
         """(F, V, K, 3) x, y and confidence of all points."""
-        return np.array([[photograph.points for photograph in frame] for frame in self.frames])
+        return np.array([[photo.points for photo in frame] for frame in self.frames])
 
 
 def read_views(path: str | os.PathLike[str]) -> PhotoSet:
@@ -348,9 +349,7 @@ def read_views(path: str | os.PathLike[str]) -> PhotoSet:
     data, tree = read_yaml(file, PhotographError, "views")
     if not isinstance(data, dict):
         raise PhotographError("a views file is a mapping with the keys calibration and views", path=file)
-    config = validated(ViewsConfig, data, PhotographError, file, tree)
-    reader = _Reader(file, config, tree)
-    return reader.read()
+    return _Reader(file, validated(ViewsConfig, data, PhotographError, file, tree), tree).read()
 
 
 class _Reader:
@@ -364,17 +363,15 @@ class _Reader:
         except HumansimError as reason:
             raise self._error(reason.message, "keypoints") from None
         if not keypoints.has_body:
-            message = (
-                f"{config.keypoints} has no points of the body: give a set of a whole body, such as coco17"
-            )
-            raise self._error(message, "keypoints")
+            text = f"{config.keypoints} has no points of the body: give a set of a whole body, such as coco17"
+            raise self._error(text, "keypoints")
         cameras = self._cameras()
-        images = {name: self._files(name, "image") for name in config.views}
-        masks = {name: self._files(name, "mask") for name in config.views}
-        files = {name: self._points_file(name) for name in config.views}
+        views = config.views
+        images, masks = ({name: self._files(name, key) for name in views} for key in ("image", "mask"))
+        files = {name: self._points_file(name) for name in views}
         points = {
-            name: read_points(files[name], keypoints, images[name]) if exists(files[name]) else None
-            for name in config.views
+            name: read_points(path, keypoints, images[name]) if exists(path) else None
+            for name, path in files.items()
         }
         counts = {
             f"views.{name}.{key}": len(found)
@@ -393,19 +390,15 @@ class _Reader:
                     *key.split("."),
                 )
         nothing = np.zeros((len(keypoints), 3))
-        frames = tuple(
-            tuple(
-                Photo(
-                    name,
-                    cameras[name],
-                    _at(images[name], number),
-                    nothing if (known := points[name]) is None else known[number],
-                    _at(masks[name], number),
-                )
-                for name in config.views
+
+        def photo(name: str, number: int) -> Photo:
+            image, known, mask = images[name], points[name], masks[name]
+            return Photo(
+                *(name, cameras[name], None if image is None else image[number]),
+                *(nothing if known is None else known[number], None if mask is None else mask[number]),
             )
-            for number in range(count)
-        )
+
+        frames = tuple(tuple(photo(name, number) for name in views) for number in range(count))
         human = config.human
         if Path(human).suffix:
             human = str(resolve_relative(self._file, human)[0])
@@ -427,9 +420,8 @@ class _Reader:
                 "taken; `humansim camera place` finds poses from points of the floor or a board",
                 "calibration",
             )
-        cameras = {}
-        for name, view in self._config.views.items():
-            camera = name if view.camera is None else view.camera
+        wanted = {name: view.camera or name for name, view in self._config.views.items()}
+        for name, camera in wanted.items():
             if camera not in known:
                 raise self._error(
                     unknown("camera", camera, known, str(path))
@@ -437,11 +429,9 @@ class _Reader:
                     "views",
                     name,
                 )
-            cameras[name] = known[camera]
-        used = {view.camera or name for name, view in self._config.views.items()}
-        if unused := [name for name in known if name not in used]:
+        if unused := [name for name in known if name not in wanted.values()]:
             warn_about(self._file, f"no photographs of the cameras {', '.join(unused)}: they are not used")
-        return cameras
+        return {name: known[camera] for name, camera in wanted.items()}
 
     def _files(self, view: str, key: str) -> list[Path] | None:
         """Files of a view, ordered by the numbers in their names; None if the key is absent."""
@@ -455,10 +445,7 @@ class _Reader:
             return [path]
         if not there and "*" not in name:
             raise self._error(missing_file(path), "views", view, key)
-        if there:  # a folder
-            pattern, folder = "*", path
-        else:
-            pattern, folder = path.name, path.parent
+        pattern, folder = ("*", path) if there else (path.name, path.parent)
         try:
             found = sorted((each for each in folder.glob(pattern) if each.is_file()), key=_natural)
         except OSError as reason:
@@ -511,5 +498,85 @@ def _natural(path: Path) -> list[Any]:
     return [int(word) if word.isdigit() else word for word in re.split(r"([0-9]+)", path.name)]
 
 
-def _at(files: Sequence[Path] | None, number: int) -> Path | None:
-    return None if files is None else files[number]
+#: Placeholders in the command, which are replaced by paths of files.
+IMAGE, POINTS = "{image}", "{points}"
+#: Most seconds for one image.
+TIMEOUT = 300.0
+_DETECTOR = "--detector"
+
+
+def detect_points(
+    photos: PhotoSet, command: str, report: Callable[[int, int], None] = lambda done, count: None
+) -> PhotoSet:
+    """Find the 2D points of all images with a command, and keep them in ``<name>_points`` next to the views.
+
+    The command runs once for each image. ``{image}`` stands for the image, ``{points}`` for the JSON file
+    that it has to write, in the form of COCO, of OpenPose or of this package. If the views file names the
+    points of a view, the view keeps these points.
+
+    ``command``: command line. It does not go through a shell. ``report``: function that is called with the
+    number of finished images and the number of all images.
+
+    Returns:
+        The photographs with the points found. If the file of an image has no person, the image has no points.
+
+    Raises:
+        PhotographError: The command is wrong, fails, takes too long, or writes something else.
+    """
+    words = _command_words(command)
+    chosen = [name for name in photos.names if photos.points_files[name] == default_points(photos.path, name)]
+    if not chosen:
+        raise PhotographError(
+            "all views name their points: remove the key points from those that the detector is for",
+            key=_DETECTOR,
+        )
+    count, done = len(chosen) * len(photos.frames), 0
+    for name in chosen:
+        found: list[Array] = []
+        for frame in photos.frames:
+            image = frame[photos.names.index(name)].image_path
+            found.append(
+                np.zeros((len(photos.keypoints), 3)) if image is None else _detected(words, image, photos)
+            )
+            done += 1
+            report(done, count)
+        write_points(photos.points_files[name], photos.keypoints, found)
+    return read_views(photos.path)
+
+
+def _command_words(command: str) -> list[str]:
+    try:
+        words = shlex.split(command)
+    except ValueError as reason:
+        raise PhotographError(f"not a command line: {reason}", key=_DETECTOR) from None
+    if not any(IMAGE in word for word in words) or not any(POINTS in word for word in words):
+        raise PhotographError(
+            f"the command needs {IMAGE} and {POINTS}, such as 'python detect.py {IMAGE} {POINTS}'",
+            key=_DETECTOR,
+        )
+    return words
+
+
+def _detected(words: list[str], image: Path, photos: PhotoSet) -> Array:
+    """Points (K, 3) of one image."""
+    with temporary_folder() as folder:
+        output = folder / "points.json"
+        line = [word.replace(IMAGE, str(image.absolute())).replace(POINTS, str(output)) for word in words]
+        nothing, pipe = subprocess.DEVNULL, subprocess.PIPE
+        try:
+            result = subprocess.run(
+                line, stdin=nothing, stdout=nothing, stderr=pipe, timeout=TIMEOUT, check=False
+            )
+        except subprocess.TimeoutExpired:
+            raise PhotographError(f"the detector took longer than {TIMEOUT:.0f} s", path=image) from None
+        except OSError as reason:
+            said = f"{printable(line[0], 100)} cannot be started: {reason.strerror}"
+            raise PhotographError(said, key=_DETECTOR) from None
+        if result.returncode:
+            lines = result.stderr.decode(errors="replace").strip().splitlines() or [""]
+            last = printable(lines[-1].strip())
+            text = f"the detector ended with exit code {result.returncode}{f': {last}' if last else ''}"
+            raise PhotographError(text, path=image)
+        if not output.is_file():
+            raise PhotographError(f"the detector wrote no file {POINTS}", path=image)
+        return read_points(output, photos.keypoints)[0]

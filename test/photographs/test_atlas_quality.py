@@ -15,10 +15,9 @@ from photographs.texture_scenes import photograph, texture_views, undressed
 from humansim_ros.cameras import Camera
 from humansim_ros.files.mesh.normals import rasterise_uv
 from humansim_ros.people import Human, load_human
-from humansim_ros.photographs.atlas_texture import texture_atlas
+from humansim_ros.photographs.atlas_texture import texture_atlas, texture_person
 from humansim_ros.photographs.fitting import fit_person
-from humansim_ros.photographs.surface import Surface, TexturedPerson, TextureView
-from humansim_ros.photographs.texturing import texture_person, triangle_neighbours
+from humansim_ros.photographs.surface import Surface, TexturedPerson, TextureView, triangle_neighbours
 from humansim_ros.photographs.views import read_views
 
 #: Cameras that took no photograph.

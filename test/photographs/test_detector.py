@@ -10,8 +10,8 @@ import pytest
 from photographs.studio import Studio, change_views, make_studio
 
 from humansim_ros.errors import PhotographError
-from humansim_ros.photographs import PhotoSet, detector, read_views
-from humansim_ros.photographs.detector import detect_points
+from humansim_ros.photographs import PhotoSet, read_views, views
+from humansim_ros.photographs.views import detect_points
 
 #: Writes the mean colour of the image as the nose, as COCO, OpenPose or our own form.
 _DETECTOR = """
@@ -97,7 +97,7 @@ def test_a_program_that_is_missing_or_hangs_is_told(
 ) -> None:
     with pytest.raises(PhotographError, match=r"no_such_program cannot be started: No such file"):
         detect_points(photos, "no_such_program {image} {points}")
-    monkeypatch.setattr(detector, "TIMEOUT", 0.2)
+    monkeypatch.setattr(views, "TIMEOUT", 0.2)
     with pytest.raises(PhotographError, match=r"took longer than"):
         detect_points(photos, f"{sys.executable} -c 'import time; time.sleep(60)' {{image}} {{points}}")
 

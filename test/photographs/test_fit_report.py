@@ -23,7 +23,7 @@ from humansim_ros.photographs import PhotoSet, read_views
 from humansim_ros.photographs.fitting import fit_person
 from humansim_ros.photographs.person_fit import PersonFit
 from humansim_ros.photographs.reports import draw_report, draw_sheet
-from humansim_ros.photographs.texturing import texture_thesis
+from humansim_ros.photographs.surface import texture_thesis
 from humansim_ros.render.pictures import PAPER, distinct_hues, hsv_colors
 from humansim_ros.types import Color, Image
 

@@ -15,9 +15,8 @@ from humansim_ros.motion.pose.limits import load_limits
 from humansim_ros.people import keypoint_set
 from humansim_ros.people.humans.human import write_human
 from humansim_ros.photographs import read_views
-from humansim_ros.photographs.fit_file import read_fit, write_fit
 from humansim_ros.photographs.fitting import fit_person
-from humansim_ros.photographs.person_fit import PersonFit, fit_motion
+from humansim_ros.photographs.person_fit import PersonFit, fit_motion, read_fit, write_fit
 from humansim_ros.photographs.silhouettes import silhouette_iou
 from humansim_ros.photographs.views import read_points, write_points
 from humansim_ros.scene import Scene

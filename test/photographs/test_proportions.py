@@ -12,14 +12,15 @@ import yaml
 from humansim_ros.errors import MeshError, PhotographError
 from humansim_ros.geometry import matrix_to_quaternion, rotation_vector_to_matrix, transform
 from humansim_ros.people import Human, load_human
-from humansim_ros.photographs.fit_file import read_fit, write_fit
 from humansim_ros.photographs.person_fit import (
     MOST_CONTROLS,
     PersonFit,
     Proportions,
+    read_fit,
     shaped_human,
     surface_offsets,
     with_proportions,
+    write_fit,
 )
 
 LEGS = {"l_knee": 1.2, "r_knee": 1.2}

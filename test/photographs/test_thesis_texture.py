@@ -20,9 +20,10 @@ from humansim_ros.files.mesh.mesh import Mesh
 from humansim_ros.geometry import WORLD_FROM_BODY, transform
 from humansim_ros.people import Human, load_human
 from humansim_ros.people.humans.human import read_human, write_human
-from humansim_ros.photographs.surface import TexturedPerson, TextureView
-from humansim_ros.photographs.texturing import (
+from humansim_ros.photographs.surface import (
     FaceCounts,
+    TexturedPerson,
+    TextureView,
     choose_cameras,
     count_faces,
     texture_thesis,

@@ -136,7 +136,7 @@ def test_only_triangles_that_a_lens_bends_are_tessellated(
 
     def all_of_it(body: PosedBody, camera: Camera, angle: float) -> NDArray[np.bool_] | None:
         found.append(bent(body, camera, angle))
-        return np.ones(len(body.topology.corners[0]), bool)
+        return np.ones(len(body.mesh.topology.corners[0]), bool)
 
     views = []
     for patch in (bent, all_of_it):

@@ -13,9 +13,8 @@ pytest.importorskip("viser")
 from photographs.studio import Studio, change_views, make_studio, write_json
 
 from humansim_ros.errors import HumansimError, PhotographError
-from humansim_ros.photographs.fit_file import read_fit
 from humansim_ros.photographs.fitting import fit_person
-from humansim_ros.photographs.person_fit import PersonFit
+from humansim_ros.photographs.person_fit import PersonFit, read_fit
 from humansim_ros.photographs.views import read_views
 from humansim_ros.view.edit.photo_document import PhotoDocument, outlines
 from humansim_ros.view.sources.inputs import open_source
@@ -206,7 +205,7 @@ def test_accept_does_not_write_over_the_work_of_another_program(tmp_path: Path) 
 
 
 def test_a_fit_of_other_views_is_not_written_over(tmp_path: Path, studio: Studio, fit: PersonFit) -> None:
-    from humansim_ros.photographs.fit_file import write_fit
+    from humansim_ros.photographs.person_fit import write_fit
 
     made = make_studio(tmp_path, images=False)  # one frame
     write_fit(tmp_path / "fit.yaml", fit)

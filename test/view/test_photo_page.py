@@ -19,7 +19,7 @@ pytest.importorskip("playwright")
 from pages import needs_browser, served, three_vertices, until
 from photographs.studio import Studio, make_studio
 
-from humansim_ros.photographs.fit_file import read_fit
+from humansim_ros.photographs.person_fit import read_fit
 from humansim_ros.photographs.views import read_views
 
 pytestmark = [needs_browser, pytest.mark.nightly, pytest.mark.slow, pytest.mark.process]

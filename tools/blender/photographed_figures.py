@@ -209,8 +209,7 @@ def evaluate(path: Path, blender: str, renders: Path, output: Path | None) -> No
     from humansim_ros.geometry import matrix_to_quaternion, rotation_vector_to_matrix
     from humansim_ros.people import load_human
     from humansim_ros.photographs.atlas_texture import texture_atlas
-    from humansim_ros.photographs.surface import TextureView
-    from humansim_ros.photographs.texturing import texture_thesis
+    from humansim_ros.photographs.surface import TextureView, texture_thesis
 
     human = load_human(path)
     rotations = np.tile([0.0, 0.0, 0.0, 1.0], (len(human.skeleton), 1))

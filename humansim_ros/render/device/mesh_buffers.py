@@ -188,15 +188,11 @@ class TriangleBuffers:
         layout = " ".join(f"{n}f" if name in program else f"{4 * n}x" for name, n in layouts)
         used = [name for name, _ in layouts if name in program]
         starts = np.cumsum([0, *counts])[:-1].tolist()
-        chosen = [True] * len(counts) if selected is None else selected
-        runs = [
-            run for run, use in zip(zip(materials, starts, counts, strict=True), chosen, strict=True) if use
-        ]
-        runs = [run for run in runs if run[2]]
+        rows = zip(materials, starts, counts, selected or [True] * len(counts), strict=True)
+        runs = [(material, start, count) for material, start, count, use in rows if use and count]
         if eye is None:
-            runs = _joined(runs, MaterialBuffers.matter(program))
-        index = self._index
-        if eye is not None:
+            index, runs = self._index, _joined(runs, MaterialBuffers.matter(program))
+        else:
             index, runs = self._farthest_first(runs, eye)
         array = self._ctx.vertex_array(program, [(self._vertices, layout, *used)], index_buffer=index)
         for material, first, count in runs:
@@ -208,9 +204,7 @@ class TriangleBuffers:
         if index is not self._index:
             index.release()
 
-    def _farthest_first(
-        self, runs: Sequence[tuple[MaterialBuffers, int, int]], eye: Array
-    ) -> tuple[moderngl.Buffer, list[tuple[MaterialBuffers, int, int]]]:
+    def _farthest_first(self, runs: Sequence[_Run], eye: Array) -> tuple[moderngl.Buffer, list[_Run]]:
         """Sort the triangles of some runs by distance, farthest first. Returns their indices and the new
         runs."""
         corners = np.frombuffer(self._index.read(), np.int32).reshape(-1, 3)
@@ -220,20 +214,19 @@ class TriangleBuffers:
         middle = positions[corners[selected]].mean(axis=1) - eye.astype(np.float32)
         order = np.argsort(-np.einsum("ij,ij->i", middle, middle), kind="stable")
         selected, owner = selected[order], owner[order]
-        starts = np.flatnonzero(np.diff(owner, prepend=-1))
-        ends = np.append(starts[1:], len(owner))
-        new = [
-            (runs[int(owner[start])][0], int(start), int(end - start))
-            for start, end in zip(starts, ends, strict=True)
-        ]
+        starts = np.flatnonzero(np.diff(owner, prepend=-1)).tolist()
+        ends = [*starts[1:], len(owner)]
+        new = [(runs[owner[start]][0], start, end - start) for start, end in zip(starts, ends, strict=True)]
         return self._ctx.buffer(np.ascontiguousarray(corners[selected]).tobytes()), new
 
 
-def _joined(
-    runs: Sequence[tuple[MaterialBuffers, int, int]], materials_matter: bool
-) -> list[tuple[MaterialBuffers, int, int]]:
+#: Consecutive triangles: their material, the first one, and their number.
+_Run = tuple[MaterialBuffers, int, int]
+
+
+def _joined(runs: Sequence[_Run], materials_matter: bool) -> list[_Run]:
     """Join runs of consecutive triangles into one, since calls of OpenGL take long."""
-    out: list[tuple[MaterialBuffers, int, int]] = []
+    out: list[_Run] = []
     for material, first, count in runs:
         follows = bool(out) and out[-1][1] + out[-1][2] == first
         if follows and (out[-1][0] is material or not materials_matter):
@@ -495,22 +488,16 @@ class ContactShadow:
     side: float
     darkness: NDArray[np.uint8]
 
-    @property
-    def corners(self) -> NDArray[np.float32]:
-        """(4, 3) corners of the part of the square that is dark."""
-        (left, top), (right, bottom) = self._dark
-        return np.array([(x, y, _HEIGHT) for x in (left, right) for y in (top, bottom)], dtype=np.float32)
-
     @cached_property
-    def _dark(self) -> tuple[Array, Array]:
-        """Low and high corner (x, y) of the shadow in ``map``, metres."""
+    def corners(self) -> Float32Array:
+        """(4, 3) corners of the part of the square that is dark."""
         columns, rows = (np.flatnonzero(self.darkness.any(axis=axis)) for axis in (0, 1))
         low = np.array([each.min(initial=CELLS) for each in (columns, rows)])
         high = np.array([each.max(initial=0) for each in (columns, rows)])
         # each cell is interpolated up to the centers of its neighbours
         cells = np.clip([low - 0.5, np.maximum(high, low) + 1.5], 0, CELLS)
-        corners = np.array(self.corner) + cells * (self.side / CELLS)
-        return corners[0], corners[1]
+        (left, top), (right, bottom) = np.array(self.corner) + cells * (self.side / CELLS)
+        return np.array([(x, y, _HEIGHT) for x in (left, right) for y in (top, bottom)], dtype=np.float32)
 
 
 @dataclass(frozen=True, eq=False)

@@ -37,16 +37,6 @@ class Rectangle:
         return self.x1 <= self.x0 or self.y1 <= self.y0
 
     @property
-    def low(self) -> tuple[int, int]:
-        """(x, y) of the first pixel."""
-        return self.x0, self.y0
-
-    @property
-    def high(self) -> tuple[int, int]:
-        """(x, y) after the last pixel of the rectangle."""
-        return self.x1, self.y1
-
-    @property
     def xywh(self) -> tuple[int, int, int, int]:
         """x, y, width and height."""
         return self.x0, self.y0, self.x1 - self.x0, self.y1 - self.y0
@@ -72,11 +62,9 @@ class RenderTarget:
 
     def __init__(self, ctx: moderngl.Context, size: tuple[int, int], on_processor: bool) -> None:
         self._ctx, self.size = ctx, size
-        self._textures = [
-            ctx.texture(size, 1, dtype="f4"),
-            ctx.texture(size, 1, dtype="u4"),
-            ctx.texture(size, 4),
-        ]
+        #: colour attachment
+        self.colour = ctx.texture(size, 4)
+        self._textures = [ctx.texture(size, 1, dtype=dtype) for dtype in ("f4", "u4")] + [self.colour]
         self._depth_buffer = ctx.depth_texture(size)
         self._framebuffers = {
             lit: ctx.framebuffer(self._textures[: 2 + lit], self._depth_buffer) for lit in (False, True)
@@ -126,12 +114,12 @@ class RenderTarget:
         zeros = bytes(4 * self.identified.shape[0] * self.identified.shape[1])
         for texture in self._textures[:2]:
             texture.write(zeros, viewport=self.identified.xywh, alignment=1)
-        if depth_buffer is None:
-            self._write(self._depth_buffer, np.ones(rectangle.shape, np.float32).tobytes())
-        else:
-            self._write(self._depth_buffer, depth_buffer[rectangle.slices].tobytes())
+        depths = (
+            np.ones(rectangle.shape, np.float32) if depth_buffer is None else depth_buffer[rectangle.slices]
+        )
+        self._depth_buffer.write(depths.tobytes(), viewport=rectangle.xywh, alignment=1)
         if rgba is not None:
-            self._write(self.colour, rgba[rectangle.slices].tobytes())
+            self.colour.write(rgba[rectangle.slices].tobytes(), viewport=rectangle.xywh, alignment=1)
 
     def keep(self, depth_buffer: Float32Array, rgba: NDArray[np.uint8] | None) -> moderngl.Framebuffer | None:
         """Keep the images that frames start from on the device. Returns None where writing them takes no
@@ -140,9 +128,6 @@ class RenderTarget:
             return None
         colour = self._ctx.texture(self.size, 4, None if rgba is None else rgba.tobytes())
         return self._ctx.framebuffer([colour], self._ctx.depth_texture(self.size, depth_buffer.tobytes()))
-
-    def _write(self, image: moderngl.Texture, pixels: bytes) -> None:
-        image.write(pixels, viewport=self.coloured.xywh, alignment=1)
 
     def _limit_to(self, rectangle: Rectangle) -> None:
         self.coloured = self.identified = rectangle
@@ -162,12 +147,7 @@ class RenderTarget:
         """Show an image (H, W, 3) behind everything that is drawn."""
         rgba, empty = self.read("rgba", lit=True).copy(), self.read_depth_buffer() == 1
         rgba[empty, :3] = image[empty]
-        self._textures[2].write(rgba.tobytes())
-
-    @property
-    def colour(self) -> moderngl.Texture:
-        """Colour attachment."""
-        return self._textures[2]
+        self.colour.write(rgba.tobytes())
 
     def read_depth_buffer(self) -> Float32Array:
         """Read OpenGL's depth buffer of the whole image, (H, W), 0 to 1."""

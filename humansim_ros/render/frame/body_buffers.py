@@ -104,6 +104,7 @@ class MeshBuffers:
         return self._bodies[instance]
 
     def release(self) -> None:
+        """Free the memory on the device."""
         for body in self._bodies.values():
             body.release()
         for _, level in self._levels.values():
@@ -466,7 +467,11 @@ def image_bounds(clouds: Sequence[ProjectedPoints], camera: Camera) -> Rectangle
 
 def straight_angle(camera: Camera, rectangle: Rectangle) -> float:
     """Return the angle (radians) within which edges in a rectangle look straight."""
-    return LensView(camera).straight_angle(rectangle.low, rectangle.high) if camera.distorted else 0.0
+    return (
+        LensView(camera).straight_angle((rectangle.x0, rectangle.y0), (rectangle.x1, rectangle.y1))
+        if camera.distorted
+        else 0.0
+    )
 
 
 def contour(

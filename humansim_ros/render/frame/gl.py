@@ -50,7 +50,6 @@ from humansim_ros.render.frame.body_buffers import (
 from humansim_ros.render.frame.edge_antialiasing import edge_crossings
 from humansim_ros.render.frame.rendered_frame import (
     AdjacentFrames,
-    Passes,
     RenderedFrame,
     StaticLabels,
     StaticLayer,
@@ -62,8 +61,10 @@ from humansim_ros.render.interface.channels import (
     ADJACENT_NAMES,
     ALL_CHANNELS,
     CHANNEL_TABLE,
+    Pass,
     View,
     comparing_with,
+    passes_of,
 )
 from humansim_ros.render.interface.lighting import Lighting, RendererName
 from humansim_ros.render.interface.renderer import Body, Renderer, RenderRequest, check_bodies
@@ -237,20 +238,20 @@ class GLRenderer(Renderer):
     ) -> Callable[[], RenderedFrame]:
         """Start to draw the frame of a request into target ``number``, unless the frame is cached. The result
         waits for the images. ``levels``: level of each body; empty if all are whole."""
-        bodies, camera, passes = request.bodies, request.camera, Passes.of(request.channels)
+        bodies, camera, passes = request.bodies, request.camera, passes_of(request.channels)
         moving, backdrop = request.moving_camera, request.backdrop
         view = camera_key(camera), moving, id(backdrop), levels
         cached = self._frames.get(bodies, view)
-        if cached is not None and cached.passes.covers(passes):
+        if cached is not None and cached.passes >= passes:
             return lambda: cached
-        layer = self._static.layer(camera, moving, backdrop, passes.lit)
+        layer = self._static.layer(camera, moving, backdrop, "lit" in passes)
         read = self._render(bodies, passes, layer, self._targets.of(camera.size, number), camera, levels)
 
         def wait() -> RenderedFrame:
             frame = read()
             if self._static_bodies:
                 frame.static_labels = self._static_labels(frame, moving)
-            if passes.uncovered:
+            if "uncovered" in passes:
                 frame.body_part = self._uncovered(frame, bodies, moving)
             return self._frames.put(bodies, view, frame)
 
@@ -259,7 +260,7 @@ class GLRenderer(Renderer):
     def _render(
         self,
         bodies: Sequence[Body],
-        passes: Passes,
+        passes: frozenset[Pass],
         layer: StaticLayer,
         target: RenderTarget,
         camera: Camera,
@@ -267,7 +268,7 @@ class GLRenderer(Renderer):
         uncovered: bool = False,
     ) -> Callable[[], RenderedFrame]:
         """Start to draw a frame. The result reads the images. ``uncovered``: without off-body surfaces."""
-        posed = [self._bodies.pose(body) for body in bodies]
+        lit, posed = "lit" in passes, [self._bodies.pose(body) for body in bodies]
         if levels:
             posed = [body.level(number) for body, number in zip(posed, levels, strict=True)]
         everybody = [
@@ -276,10 +277,10 @@ class GLRenderer(Renderer):
         ]
         drawn = [each for each in everybody if not each.points.is_hidden(layer.depth)]
         shadows = []
-        if passes.lit and self._static.contact_shadows:
+        if lit and self._static.contact_shadows:
             shadows = _contact_shadows(posed, camera, layer.depth)
         shaded = [shadow.corners.T for shadow in shadows]
-        sun = self._static.sun_shadows if passes.lit else None
+        sun = self._static.sun_shadows if lit else None
         if sun is not None and posed:
             shaded += sun.update(posed)
         clouds = [each.points for each in drawn]
@@ -291,9 +292,9 @@ class GLRenderer(Renderer):
             self._contact_shadows.draw(shadows, camera)
             if sun is not None and layer.shadow_inputs is not None:
                 sun.apply(layer.shadow_inputs, target, camera)
-            target.use(passes.lit)
-            ids, facing = self._draw(drawn, target, passes.lit, layer.depth, uncovered)
-            if passes.outlined and drawn:
+            target.use(lit)
+            ids, facing = self._draw(drawn, target, lit, layer.depth, uncovered)
+            if "outlined" in passes and drawn:
                 angle = straight_angle(camera, rectangle)
                 edges = [
                     contour(each.body.posed, each.points, facing[each.number], angle)
@@ -301,9 +302,9 @@ class GLRenderer(Renderer):
                     if each.number in facing
                 ]
                 outline = edge_crossings([part for body in edges for part in body], camera.size)
-        wait = target.read_together(("triangle_id", "depth", "rgba")[: 2 + passes.lit], passes.lit)
+        wait = target.read_together(("triangle_id", "depth", "rgba")[: 2 + lit], lit)
         alone = None
-        if passes.alone:
+        if "alone" in passes:
             labelled = [each for each in everybody if each.body.body.instance]
             alone = {each.body.body.instance: self._alone(each) for each in labelled}
         instances = tuple(body.instance for body in bodies)
@@ -312,7 +313,7 @@ class GLRenderer(Renderer):
             triangle_ids, depth, *colours = wait()
             return RenderedFrame(
                 *(passes, instances, camera, layer, touched, rectangle, ids, triangle_ids, depth),
-                *(colours[0] if passes.lit else None, outline, alone),
+                *(colours[0] if lit else None, outline, alone),
             )
 
         return read
@@ -320,8 +321,8 @@ class GLRenderer(Renderer):
     def _static_labels(self, frame: RenderedFrame, moving_camera: bool) -> StaticLabels:
         """Labels of the static bodies in the layer of a frame, from the cache or new."""
         camera, layer = frame.camera, frame.layer
-        passes = Passes(outlined=True, alone=frame.passes.alone)
-        if layer.labels is None or not layer.labels.passes.covers(passes):
+        passes = passes_of(("alpha", "amodal") if "alone" in frame.passes else ("alpha",))
+        if layer.labels is None or not layer.labels.passes >= passes:
             target = self._targets.of(camera.size)
             self._static.draw_unlabelled(target, camera, moving_camera)
             own = self._render(self._static_bodies, passes, StaticLayer(target, None), target, camera)()
@@ -345,7 +346,7 @@ class GLRenderer(Renderer):
             layer, bodies = StaticLayer(target, None), [*bodies, *self._static_bodies]
         elif frame.static_labels is not None:
             parts = frame.static_labels.images(("body_part",))["body_part"]
-        drawn = self._render(bodies, Passes(), layer, target, camera, uncovered=True)()
+        drawn = self._render(bodies, frozenset(), layer, target, camera, uncovered=True)()
         values = drawn.ids.table("part").take(drawn.triangle_ids)
         np.copyto(parts[drawn.rectangle.slices], values, where=drawn.triangle_ids > 0)
         return parts
@@ -506,7 +507,8 @@ _Entry = tuple[RenderedFrame, tuple["weakref.ref[Body]", ...]]
 
 
 class FrameCache:
-    """The most recently used frames. A frame is dropped when one of its bodies is gone."""
+    """The most recently used frames. A frame is dropped when one of its bodies is gone. ``view``: key of the
+    camera and the static scene."""
 
     def __init__(self) -> None:
         self._frames: LruCache[tuple[object, ...], _Entry] = LruCache(
@@ -514,21 +516,17 @@ class FrameCache:
         )
 
     def get(self, bodies: Sequence[Body], view: tuple[object, ...]) -> RenderedFrame | None:
-        """Return a cached frame of bodies. ``view``: key of the camera and the static scene."""
-        entry = self._frames.get(_key(bodies, view))
+        """Return a cached frame of bodies."""
+        entry = self._frames.get((*map(id, bodies), *view))
         if entry is None or any(ref() is not body for ref, body in zip(entry[1], bodies, strict=True)):
             return None
         return entry[0]
 
     def put(self, bodies: Sequence[Body], view: tuple[object, ...], frame: RenderedFrame) -> RenderedFrame:
-        """Put a frame into the cache. The arguments are those of :meth:`get`."""
-        key, frames = _key(bodies, view), self._frames
+        """Put a frame into the cache."""
+        key, frames = (*map(id, bodies), *view), self._frames
         frames.put(key, (frame, tuple(weakref.ref(body, lambda _: frames.discard(key)) for body in bodies)))
         return frame
-
-
-def _key(bodies: Sequence[Body], view: tuple[object, ...]) -> tuple[object, ...]:
-    return (*(id(body) for body in bodies), *view)
 
 
 def make_renderer(

@@ -19,32 +19,12 @@ from humansim_ros.render.device.pixel_geometry import PixelGeometry, VisiblePixe
 from humansim_ros.render.device.target import Rectangle, RenderTarget
 from humansim_ros.render.frame.edge_antialiasing import EdgeCrossings, blend
 from humansim_ros.render.frame.shadows import ShadowInputs
-from humansim_ros.render.interface.channels import CHANNEL_TABLE, AdjacentName, View
+from humansim_ros.render.interface.channels import CHANNEL_TABLE, AdjacentName, Pass, View
 from humansim_ros.render.interface.renderer import AdjacentFrame, Backdrop, Body
 from humansim_ros.types import Float32Array, Indices
 
 #: Adjacent frames with their rendered images. Channels of occlusion need the images.
 AdjacentFrames = Mapping[AdjacentName, tuple[AdjacentFrame, "RenderedFrame | None"]]
-
-
-class Passes(NamedTuple):
-    """What is rendered in addition to depth and triangle ids. The passes are colour, outlines, each body
-    without occluders, and all bodies without off-body surfaces."""
-
-    lit: bool = False
-    outlined: bool = False
-    alone: bool = False
-    uncovered: bool = False
-
-    @classmethod
-    def of(cls, channels: Collection[str]) -> Passes:
-        """Return the passes that channels need."""
-        needed = {name for channel in channels for name in CHANNEL_TABLE[channel].passes}
-        return cls(*(name in needed for name in cls._fields))
-
-    def covers(self, other: Passes) -> bool:
-        """Whether these passes include all of ``other``."""
-        return all(has or not needs for has, needs in zip(self, other, strict=True))
 
 
 class _Drawn(NamedTuple):
@@ -56,21 +36,36 @@ class _Drawn(NamedTuple):
     mesh: Mesh | None
     triangles: Indices
 
-    def materials(self) -> NDArray[np.uint8]:
+    def full(self, value: int) -> NDArray[Any]:
+        """(M,) the same value for all triangles."""
+        return np.full(len(self.triangles), value)
+
+    def materials(self) -> NDArray[Any]:
         """(M,) label of the material of each triangle. 0 for objects."""
         if self.mesh is None or not self.instance:
-            return np.zeros(len(self.triangles), np.uint8)
+            return self.full(0)
         return self.mesh.triangle_materials[self.triangles]
 
-    def off_body(self) -> NDArray[np.bool_]:
+    def off_body(self) -> NDArray[Any]:
         """(M,) whether each triangle belongs to an off-body surface of a human."""
         if self.mesh is None or self.mesh.off_body is None:
-            return np.zeros(len(self.triangles), bool)
+            return self.full(0)
         return self.mesh.triangles_off_body[self.triangles]
 
 
-#: Types of those tables of ids that are not channels.
-_OTHER_TABLES: dict[str, type[np.generic]] = {"owner": np.intp, "triangle": np.intp, "off_body": np.bool_}
+#: Tables of the values of channels by triangle id: their type, and the values (M,) of drawn triangles. Other
+#: tables: ``owner``, the index of the body; ``triangle``, the index in the mesh; ``off_body``, whether the
+#: triangle belongs to an off-body surface.
+_TABLES: dict[str, tuple[type[np.generic], Callable[[_Drawn], NDArray[Any]]]] = {
+    "instance": (np.uint16, lambda drawn: drawn.full(drawn.instance)),
+    "part": (np.uint8, lambda drawn: drawn.parts[drawn.triangles]),
+    "body_part": (np.uint8, lambda drawn: drawn.parts[drawn.triangles]),
+    "material": (np.uint8, _Drawn.materials),
+    "off_body": (np.bool_, _Drawn.off_body),
+    "owner": (np.intp, lambda drawn: drawn.full(drawn.number)),
+    "triangle": (np.intp, lambda drawn: drawn.triangles),
+    "face": (np.int32, lambda drawn: (drawn.triangles + 1) * (drawn.instance > 0)),
+}
 
 
 class TriangleIds:
@@ -87,22 +82,9 @@ class TriangleIds:
         self._bodies.append(_Drawn(number, body.instance, body.parts, mesh, triangles))
 
     def table(self, name: str) -> NDArray[Any]:
-        """Table of the values of a channel by id. Other names: ``owner``, the index of the body;
-        ``triangle``, the index in the mesh; ``off_body``, whether the triangle belongs to an off-body
-        surface."""
-        make: dict[str, Callable[[_Drawn], NDArray[Any]]] = {
-            "instance": lambda drawn: np.full(len(drawn.triangles), drawn.instance, np.uint16),
-            "part": lambda drawn: drawn.parts[drawn.triangles],
-            "body_part": lambda drawn: drawn.parts[drawn.triangles],
-            "material": _Drawn.materials,
-            "off_body": _Drawn.off_body,
-            "owner": lambda drawn: np.full(len(drawn.triangles), drawn.number, np.intp),
-            "triangle": lambda drawn: drawn.triangles,
-            "face": lambda drawn: ((drawn.triangles + 1) * (drawn.instance > 0)).astype(np.int32),
-        }
-        kind = CHANNEL_TABLE[name].dtype if name in CHANNEL_TABLE else _OTHER_TABLES[name]
-        values = (make[name](drawn) for drawn in self._bodies)
-        return np.concatenate([np.zeros(1, kind), *values])
+        """Table of the values of a channel by id, see ``_TABLES``."""
+        kind, values = _TABLES[name]
+        return np.concatenate([np.zeros(1, kind), *(values(drawn).astype(kind) for drawn in self._bodies)])
 
 
 class StaticLayer:
@@ -129,12 +111,15 @@ class StaticLayer:
 
     def images(self, channels: Collection[str]) -> dict[str, NDArray[Any]]:
         """Return new arrays of the channels of an image without bodies."""
-        make: dict[str, Callable[[], NDArray[Any]]] = {"depth": self.depth.copy}
-        if self.rgba is not None:
-            rgba = self.rgba
-            make["rgb"] = lambda: cv2.cvtColor(rgba, cv2.COLOR_RGBA2RGB)
-        shared = [c for c in map(CHANNEL_TABLE.__getitem__, channels) if not (c.per_body or c.adjacent_frame)]
-        return {c.name: make[c.name]() if c.name in make else c.empty_image(self.depth.shape) for c in shared}
+        made: dict[str, NDArray[Any]] = {}
+        for channel in (CHANNEL_TABLE[name] for name in channels):
+            if channel.name == "depth":
+                made["depth"] = self.depth.copy()
+            elif channel.name == "rgb" and self.rgba is not None:
+                made["rgb"] = cv2.cvtColor(self.rgba, cv2.COLOR_RGBA2RGB)
+            elif not (channel.per_body or channel.adjacent_frame):
+                made[channel.name] = channel.empty_image(self.depth.shape)
+        return made
 
     def release(self) -> None:
         """Free the memory on the device."""
@@ -161,7 +146,7 @@ class RenderedFrame:
     pixel shows such a surface.
     """
 
-    passes: Passes
+    passes: frozenset[Pass]
     instances: tuple[int, ...]
     camera: Camera
     layer: StaticLayer
@@ -202,11 +187,9 @@ class RenderedFrame:
     def nbytes(self) -> int:
         """Approximate memory in bytes."""
         pixels, own = self.camera.size[0] * self.camera.size[1], self.triangle_ids.size
-        masks = 0 if self.alone is None else pixels * len(self.alone)
-        depth = 4 * pixels if "whole_depth" in vars(self) else 0
-        colours = 0 if self.rgba is None else self.rgba.nbytes
-        uncovered = 0 if self.body_part is None else self.body_part.nbytes
-        return 8 * own + colours + masks + depth + uncovered + (0 if self._geometry is None else 64 * own)
+        images = sum(image.nbytes for image in (self.rgba, self.body_part) if image is not None)
+        masks, depth = pixels * len(self.alone or ()), 4 * pixels * ("whole_depth" in vars(self))
+        return images + masks + depth + own * (8 if self._geometry is None else 72)
 
     def geometry(self, bodies: Sequence[Body]) -> PixelGeometry:
         """Surface points that the pixels show. ``bodies``: the bodies that were rendered."""
@@ -300,17 +283,16 @@ def _fill_alpha(frame: RenderedFrame, name: str, images: dict[str, Any], _: Sequ
     if instances is None:
         instances = frame.layer.images(("instance",))["instance"]
         instances[within] = frame.ids.table("instance").take(frame.triangle_ids)
-    moving = {
-        instance: (instances == instance).view(np.uint8) * np.uint8(255)
-        for instance in frame.instances
-        if instance
-    }
-    images[name] = moving | static
+    labels = (instance for instance in frame.instances if instance)
+    images[name] = {label: (instances == label).view(np.uint8) * np.uint8(255) for label in labels} | static
 
 
-def _fill_normal(frame: RenderedFrame, name: str, images: dict[str, Any], bodies: Sequence[Body]) -> None:
+def _fill_from_points(
+    frame: RenderedFrame, name: str, images: dict[str, Any], bodies: Sequence[Body]
+) -> None:
     geometry = frame.geometry(bodies)
-    images[name].reshape(-1, 3)[geometry.visible.pixels] = geometry.normals()
+    values = geometry.normals() if name == "normal" else geometry.texture_coordinates()
+    images[name].reshape(-1, values.shape[1])[geometry.visible.pixels] = values
 
 
 def _fill_material(frame: RenderedFrame, name: str, images: dict[str, Any], bodies: Sequence[Body]) -> None:
@@ -325,11 +307,6 @@ def _fill_material(frame: RenderedFrame, name: str, images: dict[str, Any], bodi
             own = np.flatnonzero(visible.owner == number)
             pixels = visible.pixels[own]
             labels[pixels] = with_hair(labels[pixels], uv[own], body.mesh.hair_texels)
-
-
-def _fill_uv(frame: RenderedFrame, name: str, images: dict[str, Any], bodies: Sequence[Body]) -> None:
-    geometry = frame.geometry(bodies)
-    images[name].reshape(-1, 2)[geometry.visible.pixels] = geometry.texture_coordinates()
 
 
 def _fill_amodal(frame: RenderedFrame, name: str, images: dict[str, Any], _: Sequence[Body]) -> None:
@@ -350,7 +327,7 @@ _FILL: dict[str, _Fill] = {
     "rgb": _fill_rgb,
     "shadow": _fill_shadow,
     "alpha": _fill_alpha,
-    "normal": _fill_normal,
-    "uv": _fill_uv,
+    "normal": _fill_from_points,
+    "uv": _fill_from_points,
     "amodal": _fill_amodal,
 }

@@ -51,7 +51,7 @@ class Channel:
     components: tuple[int, ...] = ()
     empty: float = 0
     default: bool = False
-    passes: frozenset[Pass] = frozenset()
+    passes: tuple[Pass, ...] = ()
     adjacent_frame: AdjacentName | None = None
     occlusion: bool = False
     per_body: bool = False
@@ -64,10 +64,7 @@ class Channel:
         return np.full(whole, self.empty, self.dtype) if self.empty else np.zeros(whole, self.dtype)
 
 
-_LIT: frozenset[Pass] = frozenset({"lit"})
-_OUTLINED: frozenset[Pass] = frozenset({"outlined"})
-_ALONE: frozenset[Pass] = frozenset({"alone"})
-_UNCOVERED: frozenset[Pass] = frozenset({"uncovered"})
+_COLOUR: tuple[Pass, ...] = ("lit", "outlined")
 _LABELS: dict[str, Any] = {"labels_bodies": True}
 _PER_BODY: dict[str, Any] = {"labels_bodies": True, "per_body": True}
 _NEXT: dict[str, Any] = {"adjacent_frame": "next_frame"}
@@ -80,11 +77,11 @@ _RECTIFIED_DEPTH: dict[str, Any] = {"default": True, "rectified_topic": "depth/i
 CHANNEL_TABLE: dict[str, Channel] = {
     channel.name: channel
     for channel in (
-        Channel("rgb", np.uint8, "image_raw", "", (3,), passes=_LIT | _OUTLINED, **_RECTIFIED),
+        Channel("rgb", np.uint8, "image_raw", "", (3,), passes=_COLOUR, **_RECTIFIED),
         Channel("depth", np.float32, "depth/image", "32FC1", empty=np.inf, **_RECTIFIED_DEPTH),
         Channel("instance", np.uint16, "instance/image", "mono16", default=True, **_LABELS),
         Channel("part", np.uint8, "part/image", "mono8", default=True, **_LABELS),
-        Channel("body_part", np.uint8, "body_part/image", "mono8", passes=_UNCOVERED, **_LABELS),
+        Channel("body_part", np.uint8, "body_part/image", "mono8", passes=("uncovered",), **_LABELS),
         Channel("material", np.uint8, "material/image", "mono8", **_LABELS),
         Channel("face", np.int32, "face/image", "32SC1", **_LABELS),
         Channel("normal", np.float32, "normal/image", "32FC3", (3,), **_LABELS),
@@ -93,9 +90,9 @@ CHANNEL_TABLE: dict[str, Channel] = {
         Channel("flow_hidden", np.uint8, "flow/hidden", "mono8", **_HIDDEN, **_NEXT),
         Channel("flow_back", np.float32, "flow_back/image", "32FC2", (2,), empty=np.nan, **_PREVIOUS),
         Channel("flow_back_hidden", np.uint8, "flow_back/hidden", "mono8", **_HIDDEN, **_PREVIOUS),
-        Channel("alpha", np.uint8, "alpha/{body}/image", "mono8", passes=_OUTLINED, **_PER_BODY),
-        Channel("amodal", np.bool_, "amodal/{body}/image", "mono8", passes=_ALONE, **_PER_BODY),
-        Channel("shadow", np.uint8, "shadow/image", "mono8", passes=_LIT),
+        Channel("alpha", np.uint8, "alpha/{body}/image", "mono8", passes=("outlined",), **_PER_BODY),
+        Channel("amodal", np.bool_, "amodal/{body}/image", "mono8", passes=("alone",), **_PER_BODY),
+        Channel("shadow", np.uint8, "shadow/image", "mono8", passes=("lit",)),
     )
 }
 #: Names of all channels that a renderer may support.
@@ -110,10 +107,16 @@ def check_channels(channels: Collection[str]) -> None:
         raise RenderError(f"no such channel: {', '.join(unknown)}; there are {', '.join(ALL_CHANNELS)}")
 
 
+def passes_of(channels: Collection[str]) -> frozenset[Pass]:
+    """Return the rendering passes that channels need."""
+    return frozenset(name for channel in channels for name in CHANNEL_TABLE[channel].passes)
+
+
 def comparing_with(frame: AdjacentName, channels: Collection[str] = ALL_CHANNELS) -> set[str]:
     """Return the channels that are compared with the next or the previous frame."""
-    compared = (name for name, channel in CHANNEL_TABLE.items() if channel.adjacent_frame == frame)
-    return {name for name in compared if name in channels}
+    return {
+        name for name in channels if name in CHANNEL_TABLE and CHANNEL_TABLE[name].adjacent_frame == frame
+    }
 
 
 class View(Pictured):

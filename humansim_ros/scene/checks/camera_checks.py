@@ -19,7 +19,6 @@ from humansim_ros.scene.core.findings import (
     Finding,
     Obstacle,
     SceneSamples,
-    Severity,
     misplaced,
     numbers,
 )
@@ -119,22 +118,18 @@ def _check_camera(
     """Kind and finding."""
     scene = samples.scene
     key = pose_key(scene, name)
-    far = _far(name, samples)
-    if far:
+    if far := _far(name, samples):
         yield "far", Finding("error", key, far)
     else:
-        place = _place(name, samples, obstacles)
-        if place:
+        if place := misplaced(f"camera {name}", samples.centers(name), samples, obstacles):
             yield "place", Finding("error", key, place)
-        unseen = _sees_nobody(name, samples)
-        if unseen:
+        if unseen := _sees_nobody(name, samples):
             yield "nobody", Finding("error", key, unseen)
         elif unmeasured := _measures_nobody(name, samples):
             section = f"cameras.{name}" if name in scene.config.cameras else "rig"
             yield "depth", Finding("warning", f"{section}.depth_sensor", unmeasured)
     for kind, option, text in _check_intrinsics(name, scene):
-        severity: Severity = "warning"
-        yield kind, Finding(severity, intrinsics_key(scene, name, option), text)
+        yield kind, Finding("warning", intrinsics_key(scene, name, option), text)
 
 
 def pose_key(scene: Scene, name: str) -> str:
@@ -166,13 +161,17 @@ def _far(name: str, samples: SceneSamples) -> str | None:
     # a person may be the one who is far from everything
     if distances.min() < _FARTHEST or np.linalg.norm(centers[0]) < np.linalg.norm(samples.middle):
         return None
-    distance = float(distances.min())
-    where = f"{distance / 1000:.3g} km" if distance >= 1000 else f"{distance:.0f} m"
+    where = distance_text(float(distances.min()))
     text = f"camera {name} is {where} from the people, and nothing beyond {_FARTHEST:g} m is rendered"
     for unit, scale in _UNITS:
         if _PLAUSIBLE[0] < np.linalg.norm(centers[0]) * scale < _PLAUSIBLE[1]:
             return f"{text}; scene files are in metres: were {unit} given? {_in_unit(name, samples, scale)}"
     return f"{text}; check its position and unit (metres)"
+
+
+def distance_text(metres: float) -> str:
+    """A distance with its unit, such as ``1.5 km``."""
+    return f"{metres / 1000:.3g} km" if metres >= 1000 else f"{metres:.0f} m"
 
 
 def _in_unit(name: str, samples: SceneSamples, scale: float) -> str:
@@ -186,11 +185,6 @@ def _in_unit(name: str, samples: SceneSamples, scale: float) -> str:
     if config.t is not None:
         return f"then set t: {numbers(np.array(config.t) * scale, 4)}"
     return f"then multiply the translation by {scale:g}"
-
-
-def _place(name: str, samples: SceneSamples, obstacles: Sequence[Obstacle]) -> str | None:
-    """Finding about a camera outside the room, in a wall, below the floor, or inside something."""
-    return misplaced(f"camera {name}", samples.centers(name), samples, obstacles)
 
 
 def _sees_nobody(name: str, samples: SceneSamples) -> str | None:
@@ -251,15 +245,11 @@ def _measures_nobody(name: str, samples: SceneSamples) -> str | None:
 def _other_poses(camera: Camera) -> Iterator[tuple[str, tuple[Array, Array]]]:
     """Plausible poses that other conventions give to the same numbers R and t."""
     r, t = camera.R, camera.t
-    flip = np.diag([1.0, -1.0, -1.0])
+    flip, axes = np.diag([1.0, -1.0, -1.0]), "as in OpenGL and Blender"
     for text, rotation, translation in (
         ("its pose were inverted: R and t transform map to the camera, x_cam = R x + t", r.T, -r.T @ t),
         ("t were its position in map; t is -R times the position", r, -r @ t),
-        (
-            "its y axis pointed up and z backward, as in OpenGL and Blender; here y is down, z forward",
-            flip @ r,
-            flip @ t,
-        ),
+        (f"its y axis pointed up and z backward, {axes}; here y is down, z forward", flip @ r, flip @ t),
         ("its pose were inverted, in the axes of OpenGL and Blender", flip @ r.T, -flip @ r.T @ t),
     ):
         upright, height = rotation[1, 2] < 0, -rotation[:, 2] @ translation
@@ -309,10 +299,9 @@ def _check_intrinsics(name: str, scene: Scene) -> Iterator[tuple[str, str, str]]
     degrees = float(np.degrees(field_of_view(camera).horizontal))
     text = f"camera {name} has a field of view of {degrees:.4g} degrees"
     if degrees < _NARROWEST:
-        given = None if config is None else config.fov_deg
         hint = "is the focal length in pixels, and the image size correct?"
-        if given is not None:
-            hint = f"if {given:g} is in radians, set fov_deg: {np.degrees(given):.1f}"
+        if config is not None and config.fov_deg is not None:
+            hint = f"if {config.fov_deg:g} is in radians, set fov_deg: {np.degrees(config.fov_deg):.1f}"
         yield "fov", "fov_deg", f"{text}: {hint}"
     elif degrees > _WIDEST and not camera.distorted:
         text += " without distortion, so a person covers a few pixels"
@@ -382,12 +371,8 @@ def _hidden_flicker(camera: SceneCamera, rate: float) -> Iterator[tuple[str, str
     frequency, exposure = flicker.frequency, sensor.exposure_time
     seen = flicker.depth * abs(float(np.sinc(frequency * exposure)))
     if seen < _FAINTEST:
-        reason = (
-            "its depth is 0"
-            if flicker.depth == 0
-            else f"the exposure_time of {exposure:g} s is a multiple of its period of {1 / frequency:.4g} s"
-        )
-        yield "flicker", f"the flicker is not seen: {reason}"
+        reason = f"the exposure_time of {exposure:g} s is a multiple of its period of {1 / frequency:.4g} s"
+        yield "flicker", f"the flicker is not seen: {reason if flicker.depth else 'its depth is 0'}"
         return
     beat = abs(frequency - rate * round(frequency / rate))
     trigger = faults.config.trigger_delay

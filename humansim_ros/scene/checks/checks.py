@@ -15,6 +15,7 @@ from humansim_ros.scene.checks.camera_checks import (
     check_faults,
     covered_pixels,
     cpu_ms,
+    distance_text,
     has_gpu,
 )
 from humansim_ros.scene.core.features import features_of
@@ -153,11 +154,7 @@ def _far(name: str, joints: Array) -> str | None:
     distance = float(np.linalg.norm(joints.mean(axis=1), axis=1).min())
     if distance < _FARTHEST:
         return None
-    return (
-        f"{name} is {distance / 1000:.3g} km from the origin of map: positions are in metres"
-        if distance >= 1000
-        else f"{name} is {distance:.0f} m from the origin of map: positions are in metres"
-    )
+    return f"{name} is {distance_text(distance)} from the origin of map: positions are in metres"
 
 
 def _beyond(samples: SceneSamples, joints: Array) -> Array:
@@ -186,11 +183,11 @@ def _outside(name: str, samples: SceneSamples) -> str | None:
     else:
         what = f"{name} is outside" if gone else f"{name} reaches through a wall of"
         what += f" the room of {size}"
-    loop = samples.scene.actors[name].motion.loop
-    walks_on = loop == "continue" and first > 0
+    if samples.scene.actors[name].motion.loop == "continue" and first > 0:
+        remedy = f"its motion goes on (loop: continue): {remedy}"
     return (
         f"{what} at {samples.times[first]:.1f} s, by up to {beyond.max():.2g} m in the first "
-        f"{samples.duration:.0f} s: {'its motion goes on (loop: continue): ' if walks_on else ''}{remedy}"
+        f"{samples.duration:.0f} s: {remedy}"
     )
 
 
@@ -224,11 +221,8 @@ def _in_obstacles(
             if obstacle.key not in first or time < first[obstacle.key][0]:
                 first[obstacle.key] = time, obstacle
     for time, obstacle in first.values():
-        yield Finding(
-            "error",
-            motion_key(samples, name),
-            f"{name} is inside {obstacle.name} at {time:.1f} s ({obstacle.key}): move one of them",
-        )
+        text = f"{name} is inside {obstacle.name} at {time:.1f} s ({obstacle.key}): move one of them"
+        yield Finding("error", motion_key(samples, name), text)
 
 
 def _is_seat(obstacle: Obstacle, joints: Array, names: Sequence[str], times: Array) -> bool:
@@ -300,27 +294,24 @@ def _in_each_other(samples: SceneSamples) -> Iterator[Finding]:
 def _pair_findings(
     samples: SceneSamples, names: Sequence[str], seen: dict[tuple[int, int], tuple[float, float, Array]]
 ) -> Iterator[Finding]:
-    random = samples.scene.random_humans
-    among_random = []
+    random, among_random = samples.scene.random_humans, []
     for (i, j), (time, apart, place) in sorted(seen.items(), key=lambda pair: pair[0]):
         one, other = names[i], names[j]
         if one in random and other in random:
             among_random.append(f"{one} and {other} at {time:.1f} s")
             continue
         named = other if other not in random else one
-        yield Finding(
-            "error",
-            motion_key(samples, named),
+        text = (
             f"{one} and {other} are inside each other at {time:.1f} s at {numbers(place[:2])}, their spines "
-            f"{apart:.2f} m apart: move one of them (motion.position), or let it start later (motion.offset)",
+            f"{apart:.2f} m apart: move one of them (motion.position), or let it start later (motion.offset)"
         )
+        yield Finding("error", motion_key(samples, named), text)
     if among_random:
-        yield Finding(
-            "warning",
-            "variety",
+        text = (
             f"random people pass through each other: {some_of(among_random)}; give fewer people (count), a "
-            "larger area or spacing, or another seed",
+            "larger area or spacing, or another seed"
         )
+        yield Finding("warning", "variety", text)
 
 
 def _along(lines: Array, count: int) -> Array:

@@ -7,7 +7,7 @@ import math
 import warnings
 from collections.abc import Iterator, Sequence
 from functools import singledispatch
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -26,7 +26,7 @@ from humansim_ros.scene.pictures.people import HumanArtist, StickFigureArtist, s
 from humansim_ros.scene.pictures.rigs import camera_panel
 from humansim_ros.scene.pictures.top_view import top_view
 from humansim_ros.scene.pictures.views import channel_picture, color_channel, draw_joints, joint_colors
-from humansim_ros.scene.truth.camera_truth import OUTSIDE, VISIBLE
+from humansim_ros.scene.truth.camera_truth import OCCLUDED, OUTSIDE, VISIBLE
 from humansim_ros.types import Array, Image
 
 if TYPE_CHECKING:
@@ -211,14 +211,12 @@ def _plot_joints(axes: Axes, frame: Frame, camera: str) -> None:
                 x, y = pixels[[number[parent], number[name]]].T
                 axes.plot(x, y, color=np.array(color) / 255, linewidth=1)
         inside = np.isfinite(pixels).all(axis=1)
-        for state, look in (
-            (visible == VISIBLE, {"color": [np.array(shown) / 255]}),
-            (
-                (visible != VISIBLE) & (visible != OUTSIDE),
-                {"facecolors": "none", "edgecolors": [np.array(hidden) / 255]},
-            ),
-        ):
-            x, y = pixels[inside & state].T
+        looks: tuple[dict[str, Any], ...] = (
+            {"color": [np.array(shown) / 255]},
+            {"facecolors": "none", "edgecolors": [np.array(hidden) / 255]},
+        )
+        for state, look in zip((VISIBLE, OCCLUDED), looks, strict=True):
+            x, y = pixels[inside & (visible == state)].T
             axes.scatter(x, y, s=9, zorder=3, **look)
 
 
@@ -227,9 +225,8 @@ def _figure_class() -> type[Figure]:
     try:
         from matplotlib.figure import Figure
     except ImportError:
-        raise HumansimError(
-            "plots need matplotlib; install it with: pip install 'humansim_ros[plot]'"
-        ) from None
+        text = "plots need matplotlib; install it with: pip install 'humansim_ros[plot]'"
+        raise HumansimError(text) from None
 
     class FrameFigure(Figure):
         """Figure without pyplot, which would keep it in memory; shown by notebooks in any case."""

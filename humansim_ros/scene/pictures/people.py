@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, Protocol
@@ -127,10 +127,7 @@ class _TrackingCamera:
         target = np.array([x, y, self._figure.floor + lift + 0.41 * self._span])
         distance = self._span / (2 * np.tan(_FOV / 2))
         eye = target + distance * np.array([np.cos(self._azimuth), np.sin(self._azimuth), 0.16])
-        # _FOV is the vertical field of view
-        width, height = self._size
-        fov = 2 * np.arctan(np.tan(_FOV / 2) * width / height)
-        return Camera.look_at(tuple(eye), tuple(target), self._size, float(fov))
+        return _looking(eye, target, self._size, _FOV)
 
     def floor(self, camera: Camera, time: float) -> Image:
         """Image of the floor: grid lines that are fixed in the world."""
@@ -146,6 +143,14 @@ class _TrackingCamera:
                 ends[:, 1 - axis] = middle[1 - axis] + np.array([-reach, reach])
                 _draw_segment(image, camera, ends, GRID, 1)
         return image
+
+
+def _looking(eye: Array, target: Array, size: tuple[int, int], fov: float) -> Camera:
+    """Camera that looks at a target, with the vertical field of view ``fov``, radians."""
+    width, height = size
+    return Camera.look_at(
+        tuple(eye), tuple(target), size, float(2 * np.arctan(np.tan(fov / 2) * width / height))
+    )
 
 
 def _smoothed(path: Array, sigma: float) -> Array:
@@ -176,12 +181,8 @@ class StickFigureArtist:
         size: tuple[int, int],
         viewpoint: Viewpoint,
     ) -> None:
-        """Make an artist; :meth:`of_world` and :meth:`of_file` are simpler.
-
-        ``figure``: positions of the joints over time. ``parents``: parent of each joint, (J,); -1 for a root.
-        ``sides``: side of each joint, (J,): 1 left, -1 right, 0 neither. ``size``: width and height of the
-        images in pixels. ``viewpoint``: direction that the figure is drawn from.
-        """
+        """Make an artist; :meth:`of_world` and :meth:`of_file` are simpler. ``parents``: parent of each
+        joint, (J,); -1 for a root. ``sides``: side of each joint, (J,): 1 left, -1 right, 0 neither."""
         self.figure = figure
         self._parents, self._sides = parents, sides
         self._tracking = _TrackingCamera(figure, size, viewpoint)
@@ -266,14 +267,7 @@ class StickFigureArtist:
 
 
 class SkinnedArtist:
-    """Draws the human that a motion drives.
-
-    Args:
-        human: Human that is drawn.
-        world: Motion that drives it.
-        size: Width and height of the images in pixels.
-        viewpoint: Direction that the human is drawn from.
-    """
+    """Draws the human that a motion drives, in images of ``size`` (width, height)."""
 
     def __init__(
         self, human: Human, world: WorldMotion, size: tuple[int, int], viewpoint: Viewpoint = "three-quarter"
@@ -301,12 +295,10 @@ class SkinnedArtist:
 
     def draw(self, time: float) -> Image:
         """Render the human at a time in seconds."""
-        human = self._human
-        camera = self._tracking.camera(time)
+        human, camera = self._human, self._tracking.camera(time)
         vertices = human.pose(self._retargeter.pose(self._world.sample(time))[0])
-        view = self._renderer.render(
-            [Body(human.mesh, vertices, human.triangle_parts, 1)], camera, ("rgb", "instance")
-        )
+        body = Body(human.mesh, vertices, human.triangle_parts, 1)
+        view = self._renderer.render([body], camera, ("rgb", "instance"))
         # the contact shadow and the blended edges of the body darken the paper: apply them to the floor
         floor = self._tracking.floor(camera, time)
         shaded = np.clip(np.rint(floor * (view.rgb / np.array(PAPER))), 0, 255).astype(np.uint8)
@@ -359,14 +351,14 @@ def strip(artists: Sequence[Artist], phases: int, title: str) -> Image:
 def video_frames(artists: Sequence[Artist], rate: float, longest: float) -> Iterator[Image]:
     """Draw the artists' images side by side in real time: ``rate`` frames per second, ``longest`` seconds."""
     figure = artists[0].figure
-    for number in range(frame_count(figure, rate, longest)):
+    for number in range(_frame_count(figure, rate, longest)):
         time = number / rate
         images = [artist.draw(time) for artist in artists]
         _label(images[0], figure, round(time / figure.frame_time))
         yield np.concatenate(images, axis=1)
 
 
-def frame_count(figure: AnimatedFigure, rate: float, longest: float) -> int:
+def _frame_count(figure: AnimatedFigure, rate: float, longest: float) -> int:
     """Number of frames of a video."""
     return max(1, int(min(figure.seconds, longest) * rate + 1e-6))
 
@@ -400,28 +392,23 @@ def write_motion_image(
         HumansimError: The suffix is unknown.
     """
     check_suffix(path)
-    suffix = Path(path).suffix.lower()
+    suffix, figure = Path(path).suffix.lower(), artists[0].figure
     if suffix == ".png":
         write_png(path, strip(artists, phases, title))
         return
-    figure = artists[0].figure
     rate = float(np.clip(1 / figure.frame_time, 1.0, 60.0)) if rate is None else rate
-    rate = rate if suffix == ".mp4" else min(rate, _GIF_RATE)
-    write = write_mp4 if suffix == ".mp4" else write_gif
+    write, rate = (write_mp4, rate) if suffix == ".mp4" else (write_gif, min(rate, _GIF_RATE))
     frames = video_frames(artists, rate, longest)
-    if progress is None:
-        write(path, frames, rate)
-        return
-    with progress(frames, frame_count(figure, rate, longest)) as counted:
-        write(path, counted, rate)
+    count = _frame_count(figure, rate, longest)
+    with nullcontext(frames) if progress is None else progress(frames, count) as shown:
+        write(path, shown, rate)
 
 
 def check_suffix(path: str | os.PathLike[str]) -> None:
     """Raise HumansimError unless a file name has one of :data:`SUFFIXES`."""
     if Path(path).suffix.lower() not in SUFFIXES:
-        raise HumansimError(
-            "a motion is drawn as .png, .mp4 or .gif: give the file one of these names", path=path
-        )
+        text = "a motion is drawn as .png, .mp4 or .gif: give the file one of these names"
+        raise HumansimError(text, path=path)
 
 
 # --- humans at rest: from all sides, in their outfits, with their bones and weights
@@ -449,15 +436,12 @@ class HumanArtist:
         distance = self._span / (2 * np.tan(_REST_FOV / 2))
         angle = np.radians(azimuth)
         eye = self._middle + distance * np.array([np.cos(angle), np.sin(angle), 0.1])
-        width, height = self._size
-        fov = 2 * np.arctan(np.tan(_REST_FOV / 2) * width / height)
-        return Camera.look_at(tuple(eye), tuple(self._middle), self._size, float(fov))
+        return _looking(eye, self._middle, self._size, _REST_FOV)
 
     def draw(self, human: Human, azimuth: float) -> Image:
         """Render the human with its texture."""
         body = Body(human.mesh, self._vertices, human.triangle_parts, 1)
-        view = self._renderer.render([body], self.camera(azimuth), ("rgb",))
-        return view.rgb
+        return self._renderer.render([body], self.camera(azimuth), ("rgb",)).rgb
 
     def draw_weights(self, human: Human, azimuth: float) -> Image:
         """Render each vertex in the colours of its bones, mixed by its weights."""
@@ -473,10 +457,9 @@ class HumanArtist:
             camera.project(points @ WORLD_FROM_BODY.T)[0] for points in (skeleton.heads, skeleton.tails)
         )
         for name, head, tail in zip(skeleton.names, heads, tails, strict=True):
-            color = SIDE_COLORS[side_of(name)]
-            is_detail = name in DETAIL_BONES
-            draw_line(image, [head, tail], color, 1 if is_detail else 2)
-            draw_disc(image, head, 1 if is_detail else 3, color)
+            color, (width, radius) = SIDE_COLORS[side_of(name)], (1, 1) if name in DETAIL_BONES else (2, 3)
+            draw_line(image, [head, tail], color, width)
+            draw_disc(image, head, radius, color)
         return image
 
     def close(self) -> None:
@@ -497,12 +480,10 @@ def human_sheet(human: Human) -> Image:
     try:
         azimuths = range(0, 360, 45)
         turntable = [artist.draw(human, angle) for angle in azimuths]
-        inside = [
-            *(artist.draw_bones(human, angle) for angle in (0, 45, 90, 180)),
-            *(artist.draw_weights(human, angle) for angle in (0, 45, 90, 180)),
-        ]
-        inside_labels = ["bones", "", "", "", "weights", "", "", ""]
-        rows = [row(turntable, [f"{angle} degrees" for angle in azimuths]), row(inside, inside_labels)]
+        draws = artist.draw_bones, artist.draw_weights
+        inside = [draw(human, angle) for draw in draws for angle in (0, 45, 90, 180)]
+        labels = ["bones", "", "", "", "weights", "", "", ""]
+        rows = [row(turntable, [f"{angle} degrees" for angle in azimuths]), row(inside, labels)]
         outfits = list(human.outfits)
         for start in range(0, len(outfits) if len(outfits) > 1 else 0, 4):
             some = outfits[start : start + 4]

@@ -61,8 +61,7 @@ def rig_image(cameras: Mapping[str, Camera], points: Array | None = None) -> Ima
         CameraError: There is no camera, or one is farther away than 100 km.
     """
     rig = _Rig.of(cameras)
-    count = len(cameras)
-    title = f"{count} camera{'s' if count > 1 else ''}, metres in map"
+    title = f"{len(cameras)} camera{'s' if len(cameras) > 1 else ''}, metres in map"
     crosses = np.zeros((0, 3)) if points is None else points
     from_side, cell = _from_side(rig, crosses)
     headings = ("from above", f"from the side; a square of the floor is {cell:g} m")
@@ -222,8 +221,7 @@ def _from_side(rig: _Rig, points: Array) -> tuple[Image, float]:
     for number in np.argsort(-eye.project(centers)[1]):
         color, center = rig.colors[number], centers[number]
         border = eye.project(rig.borders[number])[0]
-        pixel = eye.project(center[None])[0][0]
-        foot = eye.project(np.array([[center[0], center[1], 0.0]]))[0][0]
+        pixel, foot = eye.project(np.array([center, [center[0], center[1], 0.0]]))[0]
         draw_line(image, [foot, pixel], SHADE)
         draw_disc(image, foot, 2, SHADE)
         fill_polygon(image, border, color, _OPACITY)
@@ -264,13 +262,8 @@ def _focus(cameras: Sequence[Camera], centers: Array) -> Array:
 def _eye(points: Array) -> Camera:
     """Nearest camera that sees all points (N, 3) obliquely from above."""
     middle = (points.min(0) + points.max(0)) / 2
-    toward = np.array(
-        [
-            np.cos(_AZIMUTH) * np.cos(_ELEVATION),
-            np.sin(_AZIMUTH) * np.cos(_ELEVATION),
-            np.sin(_ELEVATION),
-        ]
-    )
+    ahead = np.array([np.cos(_AZIMUTH), np.sin(_AZIMUTH)]) * np.cos(_ELEVATION)
+    toward = np.array([*ahead, np.sin(_ELEVATION)])
     distance = 2 * float(np.linalg.norm(np.ptp(points, axis=0)))
 
     def camera() -> Camera:

@@ -13,13 +13,11 @@ from humansim_ros.cameras.camera import Camera
 from humansim_ros.errors import SceneError
 from humansim_ros.render.interface import CHANNEL_TABLE, check_channels
 from humansim_ros.render.pictures import draw_text, text_size
-from humansim_ros.scene.core.actor import Actor
 from humansim_ros.scene.core.camera import SceneCamera
 from humansim_ros.scene.core.scene import Scene
 from humansim_ros.scene.core.simulation import Frame, Simulation
 from humansim_ros.scene.pictures.top_view import top_view
 from humansim_ros.scene.pictures.views import channel_picture, draw_joints
-from humansim_ros.scene.truth.camera_truth import JointView
 from humansim_ros.types import Image
 
 #: Longest side of a sheet in pixels. A larger sheet is scaled down.
@@ -101,18 +99,17 @@ def snapshot(
     scene = replace(scene, scene_cameras=cameras).at_full_rate()
     tiles = []
     posed: dict[str, Camera] = {}
+    seconds = index / scene.config.rate
     with Simulation(scene, channels=rendered) as simulation:
         for name in cameras:
             frame = simulation.frame(index, cameras=[name])
             posed |= frame.cameras
             tiles.append(_tiles(scene, frame, name, channels, layout.tile, overlay))
     if above:
-        tiles.append(_from_above(scene, posed, index / scene.config.rate, layout.tile, len(channels)))
-    seen_at = f"{index / scene.config.rate:.2f} s"
+        tiles.append(_from_above(scene, posed, seconds, layout.tile, len(channels)))
     origin = "scene" if scene.path is None else scene.path.name
-    return _sheet(
-        tiles, layout, f"{origin} at {seen_at}: {_count(cameras, 'camera')}, {_count(scene.actors, 'human')}"
-    )
+    counts = f"{_count(cameras, 'camera')}, {_count(scene.actors, 'human')}"
+    return _sheet(tiles, layout, f"{origin} at {seconds:.2f} s: {counts}")
 
 
 def _middle(sizes: Sequence[tuple[int, int]]) -> tuple[int, int]:
@@ -150,12 +147,7 @@ def _count(things: Mapping[str, object], word: str) -> str:
 
 
 def _tiles(
-    scene: Scene,
-    frame: Frame,
-    name: str,
-    channels: Sequence[str],
-    size: tuple[int, int],
-    overlay: bool,
+    scene: Scene, frame: Frame, name: str, channels: Sequence[str], size: tuple[int, int], overlay: bool
 ) -> list[Image]:
     """Pictures of the channels of one camera. ``channels``: channels to draw. ``size``: width and height of a
     tile. ``overlay``: draw the joints over rgb."""
@@ -165,8 +157,11 @@ def _tiles(
         picture = channel_picture(view, channel, camera.sensor.config.encoding)
         tile, scale = _fitted(picture, size, channel in _SMOOTH)
         if channel == "rgb" and overlay:
+            radius = float(np.clip(min(tile.shape[:2]) / 120, 1, 4))
             for human, seen in frame.truth[name].joints.items():
-                tile = _with_joints(tile, scene.actors[human], seen, scale)
+                skeleton, pixels = scene.actors[human].human.skeleton, scale * (seen.pixels + 0.5) - 0.5
+                joints = seen.visible, skeleton.joint_names, skeleton.joint_parents
+                tile = draw_joints(tile, pixels, *joints, radius)
         out.append(_on_tile(tile, size, name, channel if len(channels) > 1 else ""))
     return out
 
@@ -177,14 +172,6 @@ def _fitted(image: Image, size: tuple[int, int], smooth: bool) -> tuple[Image, f
     inner = tuple(max(1, round(scale * side)) for side in (image.shape[1], image.shape[0]))
     method = cv2.INTER_NEAREST if not smooth else cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
     return np.asarray(cv2.resize(image, inner, interpolation=method), dtype=np.uint8), scale
-
-
-def _with_joints(tile: Image, actor: Actor, seen: JointView, scale: float) -> Image:
-    """Draw the joints of a human over a scaled image."""
-    skeleton = actor.human.skeleton
-    radius = float(np.clip(min(tile.shape[:2]) / 120, 1, 4))
-    pixels = scale * (seen.pixels + 0.5) - 0.5
-    return draw_joints(tile, pixels, seen.visible, skeleton.joint_names, skeleton.joint_parents, radius)
 
 
 def _on_tile(image: Image, size: tuple[int, int], name: str, channel: str) -> Image:

@@ -156,12 +156,8 @@ def draw_joints(
     }
     for name, parent in zip(names, parents, strict=True):
         if parent is not None and name in pixel_of and parent in pixel_of:
-            draw_line(
-                out,
-                [pixel_of[parent], pixel_of[name]],
-                _SIDE_COLORS[side_of(name)],
-                max(1, round(0.6 * sizes[name])),
-            )
+            width = max(1, round(0.6 * sizes[name]))
+            draw_line(out, [pixel_of[parent], pixel_of[name]], _SIDE_COLORS[side_of(name)], width)
     for name, state in zip(names, visible, strict=True):
         if name in pixel_of and state != OUTSIDE:
             color, width = (_VISIBLE_COLOR, -1) if state == VISIBLE else (_HIDDEN_COLOR, 1)
@@ -177,7 +173,15 @@ def joint_colors(names: Sequence[str]) -> tuple[list[Color], Color, Color]:
 def contact_sheet(rows: Sequence[Sequence[Image]], titles: Sequence[str], labels: Sequence[str]) -> Image:
     """Arrange images (H, W, 3) in a grid. ``titles`` are those of the columns, ``labels`` those of the
     rows."""
-    lines = [_join_columns([_resized(image, _SHEET_WIDTH) for image in row]) for row in rows]
+    lines = []
+    for row in rows:
+        heights = (round(image.shape[0] * _SHEET_WIDTH / image.shape[1]) for image in row)
+        tiles = [
+            cv2.resize(image, (_SHEET_WIDTH, height), interpolation=cv2.INTER_AREA)
+            for image, height in zip(row, heights, strict=True)
+        ]
+        gap = np.full((tiles[0].shape[0], _GAP, 3), _SHEET, np.uint8)
+        lines.append(np.concatenate([part for tile in tiles for part in (tile, gap)][:-1], axis=1))
     for line, label in zip(lines, labels, strict=True):
         position = (12, line.shape[0] - 14)
         draw_text(line, label, position, 0.6, (0, 0, 0), 4)
@@ -187,13 +191,3 @@ def contact_sheet(rows: Sequence[Sequence[Image]], titles: Sequence[str], labels
         draw_text(head, title, (column * (_SHEET_WIDTH + _GAP) + 12, 27), 0.62, (235, 235, 235))
     gap = np.full((_GAP, lines[0].shape[1], 3), _SHEET, np.uint8)
     return np.concatenate([head, *[part for line in lines for part in (line, gap)]])
-
-
-def _join_columns(images: Sequence[Image]) -> Image:
-    gap = np.full((images[0].shape[0], _GAP, 3), _SHEET, np.uint8)
-    return np.concatenate([part for image in images for part in (image, gap)][:-1], axis=1)
-
-
-def _resized(image: Image, width: int) -> Image:
-    height = round(image.shape[0] * width / image.shape[1])
-    return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)

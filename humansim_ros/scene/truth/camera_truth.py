@@ -142,14 +142,9 @@ def view_boxes(camera: Camera, bodies: Sequence[Body], view: View) -> dict[int, 
         visible, pixels = _box_of(view.instance == body.instance)
         amodal = np.count_nonzero(view.amodal[body.instance])
         whole = whole_box(camera, body)
-        boxes[body.instance] = BodyBox(
-            visible,
-            whole,
-            truncation(whole, camera.size),
-            pixels / amodal if amodal else np.nan,
-            pixels,
-            body.kind,
-        )
+        share = pixels / amodal if amodal else np.nan
+        outside = truncation(whole, camera.size)
+        boxes[body.instance] = BodyBox(visible, whole, outside, share, pixels, body.kind)
     return boxes
 
 
@@ -361,9 +356,8 @@ def rest_points(camera: Camera, bodies: Sequence[Body], view: View) -> Float32Ar
     owners = np.full(65536, -1)
     owners[[body.instance for body in labelled]] = np.arange(len(labelled))
     pixels = np.flatnonzero(view.instance)
-    visible = VisiblePixels(
-        pixels, owners[view.instance.ravel()[pixels]], view.face.ravel()[pixels] - np.intp(1)
-    )
+    labels, faces = view.instance.ravel()[pixels], view.face.ravel()[pixels]
+    visible = VisiblePixels(pixels, owners[labels], faces - np.intp(1))
     weights = PixelGeometry(camera, labelled, visible).weights.T
     points = np.full((*view.instance.shape, 3), np.nan, np.float32)
     for index, body in enumerate(labelled):

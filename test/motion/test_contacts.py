@@ -13,9 +13,15 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from test_retarget import SHARED, SKELETON, in_world, read
 
-from humansim_ros.motion.pose.contacts import FootContacts, SkinContact, two_bone
+from humansim_ros.motion.body.skeleton import sole_heights, sole_points
+from humansim_ros.motion.pose.contacts import (
+    FootContacts,
+    SkinContact,
+    find_stances,
+    slide_distances,
+    two_bone,
+)
 from humansim_ros.motion.pose.retarget import Retargeter
-from humansim_ros.motion.pose.soles import find_stances, slide_distances, sole_heights, sole_points
 from humansim_ros.motion.pose.world_motion import Placement, WorldMotion
 from humansim_ros.scene import Scene
 from humansim_ros.scene.core.actor import Actor

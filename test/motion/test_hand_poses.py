@@ -15,8 +15,7 @@ from humansim_ros import Scene
 from humansim_ros.errors import HumansimError, HumansimWarning, MotionError
 from humansim_ros.files.reading.assets import built_in_names
 from humansim_ros.motion.body.hands import FINGER_BONES, HandAnatomy
-from humansim_ros.motion.pose.hand_keys import BUILT_IN_HANDS
-from humansim_ros.motion.pose.hand_poses import HAND_POSES, hand_angles
+from humansim_ros.motion.pose.hand_poses import BUILT_IN_HANDS, HAND_POSES, hand_angles
 from humansim_ros.motion.pose.limits import load_limits
 from humansim_ros.people import Human, load_human
 from humansim_ros.scene.core.actor import HumanState

@@ -13,8 +13,8 @@ import pytest
 import trimesh
 
 from humansim_ros.errors import HumansimError, HumansimWarning, SceneError
+from humansim_ros.motion.pose.contacts import find_stances, slide_distances
 from humansim_ros.motion.pose.path_motion import PathMotion, WalkPath
-from humansim_ros.motion.pose.soles import find_stances, slide_distances
 from humansim_ros.scene import Scene, Simulation
 from humansim_ros.scene.config.config import check_config
 from humansim_ros.scene.core.actor import joint_poses_of

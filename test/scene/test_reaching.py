@@ -11,9 +11,9 @@ import pytest
 
 from humansim_ros.errors import HumansimError, SceneError
 from humansim_ros.geometry import VELOCITY_STEP, quaternion_to_matrix
+from humansim_ros.motion.body.skeleton import sole_points
 from humansim_ros.motion.pose.limits import load_limits
-from humansim_ros.motion.pose.scene_query import WITHOUT_REACH
-from humansim_ros.motion.pose.soles import sole_points
+from humansim_ros.motion.pose.reaches import WITHOUT_REACH
 from humansim_ros.scene import Scene, check_scene
 from humansim_ros.scene.core.actor import Actor
 from humansim_ros.scene.core.live import LiveRetargeter

@@ -311,3 +311,27 @@ def hanim_skeleton() -> Skeleton:
         tails=np.array([row["tail"] for row in table], dtype=float),
         rolls=np.zeros(len(names)),
     )
+
+
+#: The heel is behind the ankle by this distance, metres.
+_HEEL = 0.04
+
+
+def sole_points(skeleton: Skeleton, posed: Array) -> Array:
+    """World positions (..., 2, 2, 3) of toe and heel of the left and the right foot. At rest, their height is
+    0."""
+    points = []
+    for name in ("l_ankle", "r_ankle"):
+        bone = skeleton.bone(name)
+        head, tail = skeleton.heads[bone], skeleton.tails[bone]
+        for point in ((tail[0], 0.0, tail[2]), (head[0], 0.0, head[2] - _HEEL)):
+            offset = skeleton.rest_inverse[bone] @ np.array([*point, 1.0])
+            points.append((posed[..., bone, :, :] @ offset)[..., :3])
+    stacked = np.stack(points, axis=-2)
+    return stacked.reshape(*stacked.shape[:-2], 2, 2, 3)
+
+
+def sole_heights(skeleton: Skeleton, posed: Array) -> Array:
+    """World heights (..., 4) of toes and heels of both feet."""
+    heights = sole_points(skeleton, posed)[..., 2]
+    return heights.reshape(*heights.shape[:-2], 4)

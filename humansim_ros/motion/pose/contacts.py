@@ -1,8 +1,8 @@
-"""Contacts with the floor: corrections that keep standing feet in place, and put the skin on the floor."""
+"""Contacts with the floor: stances, and corrections that keep feet in place or put skin on the floor."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -26,11 +26,88 @@ from humansim_ros.geometry import (
     unit_vectors,
 )
 from humansim_ros.motion.body.kinematics import JointPoses, Motion
-from humansim_ros.motion.body.skeleton import Skeleton
+from humansim_ros.motion.body.skeleton import Skeleton, sole_points
 from humansim_ros.motion.pose.retarget import Retargeter
-from humansim_ros.motion.pose.soles import contact_steps, sole_loads, sole_points, standing_feet, true_runs
 from humansim_ros.motion.pose.world_motion import PoseCorrection, WorldMotion
 from humansim_ros.types import Array
+
+#: A toe or heel is on the floor if its height (metres) and its horizontal speed (m/s) are lower than these
+#: values.
+_CONTACT_HEIGHT, _CONTACT_SPEED = 0.05, 0.35
+#: A foot that is faster than this (m/s) jumps from one cycle of a loop to the next.
+_MAX_SPEED = 20.0
+#: Stances and gaps between stances that are shorter (seconds) are noise.
+_MIN_STANCE, _MIN_GAP = 0.10, 0.06
+#: Difference (metres) of the heights of toe and heel over which the load moves from one to the other.
+_LOAD_SOFTNESS = 0.01
+
+
+@dataclass(frozen=True)
+class Stance:
+    """A stance of a foot (0 left, 1 right) from sample ``first`` to sample ``last``."""
+
+    foot: int
+    first: int
+    last: int
+
+
+def find_stances(skeleton: Skeleton, posed: Array, times: Array) -> list[Stance]:
+    """Find the stances of both feet in bone frames (N, B, 4, 4) in ``map``, at evenly spaced times (N,)."""
+    if len(times) < 2:
+        return []
+    standing = standing_feet(sole_points(skeleton, posed), times)
+    return [Stance(foot, first, last) for foot in (0, 1) for first, last in true_runs(standing[:, foot])]
+
+
+def slide_distances(skeleton: Skeleton, posed: Array, stances: Sequence[Stance]) -> Array:
+    """Distance (S,) in metres that the loaded part of the sole slides over the floor in each stance."""
+    points = sole_points(skeleton, posed)
+    steps = [contact_steps(points[:, foot], sole_loads(points[:, foot]))[:, :2] for foot in (0, 1)]
+    lengths = [np.linalg.norm(step, axis=-1) for step in steps]
+    return np.array([lengths[stance.foot][stance.first : stance.last].sum() for stance in stances])
+
+
+def standing_feet(points: Array, times: Array) -> NDArray[np.bool_]:
+    """Whether each foot stands (N, 2), from sole points (N, 2, 2, 3) at times (N,)."""
+    speed = np.linalg.norm(np.gradient(points[..., :2], times, axis=0), axis=-1)
+    standing = ((points[..., 2] < _CONTACT_HEIGHT) & (speed < _CONTACT_SPEED)).any(-1)
+    step = times[1] - times[0]
+    for foot in (0, 1):
+        standing[:, foot] = ~_without_short_runs(~standing[:, foot], _MIN_GAP / step)
+        # a foot does not stand while a loop jumps to its start
+        standing[:, foot] &= (speed[:, foot] < _MAX_SPEED).all(-1)
+        standing[:, foot] = _without_short_runs(standing[:, foot], _MIN_STANCE / step)
+    return np.asarray(standing)
+
+
+def sole_loads(points: Array) -> Array:
+    """Share of the load on toe and heel (..., 2), from their positions (..., 2, 3)."""
+    height = points[..., 2]
+    loads = np.exp(-(height - height.min(-1, keepdims=True)) / _LOAD_SOFTNESS)
+    return np.asarray(loads / loads.sum(-1, keepdims=True))
+
+
+def contact_steps(points: Array, loads: Array) -> Array:
+    """Movement (N - 1, 3) of the loaded part of a sole between samples. ``points``: (N, 2, 3) toe and heel.
+    ``loads``: (N, 2) from :func:`sole_loads`."""
+    share = (loads[1:] + loads[:-1]) / 2
+    return np.asarray((np.diff(points, axis=0) * share[..., None]).sum(-2))
+
+
+def true_runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """First and last index of every run of True."""
+    edges = np.diff(np.concatenate([[False], flags, [False]]).astype(int))
+    return list(zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1, strict=True))
+
+
+def _without_short_runs(flags: NDArray[np.bool_], shortest: float) -> NDArray[np.bool_]:
+    """Remove runs of True that are shorter than ``shortest`` samples. Runs at both ends stay."""
+    out = flags.copy()
+    for first, last in true_runs(flags):
+        if last - first + 1 < shortest and first > 0 and last < len(flags) - 1:
+            out[first : last + 1] = False
+    return out
+
 
 #: A correction straightens a leg up to this share of its length. A leg that was straighter before stays so.
 STRAIGHTEST = 0.9995
@@ -41,14 +118,10 @@ _FOLDED = 0.25
 def two_bone(hip: Array, knee: Array, ankle: Array, goal: Array) -> tuple[Array, Array]:
     """Rotations (N, 3, 3) of thigh and shin that bring the ankle to a goal, or as near as the leg can reach.
 
-    An arm can be passed, too: its shoulder, elbow and wrist take the place of hip, knee and ankle.
-
     The leg bends in a plane. This plane turns with the line from hip to ankle, by the shortest rotation.
 
     Args:
-        hip: Positions (N, 3).
-        knee: Positions (N, 3).
-        ankle: Positions (N, 3).
+        hip, knee, ankle: Positions (N, 3); or those of shoulder, elbow and wrist.
         goal: Target positions of the ankle (N, 3).
     """
     upper, lower, line = knee - hip, ankle - knee, ankle - hip
@@ -74,8 +147,7 @@ def two_bone(hip: Array, knee: Array, ankle: Array, goal: Array) -> tuple[Array,
 
 
 def correction_share(hip: Array, knee: Array, ankle: Array) -> Array:
-    """Share (N, 1) of a correction that a leg takes. It is 0 for a folded leg, since its knee would swing
-    far."""
+    """Share (N, 1) of a correction that a leg takes: 0 for a folded leg, since its knee would swing far."""
     leg = np.linalg.norm(knee - hip, axis=-1) + np.linalg.norm(ankle - knee, axis=-1)
     share = (np.linalg.norm(ankle - hip, axis=-1) / leg - _FOLDED) / _FOLDED
     return smooth_step(share)[:, None]
@@ -102,11 +174,10 @@ _BATCH = 1000
 
 
 @dataclass(frozen=True)
-class FootContacts:
+class FootContacts(PoseCorrection):
     """Corrections that keep the feet of a motion in place. They depend on the time only.
 
-    :meth:`apply` moves the joints of the source's legs so that the retargeted feet move by the shifts and
-    keep their orientation.
+    :meth:`apply` moves the legs of the motion, so that the retargeted feet move and keep their orientation.
 
     Attributes:
         motion: Motion of a file.
@@ -133,10 +204,8 @@ class FootContacts:
             MotionError: The joint match has no ankles.
         """
         plain = replace(world, correction=None, speed=1.0)
-        length = plain.cycle_length
-        count = max(2, round(length / max(world.motion.frame_time, 1 / 120)) + 1)
-        phases = np.asarray(np.linspace(0.0, length, count), dtype=float)
-        step = phases[1]
+        length, phases = plain.cycle_length, _phases(plain, 1 / 120)
+        count, step = len(phases), phases[1]
         margin = 0
         if plain.loop != "none" and step > 0:
             margin = min(count - 1, int(_MARGIN / step))
@@ -158,7 +227,6 @@ class FootContacts:
         return replace(contacts, shifts=shifts, drops=drops[cycle])
 
     def apply(self, poses: JointPoses, phases: Array, cycle_rotations: Array) -> JointPoses:
-        """Correct poses. See :class:`~humansim_ros.motion.pose.world_motion.PoseCorrection`."""
         shift = np.array(
             [[np.interp(phases, self.phases, axis) for axis in foot.T] for foot in self.shifts.swapaxes(0, 1)]
         ).transpose(2, 0, 1)
@@ -168,8 +236,7 @@ class FootContacts:
         return self._move_ankles(replace(poses, positions=lowered), shift)
 
     def _move_ankles(self, poses: JointPoses, shift: Array) -> JointPoses:
-        """Move joints so that the ankles of the retargeted body move by ``shift`` (N, 2, 3), metres in
-        ``map``."""
+        """Move joints, so that the ankles of the retargeted body move by ``shift`` (N, 2, 3) in ``map``."""
         skeleton = self.retargeter.skeleton
         posed = self.retargeter.pose(poses)
         new, rotations = np.array(poses.positions), quaternion_to_matrix(poses.rotations)
@@ -180,7 +247,7 @@ class FootContacts:
             )
             goal = ankle + shift[:, foot] * correction_share(hip, knee, ankle)
             thigh, shin = two_bone(hip, knee, ankle, goal)
-            # the leg of the source rotates as the leg of the skeleton does. Its foot keeps its orientation
+            # the leg of the motion rotates as the leg of the skeleton does. The foot keeps its orientation
             leg.turn(new, rotations, thigh, shin)
         return JointPoses(poses.names, new, matrix_to_quaternion(rotations))
 
@@ -193,8 +260,7 @@ class FootContacts:
 @dataclass(frozen=True)
 class Leg:
     """Joints of a leg of a motion: hip, knee and ankle, and the joints that move with thigh, shin and foot.
-    An arm has shoulder, elbow and wrist instead, and the joints that move with upper arm, forearm and
-    hand."""
+    An arm has shoulder, elbow and wrist, upper arm, forearm and hand instead."""
 
     hip: int
     knee: int
@@ -212,8 +278,7 @@ class Leg:
 
     @classmethod
     def arm(cls, side: str, motion: Motion, roles: Mapping[str, int]) -> Leg:
-        """Find the arm on a side, ``Left`` or ``Right``. Raises MotionError if one of its joints is
-        unknown."""
+        """Find the arm on a side, ``Left`` or ``Right``. Raises MotionError if one joint is unknown."""
         shoulder, elbow, wrist = (roles.get(f"{side}{part}") for part in ("Shoulder", "Elbow", "Wrist"))
         if shoulder is None or elbow is None or wrist is None:
             raise MotionError("hands cannot reach: the joint table knows no wrists", path=motion.path)
@@ -244,10 +309,8 @@ class Leg:
         """Turn the leg about hip, knee and ankle, in place.
 
         Args:
-            positions: Joints, (N, J, 3).
-            rotations: Rotations of the joints, (N, J, 3, 3).
-            thigh: Rotations of the thigh, (N, 3, 3).
-            shin: Rotations of the shin, (N, 3, 3).
+            positions, rotations: Positions (N, J, 3) and rotations (N, J, 3, 3) of the joints.
+            thigh, shin: Rotations of thigh and shin, (N, 3, 3).
             foot: Rotations of the foot, (N, 3, 3). If None, the foot keeps its orientation.
         """
         hip, knee, ankle = (positions[:, joint].copy() for joint in (self.hip, self.knee, self.ankle))
@@ -276,7 +339,7 @@ _CROTCH = 0.1
 
 
 @dataclass(frozen=True)
-class SkinContact:
+class SkinContact(PoseCorrection):
     """Heights that put the lowest skin of a body on the floor. They depend on the time only.
 
     Attributes:
@@ -291,28 +354,19 @@ class SkinContact:
 
     @classmethod
     def of(cls, world: WorldMotion, retargeter: Retargeter, lowest: Callable[[Array], Array]) -> SkinContact:
-        """Find the heights that put the lowest skin of a body on the floor, over one cycle of a motion.
-
-        Args:
-            world: The motion.
-            retargeter: Retargeting onto the body.
-            lowest: Function of poses (N, B, 4, 4) that returns the height (N,) of the lowest skin point,
-                metres.
-        """
+        """Find the heights over one cycle of a motion. ``lowest``: function of poses (N, B, 4, 4) that
+        returns the height (N,) of the lowest skin point, metres."""
         plain = replace(world, speed=1.0)
-        length = plain.cycle_length
-        count = max(2, round(length / max(world.motion.frame_time, _SKIN_STEP)) + 1)
-        phases = np.asarray(np.linspace(0.0, length, count), dtype=float)
+        length, phases = plain.cycle_length, _phases(plain, _SKIN_STEP)
         heights = lowest(retargeter.pose(plain.sample(np.minimum(phases, length * (1 - 1e-9)))))
         around: Literal["wrap", "nearest"] = "nearest" if world.loop == "none" else "wrap"
         width = 2 * round(_SETTLED / max(phases[1], 1e-6) / 2) + 1
-        if width < count:
+        if width < len(phases):
             heights[:-1] = scipy.ndimage.uniform_filter1d(heights[:-1], width, mode=around)
             heights[-1] = heights[0] if around == "wrap" else heights[-1]
         return cls(phases, -heights / retargeter.scale, world.correction)
 
     def apply(self, poses: JointPoses, phases: Array, cycle_rotations: Array) -> JointPoses:
-        """Correct poses. See :class:`~humansim_ros.motion.pose.world_motion.PoseCorrection`."""
         if self.before is not None:
             poses = self.before.apply(poses, phases, cycle_rotations)
         rises = np.interp(phases, self.phases, self.rises)[:, None, None] * np.array([0.0, 0.0, 1.0])
@@ -343,6 +397,13 @@ def skin_on_floor(skeleton: Skeleton, vertices: Array, weights: csr_matrix) -> N
     return kept & ~(both & low)
 
 
+def _phases(world: WorldMotion, step: float) -> Array:
+    """Phases (M,) from the start of a cycle to its end, a frame of the file or ``step`` seconds apart, the
+    longer of the two."""
+    count = max(2, round(world.cycle_length / max(world.motion.frame_time, step)) + 1)
+    return np.asarray(np.linspace(0.0, world.cycle_length, count), dtype=float)
+
+
 def _posed_legs(motion: WorldMotion, retargeter: Retargeter, times: Array) -> tuple[Array, Array, Array]:
     """Sole points (N, 2, 2, 3), hips and ankles (N, 2, 3) of the retargeted body."""
     skeleton = retargeter.skeleton
@@ -357,13 +418,11 @@ def _posed_legs(motion: WorldMotion, retargeter: Retargeter, times: Array) -> tu
 
 
 def _drops(skeleton: Skeleton, hips: Array, goals: Array, standing: NDArray[np.bool_], step: float) -> Array:
-    """Compute how far (N,) the body is lowered, in metres, so that standing legs reach their goals. It is
-    smooth.
+    """Metres (N,) by which the body is lowered, so that standing legs reach their goals; smooth over time.
 
     Args:
         skeleton: Skeleton with legs.
-        hips: Hip joints, (N, 2, 3) metres.
-        goals: Goals of the ankles, (N, 2, 3) metres.
+        hips, goals: Hip joints, and goals of the ankles, (N, 2, 3) metres.
         standing: Whether each foot stands, (N, 2).
         step: Seconds between poses.
     """

@@ -1,7 +1,7 @@
 """Poses of hands with fingers that no motion drives: by name, by keys over time, and by what the arm does.
 
-A pose is the flexion, spread and twist of the joints of a hand (:mod:`humansim_ros.motion.body.hands`).
-Between two poses the angles change linearly, so that a finger bends and never passes through the palm.
+Between two poses the angles of the joints (:mod:`humansim_ros.motion.body.hands`) change linearly, so that a
+finger bends and never passes through the palm.
 """
 
 from __future__ import annotations
@@ -27,12 +27,51 @@ from humansim_ros.geometry import (
 from humansim_ros.motion.body.hands import FINGER_BONES, PER_HAND, HandAnatomy
 from humansim_ros.motion.body.kinematics import JointPoses
 from humansim_ros.motion.body.skeleton import FINGERS, Skeleton
-from humansim_ros.motion.pose.hand_keys import MAX_SECONDS, HandKey, HandPoseName
 from humansim_ros.types import Array, Indices
 
 if TYPE_CHECKING:
     from humansim_ros.motion.matching.joint_tables import JointMatch
     from humansim_ros.motion.pose.world_motion import WorldMotion
+
+
+HandPoseName = Literal[
+    "relaxed", "fist", "point", "flat", "grip", "wave", "one", "two", "three", "four", "five"
+]
+HandSide = Literal["left", "right", "both"]
+#: Largest time of a key, seconds.
+MAX_SECONDS = 1e6
+
+
+@dataclass(frozen=True)
+class HandKey:
+    """A pose of a hand from a ``time`` on, seconds of the motion file.
+
+    Attributes:
+        blend: From ``time`` on, the hand changes from the pose before to this pose over this time, seconds of
+            the file.
+        over_motion: Whether the key also moves fingers that the motion moves.
+    """
+
+    pose: HandPoseName
+    time: float = 0.0
+    side: HandSide = "both"
+    blend: float = 0.3
+    over_motion: bool = False
+
+
+#: Hand poses for built-in motions in which hands hold something or lie on the floor.
+BUILT_IN_HANDS: Mapping[str, tuple[HandKey, ...]] = {
+    "pick_up": (
+        HandKey("relaxed", 0.0, "right"),
+        HandKey("grip", 2.2, "right", 0.5),
+        HandKey("relaxed", 5.2, "right", 0.6),
+    ),
+    "phone": (HandKey("grip", 0.0, "right"),),
+    "write": (HandKey("grip", 0.0, "right"),),
+    "eat": (HandKey("grip", 0.0, "right"),),
+    "crawl": (HandKey("flat"),),
+}
+
 
 #: Angles (15, 3) of each pose, degrees: flexion, spread and twist of the joints. The first finger is the
 #: index finger, the fifth is the thumb. The fingers of a fist bend as far as possible without sinking into
@@ -51,12 +90,8 @@ HAND_JOINTS = frozenset(HAND_JOINT + bone for bone in FINGER_BONES)
 
 
 def hand_angles(name: str, anatomy: HandAnatomy) -> Array:
-    """Find the angles (15, 3) of a named pose, radians. If the hand of the body at rest is relaxed,
-    the pose ``relaxed`` is its rest pose.
-
-    Raises:
-        MotionError: No pose has this name.
-    """
+    """Angles (15, 3) of a named pose, radians. If the hand of the body at rest is relaxed, the pose
+    ``relaxed`` is its rest pose. Raises MotionError if no pose has the name."""
     if name not in HAND_POSES:
         raise MotionError(unknown("hand pose", name, HAND_POSES))
     angles = np.radians(HAND_POSES[name])
@@ -68,13 +103,8 @@ def hand_angles(name: str, anatomy: HandAnatomy) -> Array:
 
 @dataclass(frozen=True)
 class ReachingHand:
-    """Pose of a hand while it reaches for something.
-
-    Attributes:
-        side: The hand.
-        pose: Name of the pose.
-        shares: Function of scene times (N,). Returns how much (N,) the hand is in this pose, 0 to 1.
-    """
+    """Pose of a hand while it reaches for something. ``shares``: function of scene times (N,) that returns
+    how much (N,) the hand is in this pose, 0 to 1."""
 
     side: Literal["left", "right"]
     pose: HandPoseName
@@ -101,22 +131,16 @@ class HandKeys:
     def of(
         cls, keys: Sequence[HandKey], skeleton: Skeleton, motion: WorldMotion, match: JointMatch
     ) -> HandKeys | None:
-        """Make keys for a skeleton.
+        """Make keys for a skeleton. Returns None if there are no keys, or if they move no finger.
 
         Args:
-            keys: The keys, in any order.
-            skeleton: The skeleton.
-            motion: Motion that the keys belong to.
-            match: Joints of the motion that drive the bones of the skeleton.
-
-        Returns:
-            The keys. None if there are no keys, or if they move no finger.
+            keys, motion: The keys, in any order, and the motion that they belong to.
+            skeleton, match: The skeleton, and the joints of the motion that drive its bones.
         """
         anatomy = HandAnatomy.of(skeleton)
         if not keys or anatomy is None:
             return None
-        driven = frozenset(bone for bone in FINGER_BONES if bone in match.parallel or bone in match.extra)
-        hands = cls(tuple(sorted(keys, key=lambda key: key.time)), anatomy, motion, driven)
+        hands = cls(tuple(sorted(keys, key=lambda key: key.time)), anatomy, motion, _driven(match))
         return hands if hands.bones else None
 
     def __post_init__(self) -> None:
@@ -135,14 +159,12 @@ class HandKeys:
     @cached_property
     def bones(self) -> tuple[int, ...]:
         """Numbers of the bones that move, in :data:`FINGER_BONES`."""
-        over = {side for side in "lr" for key in self._of_side(side) if key.over_motion}
-        sides = {side for side in "lr" if self._of_side(side)}
+        of = {side: self._of_side(side) for side in "lr"}
+        over = [side for side, keys in of.items() if any(key.over_motion for key in keys)]
         return tuple(
             number
             for number, bone in enumerate(FINGER_BONES)
-            if self.anatomy.present[number]
-            and bone[0] in sides
-            and (bone not in self.driven or bone[0] in over)
+            if self.anatomy.present[number] and of[bone[0]] and (bone not in self.driven or bone[0] in over)
         )
 
     def _of_side(self, side: str) -> list[HandKey]:
@@ -176,8 +198,7 @@ class HandKeys:
         The rotation of such a joint is the rotation of its bone. Its position is that of the first joint.
 
         Args:
-            poses: Joint poses of the motion.
-            seconds: Time of the motion, seconds.
+            poses, seconds: Joint poses of the motion, and their time, seconds.
             file_offset: Seconds of the file by which the motion is ahead.
             delay: Seconds by which the time of the motion is ahead of the scene.
         """
@@ -195,17 +216,17 @@ class HandKeys:
         return poses.with_joints(names, turns[1], central_difference(turns, turns)[1])
 
 
+def _driven(match: JointMatch) -> frozenset[str]:
+    """Finger bones that joints drive."""
+    return frozenset(bone for bone in FINGER_BONES if bone in match.parallel or bone in match.extra)
+
+
 @dataclass(frozen=True)
 class FreeFingers:
     """Moves the finger bones of a skeleton that no joint drives. Given rotations decide, else the arm.
 
-    A hand is relaxed by default. It begins to open when its wrist is above the shoulder by a tenth of the
-    length of the arm. Above four tenths it is open, with fingers apart.
-
-    Attributes:
-        skeleton: The skeleton.
-        anatomy: Its finger bones.
-        free: (30,) whether each bone is free: no joint drives it.
+    A hand is relaxed by default. It opens, with fingers apart, while the arm is raised. ``free``: (30,)
+    whether no joint drives each bone.
     """
 
     skeleton: Skeleton
@@ -218,9 +239,8 @@ class FreeFingers:
         anatomy = HandAnatomy.of(skeleton)
         if anatomy is None:
             return None
-        driven = {bone for bone in FINGER_BONES if bone in match.parallel or bone in match.extra}
         # if one bone of a finger is driven, the whole finger counts as driven
-        fingers = {bone[:-1] for bone in driven}
+        fingers = {bone[:-1] for bone in _driven(match)}
         return cls(skeleton, anatomy, np.array([bone[:-1] not in fingers for bone in FINGER_BONES]))
 
     def move(self, rotations: Array, heads: Array, hands: Mapping[str, Array]) -> None:
@@ -267,8 +287,7 @@ class FreeFingers:
 
     @cached_property
     def _followers(self) -> tuple[tuple[int, int], ...]:
-        """Other bones that a finger carries (such as the tips of some figures), each with the number of the
-        finger."""
+        """Other bones that a finger carries, such as tips, each with the number of the finger."""
         finger_of = {int(bone): number // 3 for number, bone in enumerate(self.anatomy.bones) if bone >= 0}
         fingers = set(finger_of)
         for bone, parent in enumerate(self.skeleton.parents.tolist()):

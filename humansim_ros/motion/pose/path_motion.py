@@ -23,9 +23,8 @@ from humansim_ros.geometry import (
     smooth_step,
 )
 from humansim_ros.motion.body.kinematics import JointPoses
-from humansim_ros.motion.pose.contacts import Leg, two_bone
-from humansim_ros.motion.pose.soles import true_runs
-from humansim_ros.motion.pose.world_motion import Placement, WorldMotion
+from humansim_ros.motion.pose.contacts import Leg, true_runs, two_bone
+from humansim_ros.motion.pose.world_motion import Placement, WorldMotion, yaw_matrices
 from humansim_ros.types import Array, Indices
 
 #: Number of poses of a gait in one cycle.
@@ -56,13 +55,11 @@ class Gait:
     facing +x.
 
     Attributes:
-        stride: Metres of a cycle of two steps.
-        seconds: Seconds of a cycle.
-        positions: (P + 1, J, 3) metres, from phase 0 to 1.
-        rotations: (P + 1, J, 4) quaternions xyzw from rest.
+        stride, seconds: Metres and seconds of a cycle of two steps.
+        positions, rotations: (P + 1, J, 3) metres, and (P + 1, J, 4) xyzw from rest, from phase 0 to 1.
         standing: (J, 3) and (J, 4), the pose of somebody who stands.
         legs: Left leg and right leg.
-        leg_lengths: Lengths of thigh and shin of both legs, metres.
+        leg_lengths: Lengths of thigh and shin of both legs, (2, 2) metres.
         stances: For each foot, (S, 2) phases at which the foot comes to the floor and leaves the floor. The
             second phase may be above 1.
     """
@@ -78,15 +75,10 @@ class Gait:
 
     @classmethod
     def of(cls, walk: WorldMotion, standing: WorldMotion | None = None) -> Gait:
-        """Make a gait from a cycle of a walk.
+        """Make a gait from a cycle of a walk. Raises MotionError if the walk does not go straight ahead.
 
-        Args:
-            walk: The motion of somebody who walks straight ahead.
-            standing: A motion with the same joints. Its first frame stands. If None, the middle of the gait
-                is used.
-
-        Raises:
-            MotionError: The motion does not go ahead, or turns.
+        ``standing``: a motion with the same joints. Its first frame stands. If None, the middle of the gait
+        is used.
         """
         cycle = replace(walk, placement=Placement(), loop="continue", speed=1.0, correction=None)
         hips = walk.match.roles["Hips"]
@@ -137,27 +129,29 @@ class Gait:
         return positions, slerp(np.broadcast_to(upright, rotations.shape), rotations, share)
 
     def ankles(self, feet: Indices, phases: Array, shares: Array) -> Array:
-        """Ankles (N, 3) of feet (N,), 0 for left and 1 for right. The other arguments are the same as in
-        :meth:`at`."""
+        """Ankles (N, 3) of feet (N,), 0 for left and 1 for right, as in :meth:`at`."""
         joints = np.array([leg.ankle for leg in self.legs])[feet]
+        before, part = self._between(phases)
+        path, still = self.positions[before, joints], self.standing[0][joints]
+        path = path + part * (self.positions[before + 1, joints] - path)
+        return np.asarray(still + shares[:, None] * (path - still))
+
+    @staticmethod
+    def _between(phases: Array) -> tuple[Indices, Array]:
+        """Numbers (N,) of the poses before phases, and shares (N, 1) of the way to the next ones."""
         place = (phases % 1.0) * _PHASES
         before = np.minimum(place.astype(int), _PHASES - 1)
-        path, still = self.positions[before, joints], self.standing[0][joints]
-        path = path + (place - before)[:, None] * (self.positions[before + 1, joints] - path)
-        return np.asarray(still + shares[:, None] * (path - still))
+        return before, (place - before)[:, None]
 
 
 def _stances(path: Array) -> Array:
-    """Phases (S, 2) between which a foot is slow and on the floor. ``path``: place of the foot (P + 1,) in
-    strides."""
+    """Phases (S, 2) between which a foot is slow and on the floor. ``path``: (P + 1,) in strides."""
     slow = 1 + np.gradient(path, 1 / _PHASES)[:-1] < _SLOW
     if slow.all() or not slow.any():
         return np.array([[0.0, 0.5]])
     start = int(np.flatnonzero(~slow)[0])
-    runs = np.array(
-        [run for run in true_runs(np.roll(slow, -start)) if run[1] - run[0] > _SHORTEST_STANCE * _PHASES]
-    )
-    runs = runs + start
+    runs = start + np.array(true_runs(np.roll(slow, -start)))
+    runs = runs[np.ptp(runs, axis=1) > _SHORTEST_STANCE * _PHASES]
     runs -= runs[:, :1] // _PHASES * _PHASES
     return np.asarray(runs[np.argsort(runs[:, 0])] / _PHASES)
 
@@ -201,12 +195,8 @@ class WalkPath:
         return np.asarray(self._spline(times % self.duration))
 
     def stepping(self, gait: Gait, size: float) -> scipy.interpolate.PchipInterpolator:
-        """Heading in radians, phase and share of the stride, as a function of the time of a round.
-
-        Args:
-            gait: Gait of the person.
-            size: Size of the person relative to the motion.
-        """
+        """Heading in radians, phase and share of the stride, as a function of the time of a round. ``size``:
+        of the person relative to the motion."""
         step = self.step / _FINE
         times = step * np.arange(_FINE * len(self.points) + 1)
         velocity = np.asarray(self._spline(np.minimum(times, times[-1] * (1 - 1e-12)), 1))
@@ -229,8 +219,7 @@ def _smooth(values: Array, deviation: float) -> Array:
 
 
 def _headings(velocity: Array, step: float, facing: float) -> Array:
-    """Headings (K + 1,) along velocities (K + 1, 2). A person who stands turns just before the walk goes
-    on."""
+    """Headings (K + 1,) along velocities (K + 1, 2). A person who stands turns just before walking on."""
     count = len(velocity) - 1
     moving = np.flatnonzero(np.linalg.norm(velocity[:count], axis=-1) > _FACING)
     if not len(moving):
@@ -291,15 +280,8 @@ class PathMotion(WorldMotion):
 
 
 def sample_together(motions: Sequence[PathMotion], times: Sequence[Array]) -> list[JointPoses]:
-    """Sample walks with the same gait together. Many people take little longer than one.
-
-    Args:
-        motions: Walks with the same gait.
-        times: File times of each walk, (N,) seconds. N must be the same for all walks.
-
-    Returns:
-        Poses and velocities of each walk, the same as from :meth:`PathMotion.sample_with_velocities`.
-    """
+    """Sample walks with the same gait together, with velocities. Many people take little longer than one.
+    ``times``: file times of each walk, (N,) seconds. N must be the same for all walks."""
     count = len(times[0])
     around = np.concatenate([[t - VELOCITY_STEP, t, t + VELOCITY_STEP] for t in times])
     positions, rotations = (
@@ -326,8 +308,7 @@ class _Walks:
     count: int
 
     def _of_each(self, evaluate: Callable[[PathMotion, Array], Array], values: Array) -> Array:
-        """Apply a function of each person to the person's part of some values (K N,). Returns values (K N,
-        ...)."""
+        """Values (K N, ...) of a function of each person, for the person's part of ``values`` (K N,)."""
         parts = values.reshape(-1, len(self.motions), self.count)
         found = [evaluate(motion, parts[:, i].ravel()) for i, motion in enumerate(self.motions)]
         shape = found[0].shape[1:]
@@ -372,7 +353,7 @@ class _Walks:
         joints = positions[:, [(leg.hip, leg.knee, leg.ankle) for leg in legs]]
         hips, knees, ankles = joints.transpose(2, 1, 0, 3).reshape(3, -1, 3)
         thighs, shins = two_bone(hips, knees, ankles, goals.reshape(-1, 3))
-        feet = _yaw_matrices(turns.ravel())
+        feet = yaw_matrices(turns.ravel())
         for leg, *parts in zip(
             legs, *(part.reshape(2, -1, 3, 3) for part in (thighs, shins, feet)), strict=True
         ):
@@ -380,12 +361,8 @@ class _Walks:
         return positions, matrix_to_quaternion(matrices)
 
     def _shifts(self, times: Array, phases: Array) -> Array:
-        """How both feet must move (metres) and turn (radians) to stay in their places: (2, N, 4).
-
-        Args:
-            times: Seconds of the paths, (N,).
-            phases: Phases at these times, (N,).
-        """
+        """How both feet must move (metres) and turn (radians) to stay in their places: (2, N, 4). ``times``:
+        seconds of the paths. ``phases``: (N,) at these times."""
         feet, middles, at, weights = [], [], [], []
         for foot, stances in enumerate(self.motions[0].gait.stances):
             number = np.floor(phases).astype(int) * len(stances) - 1
@@ -406,12 +383,12 @@ class _Walks:
 
     def _to_plant(self, feet: Indices, middles: Array, times: Array) -> Array:
         """Vectors (K N, 4) from feet to the places where they will stand, metres, and the angles of their
-        turns, radians.
+        turns, radians. All arguments are (K N,).
 
         Args:
-            feet: 0 left, 1 right, (K N,).
-            middles: Phases in the middle of the stances, (K N,).
-            times: Times (K N,), seconds, at which the feet are still on the way.
+            feet: 0 left, 1 right.
+            middles: Phases in the middle of the stances.
+            times: Seconds at which the feet are still on the way.
         """
         gait, count = self.motions[0].gait, len(times)
         sizes = np.resize(self._sizes, count)
@@ -434,13 +411,3 @@ class _Walks:
         moves[:, :2] += ground[:count] - ground[count:]
         moves[:, 3] = np.clip(heading[:count] - heading[count:], -_MAX_FOOT_TURN, _MAX_FOOT_TURN)
         return moves
-
-
-def _yaw_matrices(yaws: Array) -> Array:
-    """Rotations (N, 3, 3) about the vertical axis by angles (N,)."""
-    matrices = np.zeros((len(yaws), 3, 3))
-    matrices[:, 0, 0] = matrices[:, 1, 1] = np.cos(yaws)
-    matrices[:, 1, 0] = np.sin(yaws)
-    matrices[:, 0, 1] = -matrices[:, 1, 0]
-    matrices[:, 2, 2] = 1.0
-    return matrices

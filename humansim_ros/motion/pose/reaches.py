@@ -1,16 +1,19 @@
-"""Hands that reach for something and stay there: corrections of the arms of a motion."""
+"""Hands that reach for something and stay there: corrections of the arms of a motion; and the questions that
+they ask about other humans, objects and cameras of a scene."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Set
 from dataclasses import dataclass, replace
+from enum import IntEnum
 from functools import cached_property
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 
 from humansim_ros.geometry import (
     AROUND,
+    ObjectPose,
     cross_products,
     matrix_to_quaternion,
     perpendicular,
@@ -27,8 +30,54 @@ from humansim_ros.motion.files.keyframes import KeyframeSpace
 from humansim_ros.motion.pose.contacts import Leg, two_bone
 from humansim_ros.motion.pose.hand_poses import ReachingHand
 from humansim_ros.motion.pose.retarget import Retargeter
-from humansim_ros.motion.pose.scene_query import SceneQuery
 from humansim_ros.types import Array
+
+
+class PoseStage(IntEnum):
+    """Steps that make the pose of a human, in this order (docs/data_model.md)."""
+
+    MOTION, FLOOR, ARMS, SPACE, FINGERS, HEAD, EYES, FACE, CLOTH = range(9)
+
+
+#: Stages for joints without the rotations of fingers, head and eyes.
+BODY = frozenset({PoseStage.MOTION, PoseStage.FLOOR, PoseStage.ARMS, PoseStage.SPACE})
+#: The same stages, but with the arms of the motion: no reaches.
+WITHOUT_REACH = BODY - {PoseStage.ARMS}
+
+
+class SceneQuery(Protocol):
+    """Tells where humans, objects and cameras of a scene are, by name, with the present content of the scene.
+
+    No answer depends on itself. If two people look at each other, each turns to the eyes of the other before
+    the other head turns. If two hands meet, they meet between the arms as they are without a reach.
+    """
+
+    @property
+    def version(self) -> int:
+        """Number of changes of the scene so far. Answers from before the last change are out of date."""
+
+    def is_human(self, name: str) -> bool:
+        """Whether a human has this name."""
+
+    def joints(self, human: str, times: Array, stages: Set[PoseStage]) -> Array:
+        """Frames (N, J, 4, 4) of the joints of a human at scene times (N,). The array is shared."""
+
+    def eyes(self, human: str, times: Array, turned: bool) -> Array:
+        """Points (N, 3) between the eyes of a human at scene times (N,). ``turned``: whether the head is
+        turned to the target that the human looks at."""
+
+    def skeleton(self, human: str) -> Skeleton:
+        """Skeleton of a human."""
+
+    def size(self, human: str, seconds: float) -> float:
+        """Factor by which keyframes scale a human at a scene time."""
+
+    def object_pose(self, name: str, seconds: float) -> ObjectPose:
+        """Pose of an object, static or moving, at a scene time."""
+
+    def camera_position(self, name: str, times: Array) -> Array:
+        """Centres (N, 3) of a camera at scene times (N,)."""
+
 
 #: Place of the palm between wrist and finger tips, and height of its skin over the line between them, as
 #: shares of the length of a hand. The height is between the hollow (0.02) and the balls (0.12) of the palms
@@ -111,8 +160,7 @@ class Reach:
 
 
 def in_round(times: Array, start: float, repeat: float) -> Array:
-    """Convert times (N,) to the first round of an event that begins at ``start`` and again after each
-    ``repeat`` seconds."""
+    """Times (N,) in the first round of an event that begins at ``start`` and each ``repeat`` seconds."""
     if not np.isfinite(repeat):
         return times
     return np.where(times < start, times, start + (times - start) % repeat)
@@ -155,8 +203,7 @@ class Palm:
         return cls((upper, lower, hand), length * (PALM * along + _THICK * normal), normal)
 
     def points(self, posed: Array, size: Array | float = 1.0) -> Array:
-        """Points (N, 3) of the skin of the palm, for posed bones (N, B, 4, 4) of a body with a size (N,
-        1)."""
+        """Points (N, 3) of the palm. ``posed``: bones (N, B, 4, 4). ``size``: of the body, (N, 1)."""
         frames = posed[:, self.bones[2]]
         return np.asarray(frames[:, :3, 3] + size * rotate(frames[:, :3, :3], self.point))
 
@@ -171,10 +218,8 @@ class ReachingArm:
     def solve(self, posed: Array, goal: HandGoal, shares: Array) -> tuple[Array, Array, Array]:
         """Rotations (N, 3, 3) of upper arm, forearm and hand that bring the palm to a goal.
 
-        Args:
-            posed: Bone frames (N, B, 4, 4) without the reach.
-            goal: The goal. Its place is already on the way to the touched thing.
-            shares: Share of the turn that the hand makes, (N,).
+        ``posed``: bone frames (N, B, 4, 4) without the reach. The place of the goal is already on the way to
+        the touched thing. ``shares``: (N,) share of the turn that the hand makes.
         """
         shoulder, elbow, wrist = (posed[:, bone, :3, 3] for bone in self.palm.bones)
         before = posed[:, self.palm.bones[2], :3, :3]
@@ -226,8 +271,7 @@ class Reaches:
 
     Attributes:
         reaches: The reaches. Those of one hand do not overlap.
-        motion: Motion of a file.
-        retargeter: Retargeting of the motion onto a skeleton.
+        motion, retargeter: Motion of a file, and its retargeting onto a skeleton.
         poses: Poses of the hands while they reach.
     """
 
@@ -251,14 +295,12 @@ class Reaches:
     def apply(
         self, poses: JointPoses, times: Array, others: SceneQuery, space: KeyframeSpace | None = None
     ) -> JointPoses:
-        """Correct poses. The result has no velocities. If no hand reaches at these times, the poses do not
-        change.
+        """Correct poses. The result has no velocities. If no hand reaches, the poses do not change.
 
         Args:
-            poses: Poses of the motion at N times.
-            times: Scene times (N,), seconds.
+            poses, times: Poses of the motion at N scene times (N,), seconds.
             others: Tells where humans and objects are.
-            space: Space of the motion that keyframes move. None if there is no such space.
+            space: Space of the motion that keyframes move, or None.
         """
         active = [(reach, reach.shares(times)) for reach in self.reaches]
         active = [(reach, shares) for reach, shares in active if shares.any()]
@@ -299,11 +341,9 @@ class Reaches:
         """Correct a pose (N = 1) with velocities, at a scene time.
 
         Args:
-            poses: Pose of the motion with velocities.
-            seconds: Scene time.
+            poses, seconds: Pose of the motion with velocities, and scene time.
             others: Tells where humans and objects are.
-            space: Returns the space of the motion that keyframes move, at times (N,). None if there is no
-                such space.
+            space: Returns the space of the motion that keyframes move at times (N,), or None.
         """
         times = seconds + AROUND
         if not any(reach.shares(times).any() for reach in self.reaches):

@@ -23,9 +23,9 @@ from humansim_ros.motion.files.bvh import PositionChannels
 from humansim_ros.motion.files.files import read_motion
 from humansim_ros.motion.matching.file_frame import axis_vector
 from humansim_ros.motion.matching.joint_tables import JointMatch
+from humansim_ros.motion.pose.contacts import find_stances, slide_distances
 from humansim_ros.motion.pose.limits import load_limits
 from humansim_ros.motion.pose.retarget import Retargeter
-from humansim_ros.motion.pose.soles import find_stances, slide_distances
 from humansim_ros.motion.pose.world_motion import (
     WorldMotion,
     floor_height,

@@ -24,7 +24,7 @@ from humansim_ros.geometry import (
 )
 from humansim_ros.motion.body.hands import FINGER_BONES
 from humansim_ros.motion.body.kinematics import JointPoses
-from humansim_ros.motion.body.skeleton import Skeleton
+from humansim_ros.motion.body.skeleton import Skeleton, sole_heights
 from humansim_ros.motion.matching.file_frame import BodyLines
 from humansim_ros.motion.matching.joint_tables import JointMatch
 from humansim_ros.motion.pose.bone_drivers import (
@@ -39,7 +39,6 @@ from humansim_ros.motion.pose.bone_drivers import (
 )
 from humansim_ros.motion.pose.hand_poses import FreeFingers
 from humansim_ros.motion.pose.limits import JointLimits, load_limits
-from humansim_ros.motion.pose.soles import sole_heights
 from humansim_ros.motion.pose.world_motion import WorldMotion, floor_height
 from humansim_ros.types import Array, Indices
 

@@ -276,7 +276,7 @@ class WorldMotion:
     @cached_property
     def _map_from_file(self) -> Array:
         """Rotation (3, 3) from file axes to ``map``, with yaw."""
-        return _yaw_matrix(self.placement.yaw) @ self.frame.world_from_file
+        return yaw_matrices(self.placement.yaw) @ self.frame.world_from_file
 
     @cached_property
     def _hips_path(self) -> Array:
@@ -372,7 +372,7 @@ class WorldMotion:
 
     def _mirrored(self, positions: Array, rotations: Array) -> tuple[Array, Array]:
         """Swap left and right of positions (N, J, 3) and rotations (N, J, 3, 3)."""
-        yaw = _yaw_matrix(self.placement.yaw)
+        yaw = yaw_matrices(self.placement.yaw)
         at_rest = np.diag([1.0, -1.0, 1.0])  # rotations are relative to a body that faces +x
         mirror = yaw @ at_rest @ yaw.T
         center = np.array([*self.placement.position, 0.0])
@@ -394,17 +394,17 @@ class WorldMotion:
         root = self.match.roles["Hips"]
         change = rotations[1, root] @ rotations[0, root].T
         yaw = float(np.arctan2(change[1, 0] - change[0, 1], change[0, 0] + change[1, 1]))
-        return yaw, (positions[1, root] - _yaw_matrix(yaw) @ positions[0, root]) * (1, 1, 0)
+        return yaw, (positions[1, root] - yaw_matrices(yaw) @ positions[0, root]) * (1, 1, 0)
 
     def _cycle_transforms(self, cycles: Array) -> tuple[Array, Array]:
         """Rotations (N, 3, 3) and translations (N, 3) on the floor from the first cycle to each."""
         yaw, step = self._cycle_step
-        rotations = np.stack([_yaw_matrix(yaw * n) for n in cycles])
+        rotations = yaw_matrices(yaw * cycles)
         if abs(yaw) < 1e-9:
             return rotations, cycles[:, None] * step
         # every cycle rotates about the fixed point of the first step
         fixed = np.zeros(3)
-        fixed[:2] = np.linalg.solve(np.eye(2) - _yaw_matrix(yaw)[:2, :2], step[:2])
+        fixed[:2] = np.linalg.solve(np.eye(2) - yaw_matrices(yaw)[:2, :2], step[:2])
         return rotations, fixed - rotations @ fixed
 
 
@@ -442,9 +442,14 @@ def floor_height(lowest: Array) -> float:
     return float(np.percentile(lowest, 33))
 
 
-def _yaw_matrix(yaw: float) -> Array:
-    c, s = np.cos(yaw), np.sin(yaw)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+def yaw_matrices(yaws: ArrayLike) -> Array:
+    """Rotations (..., 3, 3) about the vertical axis by angles (...), radians."""
+    out = np.zeros((*np.shape(yaws), 3, 3))
+    out[..., 0, 0] = out[..., 1, 1] = np.cos(yaws)
+    out[..., 1, 0] = np.sin(yaws)
+    out[..., 0, 1] = -out[..., 1, 0]
+    out[..., 2, 2] = 1.0
+    return out
 
 
 #: A message lists at most this number of jumps.

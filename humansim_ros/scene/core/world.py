@@ -20,7 +20,7 @@ _REMEMBERED = 64
 
 
 class World:
-    """Answers a :class:`~humansim_ros.motion.pose.scene_query.SceneQuery`.
+    """Answers a :class:`~humansim_ros.motion.pose.reaches.SceneQuery`.
 
     It is pickled without its content, so that a human does not bring the others along. A pickled scene fills
     its world again.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 from dataclasses import asdict, replace
 from functools import cache
 
@@ -212,16 +211,3 @@ def test_a_skeleton_with_unknown_bones_is_an_error() -> None:
     strangers = replace(hanim_skeleton(), names=tuple(f"bone{i}" for i in range(22)))
     with pytest.raises(MeshError, match="no bone of this skeleton"):
         fit_capsules(strangers)
-
-
-def test_a_frame_takes_less_than_a_millisecond_of_processor_time() -> None:
-    body = man_capsules()
-    posed = np.repeat(body.skeleton.rest[None], 500, axis=0)
-    best = min(_seconds(posed, body) for _ in range(5))
-    assert best / len(posed) < 1e-3
-
-
-def _seconds(posed: Array, body: Capsules) -> float:
-    start = time.process_time()
-    self_penetration(posed, body)
-    return time.process_time() - start

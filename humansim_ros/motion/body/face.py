@@ -16,13 +16,6 @@ from humansim_ros.motion.body.kinematics import Rated
 from humansim_ros.motion.body.skeleton import Skeleton
 from humansim_ros.types import Array, Indices
 
-_SIDED = "{}Left", "{}Right"
-
-
-def _both(*names: str) -> list[str]:
-    return [side.format(name) for name in names for side in _SIDED]
-
-
 _TABLE = read_table("faces")
 #: Names of the 52 actions [Apple, ARFaceAnchor.BlendShapeLocation], sorted. Weights are from 0 to 1.
 ACTIONS: tuple[str, ...] = tuple(_TABLE["actions"])
@@ -39,7 +32,7 @@ def both_sides(weights: Mapping[str, float]) -> dict[str, float]:
     return {
         each: weight
         for name, weight in weights.items()
-        for each in ((name,) if name in _NUMBERS else _both(name))
+        for each in ((name,) if name in _NUMBERS else (f"{name}Left", f"{name}Right"))
     }
 
 
@@ -105,28 +98,24 @@ _HEAD, _TRUNK = "vt3", "vl5"
 #: Below this angle the eyes turn without the head, degrees. Beyond it, the head turns by this share of the
 #: rest [Stahl 1999]. Half of the width of the smooth bend between both.
 _EYES_ALONE, _HEAD_SHARE, _BEND = 18.0, 0.77, 10.0
-#: Yaw at which the head begins to turn back, since nobody looks behind, and yaw at which it is straight
-#: again. Pitch at which the head begins to turn less to the side, and pitch at which it no longer does.
-#: Degrees.
+#: Yaws from which the head turns back (nobody looks behind) until it is straight again. Pitches from which
+#: the head turns less to the side until it does not turn. Degrees.
 _TURNS_BACK, _STEEP = (150.0, 180.0), (45.0, 75.0)
 #: Limits of the neck to the sides, downwards and upwards, radians: ``vt3`` of joint_limits/normal.yaml.
 NECK_LIMITS: Array = np.radians([[-80.0, -50.0], [80.0, 60.0]])
-#: (2, 2, 2) numbers of the actions of the left and right eye: yaw to the left and right, pitch up and down.
+#: (2, 2, 2) ways of the actions of the left and right eye: yaw to the left and right, pitch up and down.
+_WAYS = [[("Out", "In"), ("Up", "Down")], [("In", "Out"), ("Up", "Down")]]
+#: (2, 2, 2) numbers of these actions.
 LOOKS: Indices = np.array(
     [
-        [[ACTIONS.index(f"eyeLook{way}{side}") for way in ways] for ways in (yaw, ("Up", "Down"))]
-        for side, yaw in (("Left", ("Out", "In")), ("Right", ("In", "Out")))
+        [[ACTIONS.index(f"eyeLook{way}{side}") for way in ways] for ways in eye]
+        for side, eye in zip(("Left", "Right"), _WAYS, strict=True)
     ]
 )
 #: Limits of the eyes [Shechtman 2005]: ``eyeball_joint`` of config/joint_limits/normal.yaml.
 _LIMITS = {"Up": 28.0, "Down": 47.0, "In": 45.0, "Out": 44.0}
 #: (2, 2, 2) limits of the actions of :data:`LOOKS`, radians.
-LIMITS: Array = np.radians(
-    [
-        [[_LIMITS[way] for way in ways] for ways in (yaw, ("Up", "Down"))]
-        for yaw in (("Out", "In"), ("In", "Out"))
-    ]
-)
+LIMITS: Array = np.radians([[[_LIMITS[way] for way in ways] for ways in eye] for eye in _WAYS])
 
 
 def looked_angles(weights: Array) -> Array:
@@ -149,8 +138,8 @@ def within_limits(angles: Array) -> Array:
 
 def head_turn(angles: Array) -> Array:
     """Yaw and pitch (N, 2) by which the head turns when the eyes look to angles (N, 2), all radians. For
-    small angles, only the eyes turn. Beyond, people turn the head by a share of the rest [Stahl 1999], as
-    monkeys do [Freedman 1997]. The transition is smooth."""
+    small angles, only the eyes turn. Beyond, the head turns by a share of the rest [Stahl 1999], as that of
+    monkeys [Freedman 1997]. The transition is smooth."""
     away = np.degrees(np.linalg.norm(angles, axis=-1))
     beyond = away - _EYES_ALONE
     bent = np.where(beyond > _BEND, beyond, np.clip(beyond + _BEND, 0.0, None) ** 2 / (4 * _BEND))
@@ -168,12 +157,10 @@ class Eyes:
     """The eyeballs of a skeleton, and the head that turns with them.
 
     Attributes:
-        skeleton: The skeleton.
         head: Number of the bone of head and neck.
         bones: (2,) numbers of the bones, left first.
         ends: (2,) numbers of the joints at the pupils.
-        head_rest: Rotation (3, 3) of the head at rest.
-        rest: Rotations (2, 3, 3) of the eyes at rest.
+        head_rest, rest: Rotations of the head (3, 3) and of the eyes (2, 3, 3) at rest.
     """
 
     skeleton: Skeleton
@@ -196,21 +183,24 @@ class Eyes:
 
     def rays(self, joints: Array) -> tuple[Array, Array]:
         """Middle of the eyes (N, 3), and the direction (N, 3) of eyes at rest. ``joints``: (N, J, 4, 4)."""
-        ahead = self.rest[:, :, 1].mean(0)
-        head = joints[:, self.head, :3, :3] @ self.head_rest.T
-        return _positions(joints)[:, self.bones].mean(1), unit_vectors(head @ ahead)
+        ahead = self._head(joints) @ self.rest[:, :, 1].mean(0)
+        return _positions(joints)[:, self.bones].mean(1), unit_vectors(ahead)
+
+    def _head(self, joints: Array) -> Array:
+        """Rotations (N, 3, 3) of the head from rest."""
+        return np.asarray(joints[:, self.head, :3, :3] @ self.head_rest.T)
 
     def angles_to(self, joints: Array, points: Array) -> Array:
         """Angles (N, 2, 2) of eyes that look at points (N, 3). ``joints``: (N, J, 4, 4)."""
-        head = joints[:, self.head, :3, :3] @ self.head_rest.T
+        back = self._head(joints).swapaxes(-1, -2)
         lines = points[:, None] - _positions(joints)[:, self.bones]
-        return gaze_angles((head.swapaxes(-1, -2)[:, None] @ lines[..., None])[..., 0]) - self._rest_angles
+        return gaze_angles(rotate(back[:, None], lines)) - self._rest_angles
 
     def turn_head(self, joints: Array, points: Array, shares: Array) -> None:
-        """Turn the head of joints (N, J, 4, 4) towards points (N, 3), by shares (N,) of the angle. All that
-        it carries turns too. The head turns to the side first, then up or down, within the limits of the
-        neck. If a motion exceeds them already, its angle is kept."""
-        head = joints[:, self.head, :3, :3] @ self.head_rest.T
+        """Turn the head of joints (N, J, 4, 4), and all that the head carries, towards points (N, 3), by
+        shares (N,) of the angle. The head turns to the side first, then up or down, within the limits of the
+        neck. If a motion exceeds the limits already, its angle is kept."""
+        head = self._head(joints)
         line = points - _positions(joints)[:, self.bones].mean(axis=1)
         angles = gaze_angles(rotate(head.swapaxes(-1, -2), line)) - self._rest_angles.mean(axis=0)
         turn = shares[:, None] * head_turn(angles)
@@ -236,8 +226,7 @@ class Eyes:
 
     def turn(self, joints: Array, angles: Array) -> None:
         """Set the eyes and pupils of joints (N, J, 4, 4) to angles (N, 2, 2) from rest."""
-        head = joints[:, self.head, :3, :3] @ self.head_rest.T
-        rest = self._rest_angles
+        head, rest = self._head(joints), self._rest_angles
         turned = head[:, None] @ _turns(rest + angles) @ _turns(rest).swapaxes(-1, -2) @ self.rest
         places = _positions(joints)
         centers = places[:, self.bones]
@@ -284,12 +273,11 @@ class Jaw:
     bone gets the rigid motion that fits the lower teeth best [Umeyama 1991].
 
     Attributes:
-        bone: Number of the bone.
-        end: Number of the joint at the chin.
+        bone, end: Numbers of the bone, and of the joint at the chin.
         rest: Frame (4, 4) of the bone at rest.
         actions: (A,) numbers of the actions.
-        teeth: (K, 3) vertices of the lower teeth at rest, metres.
-        offsets: (A, K, 3) offsets of the teeth by each action at weight 1.
+        teeth, offsets: (K, 3) vertices of the lower teeth at rest, and their offsets (A, K, 3) by each action
+            at weight 1, metres.
     """
 
     bone: int
@@ -303,18 +291,15 @@ class Jaw:
     def of(cls, skeleton: Skeleton, teeth: Array, offsets: Mapping[str, Array]) -> Jaw:
         """Jaw of a skeleton with the bone. ``teeth``: (K, 3); ``offsets``: (K, 3) by each of the actions."""
         bone, end = skeleton.bone(BONE), skeleton.joint_names.index(f"{BONE}_end")
-        actions = np.array([ACTIONS.index(name) for name in MOVES])
-        return cls(
-            bone, end, skeleton.rest[bone], actions, teeth, np.array([offsets[name] for name in MOVES])
-        )
+        actions, moved = zip(*((ACTIONS.index(name), offsets[name]) for name in MOVES), strict=True)
+        return cls(bone, end, skeleton.rest[bone], np.array(actions), teeth, np.array(moved))
 
     def moves(self, weights: Array) -> bool:
         """Whether weights (..., 52) of the actions move the jaw."""
         return bool(weights[..., self.actions].any())
 
     def motions(self, weights: Array) -> tuple[Array, Array]:
-        """Rotations (N, 3, 3) and shifts (N, 3), metres, of the jaw in the frame of its bone, from weights
-        (N, 52)."""
+        """Rotations (N, 3, 3) and shifts (N, 3), metres, of the jaw in the frame of its bone."""
         goals = self.teeth + np.einsum("na,aki->nki", weights[:, self.actions], self.offsets)
         teeth = np.broadcast_to(self.teeth, goals.shape)
         _, rotations, translations = fit_similarity(teeth, goals, scale=1.0)
@@ -336,8 +321,7 @@ class Jaw:
         return out
 
     def closed(self, bone: Array, weights: Array, size: float) -> Array:
-        """Frame (4, 4) of the bone as it is without the motion by weights (52,). ``size``: scale of the
-        body."""
+        """Frame (4, 4) of the bone without the motion by weights (52,). ``size``: scale of the body."""
         (turn,), (shift,) = self.motions(weights[None])
         out = bone.copy()
         out[:3, :3] = bone[:3, :3] @ turn.T

@@ -36,11 +36,10 @@ _IS_THUMB = np.array([name[2:].startswith("thumb") for name in FINGER_BONES])
 
 @dataclass(frozen=True)
 class HandAnatomy:
-    """The finger bones of a skeleton.
+    """The finger bones of a skeleton, in the order of :data:`FINGER_BONES`.
 
-    Attributes:
-        bones: (30,) indices of the bones, in the order of :data:`FINGER_BONES`. -1 for a missing bone.
-        rest: (30,) flexion in the rest pose, radians. 0 for a missing bone.
+    ``bones``: (30,) indices, -1 for a missing bone. ``rest``: (30,) flexion in the rest pose, radians, 0 for
+    a missing bone.
     """
 
     bones: Indices

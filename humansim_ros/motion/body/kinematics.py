@@ -310,8 +310,7 @@ class JointPoses:
 
         Args:
             names: J names.
-            positions: (3, N, J, 3) just before, at, and just after the times.
-            rotations: (3, N, J, 4) at the same times as ``positions``.
+            positions, rotations: (3, N, J, 3) and (3, N, J, 4) just before, at, and just after the times.
             seconds: Time between the first and the last of the three.
             speed: Factor of the velocities.
         """
@@ -362,11 +361,9 @@ class JointPoses:
         """Add K joints at the end of a single pose (N = 1).
 
         Args:
-            names: K names.
-            rotations: (K, 4) xyzw.
+            names, rotations: K names, and (K, 4) xyzw.
             angular: Angular velocities (K, 3). They are not used if the pose has no velocities.
-            positions: (K, 3). If None, all K joints are at the first joint and have its velocity.
-            linear: Velocities (K, 3) of ``positions``.
+            positions, linear: Positions and velocities (K, 3). If None, those of the first joint.
         """
         if positions is None or linear is None:
             positions, linear = self.at_first_joint(len(names))
@@ -395,12 +392,11 @@ class JointPoses:
 
 @dataclass(frozen=True, eq=False)
 class Rated:
-    """Values at one stamp, and how fast they change.
+    """Values of a human at one stamp that are no joints, and how fast they change: weights of a face, swing.
 
     Attributes:
         labels: Names of all values, in the order of ``values.ravel()``.
-        values: Values of any shape.
-        rates: Change of each value per second.
+        values, rates: Values of any shape, and the change of each value per second.
         limits: Smallest and largest value.
     """
 

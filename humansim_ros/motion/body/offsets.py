@@ -74,12 +74,8 @@ class Shapes:
 
 def shape_arrays(shapes: Shapes, scale: float = 1.0) -> dict[str, NDArray[Any]]:
     """Arrays of a human file with shapes. The rounding error of offsets is at most half of the unit, 0.6
-    micrometres. ``scale``: factor of a scaled body. If offsets are too large for 16 bits, the unit is
-    larger."""
-    largest = float(np.abs(shapes.offsets).max(initial=0.0))
-    unit = FILE_UNIT * scale
-    if largest > 32767 * unit:
-        unit = largest / 32767
+    micrometres. ``scale``: factor of a scaled body. If offsets are too large for 16 bits, the unit grows."""
+    unit = max(FILE_UNIT * scale, float(np.abs(shapes.offsets).max(initial=0.0)) / 32767)
     return {
         "shape_names": np.array(shapes.names),
         "shape_starts": shapes.starts.astype(np.int32),
@@ -94,22 +90,17 @@ def read_shapes(arrays: Mapping[str, NDArray[Any]], vertices: int) -> Shapes | N
     the mesh. Raises MeshError, or KeyError for a missing array."""
     if "shape_names" not in arrays:
         return None
-    names, starts, rows, offsets, unit = (arrays[key] for key in _SHAPE_ARRAYS)
+    names, *numbers = (arrays[key] for key in _SHAPE_ARRAYS)
     texts = tuple(str(name) for name in names.ravel())
     if len(set(texts)) < len(texts) or len(texts) > MAX_SHAPES:
         raise MeshError(f"needs at most {MAX_SHAPES} names, each once", key="shape_names")
-    for key, array, kinds in (
-        ("shape_starts", starts, "iu"),
-        ("shape_rows", rows, "iu"),
-        ("shape_offsets", offsets, "iuf"),
-        ("shape_unit", unit, "iuf"),
-    ):
+    for key, array, kinds in zip(_SHAPE_ARRAYS[1:], numbers, ("iu", "iu", "iuf", "iuf"), strict=True):
         if array.dtype.kind not in kinds:
             raise MeshError(f"must be numbers, not {array.dtype}", key=key)
+    starts, rows, offsets, unit = numbers
     if starts.shape != (len(texts) + 1,) or starts[0] != 0 or starts[-1] != len(rows):
         raise MeshError(f"must be {len(texts) + 1} numbers from 0 to {len(rows)}", key="shape_starts")
-    first = starts.astype(np.intp)
-    counts = first[1:] - first[:-1]
+    counts = starts[1:].astype(np.intp) - starts[:-1].astype(np.intp)
     if (counts < 0).any():
         raise MeshError("must rise", key="shape_starts")
     if rows.ndim != 1 or (len(rows) and not 0 <= rows.min() <= rows.max() < vertices):
@@ -176,10 +167,8 @@ class LooseParts:
         """Vertices (M, 3) moved by a swing. Cloth comes no nearer to the bones of the legs.
 
         Args:
-            points: Vertices (M, 3) without swing.
-            swing: Offsets (K, 3) of the ends.
-            skeleton: Skeleton of the human.
-            transforms: Rest-to-posed transforms (B, 4, 4) of its bones.
+            points, swing: Vertices (M, 3) without swing, and offsets (K, 3) of the ends.
+            skeleton, transforms: Skeleton, and rest-to-posed transforms (B, 4, 4) of its bones.
         """
         ends = swing.astype(np.float32)
         first, second = self.shares.T[..., None]
@@ -187,20 +176,17 @@ class LooseParts:
         if not len(self._cloth) or not set(_LEGS) <= set(skeleton.names):
             return np.asarray(moved)
         legs, cloth = tuple(_legs(skeleton, transforms)), moved[self._cloth]
-        near = [_to_segment(cloth, start, end)[0] < room for start, end, room in legs]
+        near = [_to_segment(cloth, *leg)[0] < room for leg, room in legs]
         rows = self._cloth[np.logical_or.reduce(near)]
         still, cloth = points[rows], moved[rows]
-        least = [np.minimum(_to_segment(still, start, end)[0], room) for start, end, room in legs]
-        for (start, end, _), before in zip(legs, least, strict=True):
-            distance, nearest = _to_segment(cloth, start, end)
+        least = [(leg, np.minimum(_to_segment(still, *leg)[0], room)) for leg, room in legs]
+        for leg, before in least:
+            distance, nearest = _to_segment(cloth, *leg)
             factor = before / np.maximum(distance, 1e-6)
             held = np.flatnonzero(factor > 1)
             cloth[held] = nearest[held] + factor[held, None] * (cloth[held] - nearest[held])
         # where cloth pushed off one bone nears another, cancel the swing
-        nearer = [
-            before - _to_segment(cloth, start, end)[0]
-            for (start, end, _), before in zip(legs, least, strict=True)
-        ]
+        nearer = [before - _to_segment(cloth, *leg)[0] for leg, before in least]
         back = np.clip(np.maximum.reduce(nearer) / _NEARER, 0.0, 1.0)[:, None]
         moved[rows] = cloth + back * (still - cloth)
         return np.asarray(moved)
@@ -222,13 +208,14 @@ class LooseParts:
         return np.asarray((self.left * left + (1 - self.left) * right)[:, None] * self.gather)
 
 
-def _legs(skeleton: Skeleton, transforms: Array) -> Iterator[tuple[Array, Array, float]]:
+def _legs(skeleton: Skeleton, transforms: Array) -> Iterator[tuple[tuple[Array, Array], float]]:
     """Ends (3,) of the bones of both legs, and the distance that cloth keeps from each."""
     for name in (*_LEGS, *_SHINS):
         bone = skeleton.bone(name)
         turn, shift = transforms[bone, :3, :3], transforms[bone, :3, 3]
         start, end = (turn @ point + shift for point in (skeleton.heads[bone], skeleton.tails[bone]))
-        yield start.astype(np.float32), end.astype(np.float32), _FREE * float(np.linalg.norm(end - start))
+        room = _FREE * float(np.linalg.norm(end - start))
+        yield (start.astype(np.float32), end.astype(np.float32)), room
 
 
 def _to_segment(

@@ -50,20 +50,17 @@ def finger_bones(side: str) -> tuple[str, ...]:
     return tuple(f"{side}_{finger}{number}" for finger in FINGERS for number in (1, 2, 3))
 
 
-def _detail_parents() -> dict[str, str]:
-    """Parent of each of the bones below."""
-    parents = {}
-    for side in "lr":
-        for bone in finger_bones(side):
-            number = int(bone[-1])
-            parents[bone] = f"{side}_wrist" if number == 1 else f"{bone[:-1]}{number - 1}"
-    parents |= {f"{side}_metatarsal": f"{side}_ankle" for side in "lr"}
-    return parents | dict.fromkeys(("temporomandibular", "l_eyeball_joint", "r_eyeball_joint"), "vt3")
-
-
 #: Parents, by name, of the bones that the built-in humans have after those of the general skeleton, in their
 #: order: 15 fingers of the left and of the right hand, toes, jaw and eyes (H-Anim 1.1).
-DETAIL_BONES: Mapping[str, str] = _detail_parents()
+DETAIL_BONES: Mapping[str, str] = {
+    **{
+        bone: f"{side}_wrist" if bone[-1] == "1" else f"{bone[:-1]}{int(bone[-1]) - 1}"
+        for side in "lr"
+        for bone in finger_bones(side)
+    },
+    **{f"{side}_metatarsal": f"{side}_ankle" for side in "lr"},
+    **dict.fromkeys(("temporomandibular", "l_eyeball_joint", "r_eyeball_joint"), "vt3"),
+}
 
 
 def body_joints(names: Sequence[str]) -> list[int]:
@@ -318,8 +315,7 @@ _HEEL = 0.04
 
 
 def sole_points(skeleton: Skeleton, posed: Array) -> Array:
-    """World positions (..., 2, 2, 3) of toe and heel of the left and the right foot. At rest, their height is
-    0."""
+    """World positions (..., 2, 2, 3) of toe and heel of left and right foot. At rest, their height is 0."""
     points = []
     for name in ("l_ankle", "r_ankle"):
         bone = skeleton.bone(name)

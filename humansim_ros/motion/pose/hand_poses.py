@@ -116,9 +116,7 @@ class HandKeys:
     """Keys of the hands of a human over its motion.
 
     Before its first key, a hand is relaxed. If the motion loops, it has the pose of its last key instead.
-
-    Raises:
-        MotionError: A time is outside the motion, or a blend is longer than the time to the next key.
+    Raises MotionError if a time is outside the motion, or a blend is negative.
     """
 
     keys: tuple[HandKey, ...]
@@ -186,8 +184,7 @@ class HandKeys:
         return out
 
     def reaching_for(self, reaching: Sequence[ReachingHand]) -> HandKeys:
-        """Return these keys, with other poses while hands reach. A hand without keys is relaxed the rest of
-        the time."""
+        """These keys, with other poses while hands reach. A hand without keys is relaxed at other times."""
         sides = sorted({each.side for each in reaching if not self._of_side(each.side[0])})
         relaxed = (HandKey("relaxed", self.motion.start, side) for side in sides)
         return replace(self, keys=(*relaxed, *self.keys), reaching=tuple(reaching))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, Literal
 
@@ -65,9 +65,9 @@ _HINGES = (
 )
 
 
-def link_directions_at_rest(poses: JointPoses, match: JointMatch) -> Array:
-    """Mean directions (P, 3) of the links of ``match.parallel`` at joint rotation zero; zero for a link
-    without length. A link rotates with its start joint, so every pose measures the direction."""
+def link_directions_at_rest(poses: JointPoses, match: JointMatch) -> dict[str, Array]:
+    """Mean directions (3,) of the links of ``match.parallel`` at joint rotation zero, by bone; zero for a
+    link without length. A link rotates with its start joint, so every pose measures the direction."""
     starts, ends = np.array(list(match.parallel.values())).T
     links = link_vectors(poses.positions, starts, ends)
     length = np.linalg.norm(links, axis=-1, keepdims=True)
@@ -75,12 +75,12 @@ def link_directions_at_rest(poses: JointPoses, match: JointMatch) -> Array:
     back = np.swapaxes(quaternion_to_matrix(poses.rotations[:, starts]), -1, -2)
     mean = rotate(back, links).mean(0)
     size = np.linalg.norm(mean, axis=-1, keepdims=True)
-    return np.where(size < 0.05, 0.0, mean / np.maximum(size, 1e-12))
+    return dict(zip(match.parallel, np.where(size < 0.05, 0.0, mean / np.maximum(size, 1e-12)), strict=True))
 
 
 def is_standing_at_rest(poses: JointPoses, match: JointMatch) -> bool:
     """Whether the joint rotations count from a rest pose that stands and faces +x."""
-    links = dict(zip(match.parallel, link_directions_at_rest(poses, match), strict=True))
+    links = link_directions_at_rest(poses, match)
     legs = [links[bone] for bone in ("l_hip", "r_hip", "l_knee", "r_knee") if bone in links]
     across = poses.positions[:, match.roles["LeftHip"]] - poses.positions[:, match.roles["RightHip"]]
     hips = quaternion_to_matrix(poses.rotations[:, match.roles["Hips"]])
@@ -94,7 +94,7 @@ def shared_rest(drivers: BoneDrivers, poses: JointPoses) -> Array:
     """Bone axes (B, 3, 3) in the rest pose of a motion. Bones with a link are parallel to their link."""
     skeleton, match = drivers.skeleton, drivers.match
     extra = [skeleton.bone(bone) for bone in match.extra]
-    directions = dict(zip(match.parallel, link_directions_at_rest(poses, match), strict=True))
+    directions = link_directions_at_rest(poses, match)
     ends = {skeleton.bone(bone) for bone in match.extra if bone in FINGER_BONES}
     rotations = np.empty((1, len(skeleton), 3, 3))
     for bones, links, joints in drivers.levels:
@@ -105,8 +105,7 @@ def shared_rest(drivers: BoneDrivers, poses: JointPoses) -> Array:
             rotations[:, [bone]] = swing_onto(inherited[:, [place]], direction[None, None])
             if not direction.any():
                 ends.add(int(bone))
-        # extra bones keep the rotation that they inherit, so that fingers follow hands also where hands are
-        # held otherwise
+        # extra bones keep the rotation that they inherit, so that fingers follow hands
         general = joints.bones[~np.isin(joints.bones, extra)]
         rotations[:, general] = WORLD_FROM_BODY @ skeleton.rest[general, :3, :3]
         # the direction of the last segment of a finger is unknown, so it continues the segment before it
@@ -141,11 +140,9 @@ def collar_links(
         loose: Bones with the mean direction of their links relative to the chest.
     """
     chest = line_rotations(poses, match)[:, LINE_ROTATIONS.index("chest")]
-    at_zero = dict(zip(match.parallel, link_directions_at_rest(poses, match), strict=True))
+    at_zero = link_directions_at_rest(poses, match)
     out = {}
-    for bone in COLLARS:
-        if bone not in at_zero:
-            continue
+    for bone in (each for each in COLLARS if each in at_zero):
         direction = at_zero[bone]
         if bone in loose:
             start, end = match.parallel[bone]
@@ -159,22 +156,21 @@ def collar_links(
 
 
 def align_hinges(drivers: BoneDrivers, rest: Array, poses: JointPoses) -> Array:
-    """Twist upper and lower limbs in ``rest``, so that elbows and knees bend about the axes of the
-    skeleton."""
+    """Twist limbs in ``rest``, so that elbows and knees bend about the axes of the skeleton."""
     skeleton, match = drivers.skeleton, drivers.match
     rest = np.array(rest)
     rotations = quaternion_to_matrix(poses.rotations)
     for upper, lower, axis in _HINGES:
         if upper not in match.parallel or lower not in match.parallel:
             continue
-        u, v = (link_vectors(poses.positions, *np.array([match.parallel[b]]).T)[:, 0] for b in (upper, lower))
+        joints = [match.parallel[bone] for bone in (upper, lower)]
+        u, v = (poses.positions[:, end] - poses.positions[:, start] for start, end in joints)
         bend = np.asarray(np.cross(u, v), dtype=float)
-        for bone in (upper, lower):
+        total = np.linalg.norm(bend, axis=-1).sum()
+        least = max(_HINGE_AGREEMENT * total, 0.1 * len(u) * np.abs(u).mean() ** 2)
+        for bone, (driver, _) in zip((upper, lower), joints, strict=True):
             index = skeleton.bone(bone)
-            driver = rotations[:, match.parallel[bone][0]]
-            measured = rotate(np.swapaxes(driver, -1, -2), bend).sum(0)
-            total = np.linalg.norm(bend, axis=-1).sum()
-            least = max(_HINGE_AGREEMENT * total, 0.1 * len(u) * np.abs(u).mean() ** 2)
+            measured = rotate(np.swapaxes(rotations[:, driver], -1, -2), bend).sum(0)
             if np.linalg.norm(measured) < least:
                 continue
             at_rest = WORLD_FROM_BODY @ skeleton.rest[index, :3, :3]
@@ -237,8 +233,7 @@ def trunk_turns(trunks: Array, spines: Array, goals: Array) -> Array:
 
 
 def align_feet(drivers: BoneDrivers, rest: Array, poses: JointPoses) -> Array:
-    """Correct ``rest``, so that feet are flat and along the links from ankle to toe, in the poses with the
-    lowest ankles."""
+    """Correct ``rest``, so that feet with low ankles are flat and along the links from ankle to toe."""
     skeleton, match = drivers.skeleton, drivers.match
     rest = np.array(rest)
     rotations = quaternion_to_matrix(poses.rotations)
@@ -443,19 +438,17 @@ class Retargeter:
         known = {*read.loose, *read.rest_links} <= {*skeleton.names}
         if not (within_bounds(numbers) and read.scale > 0 and fits and known):
             raise MotionError("these are not the constants of a retargeter for this skeleton")
-        match = JointMatch(
-            *(read.table, read.parallel, read.difference, read.roles),
-            *(read.missing, read.by, read.confidence, read.own),
+        values = {**dict(read), "extra": read.own, "rest": rest, "skeleton": skeleton}
+        match, own = (
+            {each.name: values[each.name] for each in fields(kind) if each.name in values}
+            for kind in (JointMatch, cls)
         )
-        return cls(
-            *(skeleton, match, read.scale, read.origin, read.lift, read.mode, rest),
-            *(read.positions_only, read.clamp, read.loose, read.rest_links),
-        )
+        return cls(**{**own, "match": JointMatch(**match)})
 
     def apply(self, poses: JointPoses, hands: Mapping[str, Array] = NO_HANDS) -> tuple[Array, Array]:
         """Bone rotations (N, B, 4) xyzw in bone space, and transforms (N, 4, 4) from body space to ``map``.
         ``skeleton.pose(*apply(poses))`` equals :meth:`pose`. ``hands``: finger bone -> rotation (N, 4) xyzw
-        in bone space. These bones take this rotation, whatever the motion or the arm does."""
+        in bone space, which the bone takes whatever the motion or the arm does."""
         rotations, _, translation = self._solve(poses, hands)
         local = self.skeleton.rest_in_parent[:, :3, :3]
         parents = self.skeleton.parents

@@ -23,7 +23,7 @@ from humansim_ros.geometry import (
     unit_vectors,
 )
 from humansim_ros.motion.body.kinematics import JointPoses, Motion
-from humansim_ros.motion.matching.file_frame import FileFrame, detect_file_frame
+from humansim_ros.motion.matching.file_frame import BodyLines, FileFrame, detect_file_frame
 from humansim_ros.motion.matching.joint_tables import JointMatch, opposite_joints
 from humansim_ros.motion.matching.person import match_motion
 from humansim_ros.types import Array, Indices
@@ -485,37 +485,28 @@ def posture_warnings(world: WorldMotion, poses: JointPoses) -> list[str]:
     """Warn if the file seems damaged or its up axis wrong: in most frames a knee bends backwards, or the
     trunk is horizontal."""
     roles, points = world.match.roles, poses.positions
-    hips = (points[:, roles["LeftHip"]] + points[:, roles["RightHip"]]) / 2
-    across = points[:, roles["LeftHip"]] - points[:, roles["RightHip"]]
+    lines = BodyLines.of(points, roles)
     backwards = np.zeros(len(points), dtype=bool)
     for side in ("Left", "Right"):
         if f"{side}Ankle" in roles:
             hip, knee, ankle = (points[:, roles[side + part]] for part in ("Hip", "Knee", "Ankle"))
-            backwards |= _in_front(knee, hip, ankle, across) < -_BACKWARDS
+            line = hip - ankle
+            in_front = ((knee - ankle) * unit_vectors(np.cross(lines.hips, line))).sum(1)
+            backwards |= in_front < -_BACKWARDS * np.maximum(np.linalg.norm(line, axis=1), 1e-9)
     warnings = []
     if (share := float(backwards.mean())) > _MOST:
         warnings.append(
             f"a knee bends backwards in {share:.0%} of the frames: left and right are exchanged, or the "
             "file is damaged"
         )
-    if all(f"{side}Shoulder" in roles for side in ("Left", "Right")):
-        shoulders = (points[:, roles["LeftShoulder"]] + points[:, roles["RightShoulder"]]) / 2
-        lies = unit_vectors(shoulders - hips)[:, 2] < _LYING
+    if {"LeftShoulder", "RightShoulder"} <= roles.keys():
+        lies = unit_vectors(lines.trunk)[:, 2] < _LYING
         if (share := float(lies.mean())) > _MOST and world.motion.up is None:
             warnings.append(
                 f"the trunk lies in {share:.0%} of the frames, with {world.frame.up} up: if the person does "
                 "not lie, give the up axis of the file (up), or the file is damaged"
             )
     return warnings
-
-
-def _in_front(knee: Array, hip: Array, ankle: Array, across: Array) -> Array:
-    """How far (F,) knees are in front of the line from hip to ankle, as a share of the length of this line.
-    All are (F, 3). ``across``: directions from the right to the left of the body."""
-    line = hip - ankle
-    length = np.maximum(np.linalg.norm(line, axis=1), 1e-9)
-    forward = unit_vectors(np.cross(across, line))
-    return np.asarray(((knee - ankle) * forward).sum(1) / length)
 
 
 def _metres(distance: float) -> str:

@@ -19,7 +19,7 @@ from humansim_ros.motion.body.skeleton import FINGERS, Skeleton, finger_bones
 from humansim_ros.motion.body.skinning import dominant_bones
 from humansim_ros.people.humans.human import Human
 from humansim_ros.people.loading.loading import load_human
-from humansim_ros.people.makehuman.building import finger_shares, relax_hands, relaxed_fingers
+from humansim_ros.people.makehuman.skeleton import finger_shares, relax_hands, relaxed_fingers
 from humansim_ros.types import Array
 
 

@@ -17,7 +17,6 @@ from humansim_ros.cameras import Camera
 from humansim_ros.errors import MeshError
 from humansim_ros.geometry import WORLD_FROM_BODY, transform
 from humansim_ros.people.makehuman.building import Choice, PersonTopology, build
-from humansim_ros.people.makehuman.clothes import Dress
 from humansim_ros.people.makehuman.data import MakeHumanData, installed_data, people_data, read_base
 from humansim_ros.people.makehuman.population import (
     BMIS,
@@ -38,7 +37,7 @@ from humansim_ros.people.makehuman.population import (
     stature_of,
     volume,
 )
-from humansim_ros.people.makehuman.shape import MakeHumanConfig, target_strengths, with_stature
+from humansim_ros.people.makehuman.shape import Dress, MakeHumanConfig, target_strengths, with_stature
 from humansim_ros.render import Body, View
 from humansim_ros.types import Array
 

@@ -23,10 +23,9 @@ from scipy.interpolate import CubicSpline
 from humansim_ros.people.loading.loading import load_human
 from humansim_ros.people.makehuman.building import ADULT_MAN
 from humansim_ros.people.makehuman.data import MakeHumanData, find_data, read_base
-from humansim_ros.people.makehuman.paint import relay_uv
 from humansim_ros.people.makehuman.shape import target_strengths
 from humansim_ros.people.makehuman.skeleton import landmarks as joint_centres
-from humansim_ros.people.makehuman.surface import compact, sample
+from humansim_ros.people.makehuman.surface import compact, relay_uv, sample
 from humansim_ros.types import Array, Indices
 
 ROOT = Path(__file__).resolve().parents[2]

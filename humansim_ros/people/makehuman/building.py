@@ -18,18 +18,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
-from scipy.spatial.transform import Rotation
 
 from humansim_ros.files.mesh import MATERIAL_LABELS
-from humansim_ros.motion.body import ACTIONS, FINGERS, Shapes, loose_arrays, shape_arrays, skin
-from humansim_ros.people.makehuman.clothes import (
-    BodyRegions,
-    Cut,
-    Dress,
-    cut_clothes,
-    dress,
-    smooth_under_clothes,
-)
+from humansim_ros.motion.body import ACTIONS, Shapes, loose_arrays, shape_arrays
+from humansim_ros.people.makehuman.clothes import BodyRegions, cut_clothes, dress, smooth_under_clothes
 from humansim_ros.people.makehuman.data import (
     SOURCE,
     Base,
@@ -39,20 +31,15 @@ from humansim_ros.people.makehuman.data import (
     read_base,
 )
 from humansim_ros.people.makehuman.face import face_offsets, mouth_places, unskin_offsets
-from humansim_ros.people.makehuman.paint import (
-    AO_DIRECTIONS,
-    TEXTURE_SIZE,
-    Canvas,
-    Texels,
-    as_image,
-    hair_share,
-    openness,
-    paint,
-    rasterise,
-    relay_uv,
-    skin_share,
+from humansim_ros.people.makehuman.paint import AO_DIRECTIONS, Canvas, hair_share, openness, paint, skin_share
+from humansim_ros.people.makehuman.shape import (
+    Cut,
+    Dress,
+    MakeHumanConfig,
+    Outfit,
+    target_strengths,
+    with_stature,
 )
-from humansim_ros.people.makehuman.shape import MakeHumanConfig, Outfit, target_strengths, with_stature
 from humansim_ros.people.makehuman.skeleton import (
     BONE_NAMES,
     BONES_PER_VERTEX,
@@ -60,14 +47,30 @@ from humansim_ros.people.makehuman.skeleton import (
     bend_in_shoes,
     bone_weights,
     edges_of,
+    finger_shares,
     landmarks,
     limit_details,
     make_bones,
+    relax_hands,
+    relaxed_fingers,
     smooth_weights,
     t_pose,
     unskin,
 )
-from humansim_ros.people.makehuman.surface import NONE, SHOES, BodySurface, compact, refine, sample
+from humansim_ros.people.makehuman.surface import (
+    NONE,
+    SHOES,
+    TEXTURE_SIZE,
+    BodySurface,
+    Texels,
+    as_image,
+    compact,
+    rasterise,
+    refine,
+    relay_uv,
+    sample,
+)
+from humansim_ros.people.makehuman.things import under_skirts, worn_parts
 from humansim_ros.people.makehuman.wardrobe import BEARDS
 from humansim_ros.people.makehuman.worn import (
     Wearer,
@@ -76,110 +79,8 @@ from humansim_ros.people.makehuman.worn import (
     loose_parts,
     strip_height,
     strip_image,
-    under_skirts,
-    worn_parts,
 )
 from humansim_ros.types import Array
-
-#: Flexion of the three joints of each finger of a relaxed hand, degrees, from thumb to little finger.
-_FLEXION = ((6, 10, 14), (20, 28, 14), (24, 32, 16), (27, 34, 17), (30, 35, 17))
-#: A finger is turned towards the middle finger by this share of the angle between them.
-_CLOSING = 0.6
-#: Rotation of the thumb towards the fingers, degrees.
-_THUMB_CLOSING = 14.0
-
-
-def relaxed_fingers(points: Mapping[str, Array]) -> tuple[dict[str, Array], dict[str, Array]]:
-    """Transforms (4, 4) of finger bones to a relaxed hand, and their axes (3,) of flexion there, both by name
-    of the bone. ``points``: landmarks (see ``skeleton.landmarks``). A positive angle about its axis flexes a
-    bone."""
-    transforms, hinges = {}, {}
-    for side in "lr":
-        for number, name in enumerate(FINGERS, 1):
-            segments, axis = _finger(points, side, number)
-            for segment, transform in enumerate(segments, 1):
-                transforms[f"{side}_{name}{segment}"] = transform
-                hinges[f"{side}_{name}{segment}"] = transform[:3, :3] @ axis
-    return transforms, hinges
-
-
-def finger_shares(source: MakeHumanData, count: int) -> Array:
-    """Weights (N, 31) of the artists: first the rest of the body, then the finger bones. The order of the
-    bones is the order of :func:`relaxed_fingers`. ``count``: number of vertices N."""
-    shares = np.zeros((count, 1 + 2 * 3 * len(FINGERS)))
-    names = [f"{side}_{name}{joint}" for side in "lr" for name in FINGERS for joint in (1, 2, 3)]
-    for column, name in enumerate(names, 1):
-        number = FINGERS.index(name[2:-1]) + 1
-        pairs = np.array(source.weights[f"finger{number}-{name[-1]}.{name[0].upper()}"])
-        shares[pairs[:, 0].astype(int), column] = pairs[:, 1]
-    shares[:, 0] = np.maximum(1.0 - shares[:, 1:].sum(axis=1), 0.0)
-    return shares
-
-
-def relax_hands(shares: Array, vertices: Array, transforms: Mapping[str, Array]) -> Array:
-    """Bend the fingers of both hands.
-
-    Args:
-        shares: See :func:`finger_shares`.
-        vertices: (N, 3) all vertices of the base mesh, metres, in the A pose.
-        transforms: See :func:`relaxed_fingers`, of the same body.
-
-    Returns:
-        (N, 3) vertices; only the vertices of the fingers differ.
-    """
-    moved = np.flatnonzero(shares[:, 0] < 1.0)
-    out = vertices.copy()
-    shares = shares[moved] / shares[moved].sum(axis=1, keepdims=True)
-    # dual quaternions, since linear blending would flatten the knuckles
-    motion = np.array([np.eye(4), *transforms.values()])
-    out[moved] = skin(vertices[moved], csr_matrix(shares), motion, "dual_quaternion")
-    return out
-
-
-def _finger(points: Mapping[str, Array], side: str, finger: int) -> tuple[list[Array], Array]:
-    """Transforms (4, 4) of the three segments of a finger, and the axis (3,) of flexion before they are
-    applied."""
-
-    def joint(number: int, of: int = finger) -> Array:
-        return points[f"joint-{side}-finger-{of}-{number}"]
-
-    along = joint(1, 3) - points[f"joint-{side}-hand"]
-    across = joint(1, 5) - joint(1, 2)
-    palm = np.cross(across, along) * (1.0 if side == "l" else -1.0)
-    palm /= np.linalg.norm(palm)
-    closing = _closing(palm, joint, finger)
-    if finger == 1:  # the thumb bends across the palm
-        forwards = joint(4) - joint(1)
-        sideways = across / np.linalg.norm(across)
-        axis = np.cross(forwards, 0.5 * palm + sideways)
-    else:
-        axis = np.cross(joint(4) - joint(1), palm)
-    axis /= np.linalg.norm(axis)
-    out, before = [], np.eye(4)
-    for segment, degrees in enumerate(_FLEXION[finger - 1], 1):
-        turn = Rotation.from_rotvec(np.radians(degrees) * axis).as_matrix()
-        if segment == 1:
-            turn = turn @ closing
-        before = before @ _about(joint(segment), turn)
-        out.append(before)
-    return out, axis
-
-
-def _closing(palm: Array, joint: object, finger: int) -> Array:
-    """Rotation (3, 3) about the normal of the palm that turns a finger towards the middle finger."""
-    assert callable(joint)
-    direction, middle = (d - (d @ palm) * palm for d in (joint(3) - joint(1), joint(3, 3) - joint(1, 3)))
-    angle = np.arctan2(np.cross(direction, middle) @ palm, direction @ middle)
-    angle = np.sign(angle) * np.radians(_THUMB_CLOSING) if finger == 1 else _CLOSING * angle
-    return Rotation.from_rotvec(angle * palm).as_matrix()
-
-
-def _about(centre: Array, turn: Array) -> Array:
-    out = np.eye(4)
-    out[:3, :3] = turn
-    out[:3, 3] = centre - turn @ centre
-    return out
-
 
 JPEG_QUALITY = 92
 #: When sitting, bones that share a vertex move this far apart (thighs at the crotch), as a share of the

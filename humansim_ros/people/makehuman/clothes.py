@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Literal
 
 import numpy as np
 from scipy import sparse
-from scipy.ndimage import gaussian_filter, grey_closing, map_coordinates
 from scipy.sparse import csgraph
 from scipy.sparse.linalg import splu
 from scipy.spatial import ConvexHull
 
 from humansim_ros.people.makehuman.data import VertexIndices
-from humansim_ros.people.makehuman.shape import MakeHumanConfig
+from humansim_ros.people.makehuman.shape import Cut, Dress
 from humansim_ros.people.makehuman.skeleton import Bones, limit_weights
 from humansim_ros.people.makehuman.surface import (
     NONE,
@@ -23,115 +20,22 @@ from humansim_ros.people.makehuman.surface import (
     SHOES,
     TROUSERS,
     BodySurface,
+    Outline,
+    around,
     mean_matrix,
     neighbours,
     noise,
     outline,
+    push_outwards,
     ramp,
+    shrink_onto,
     smooth,
     smooth_rows,
     smooth_towards,
     vertex_normals,
 )
-from humansim_ros.people.makehuman.wardrobe import (
-    BEARDS,
-    BOTTOMS,
-    FOOTWEAR,
-    HAIR,
-    TOPS,
-    Beard,
-    Bottom,
-    Footwear,
-    HairStyle,
-    Top,
-)
+from humansim_ros.people.makehuman.wardrobe import BEARDS, Beard
 from humansim_ros.types import Array
-
-_HIGH, _WIDE = 0.008, np.radians(3.0)  # cell size: metres, radians
-
-
-@dataclass(frozen=True)
-class Outline:
-    """Outline of a surface around a vertical axis: its largest distance ``reach`` (H, W) from the axis, in
-    metres. The rows are heights, the columns directions. The axis is x = 0, z = ``axis``."""
-
-    bottom: float
-    axis: float
-    reach: Array
-
-    @classmethod
-    def of(cls, vertices: Array, faces: VertexIndices, axis: float) -> Outline:
-        """Outline of a surface of quads (F, 4) around the axis."""
-        corners = vertices[faces]
-        sides = [(corners[:, k] + corners[:, k - 1]) / 2 for k in range(4)]
-        points = np.concatenate([vertices[np.unique(faces)], corners.mean(axis=1), *sides])
-        bottom = float(points[:, 1].min())
-        rows = ((points[:, 1] - bottom) / _HIGH).astype(int)
-        columns = round(2 * np.pi / _WIDE)
-        turn, reach = around(points, axis)
-        grid = np.zeros((rows.max() + 1, columns))
-        np.maximum.at(grid, (rows, (turn / _WIDE).astype(int) % columns), reach)
-        padded = np.pad(np.pad(grid, ((3, 3), (0, 0)), "edge"), ((0, 0), (6, 6)), "wrap")
-        smooth = gaussian_filter(grey_closing(padded, (5, 5)), 0.7)
-        return cls(bottom, axis, smooth[3:-3, 6:-6])
-
-    def hanging(self) -> Outline:
-        """Outline of a surface that hangs down from this one. It is nowhere narrower than above."""
-        return replace(self, reach=np.maximum.accumulate(self.reach[::-1])[::-1])
-
-    def at(self, points: Array) -> Array:
-        """Reach (N,) at the height and in the direction of points (N, 3)."""
-        row = ((points[:, 1] - self.bottom) / _HIGH - 0.5).clip(0, len(self.reach) - 1)
-        column = around(points, self.axis)[0] / _WIDE - 0.5
-        return np.asarray(map_coordinates(self._ring, np.stack([row, column + 1]), order=1, mode="nearest"))
-
-    @functools.cached_property
-    def _ring(self) -> Array:
-        """Reach with the first and the last direction on both sides."""
-        return np.pad(self.reach, ((0, 0), (1, 1)), "wrap")
-
-
-def around(points: Array, axis: float) -> tuple[Array, Array]:
-    """Direction (N,), 0 to two pi, and distance (N,) of points (N, 3) from the axis."""
-    x, z = points[:, 0], points[:, 2] - axis
-    return np.arctan2(x, z) % (2 * np.pi), np.hypot(x, z)
-
-
-def shrink_onto(
-    vertices: Array, mean: sparse.csr_matrix, free: Array, outline: Outline, rounds: int
-) -> Array:
-    """Smooth a surface towards the mean of its neighbours, but keep it outside an outline.
-
-    Folded small faces spread over the surface.
-
-    Args:
-        vertices: (V, 3).
-        mean: Matrix (V, V) from :func:`mean_matrix`.
-        free: Mobility of each vertex, (V,), 0 to 1.
-        outline: Outline that vertices stay outside of.
-        rounds: Number of smoothing steps.
-
-    Returns:
-        Vertices (V, 3).
-    """
-    skin = vertices.copy()
-    rows = np.flatnonzero(free > 0)
-    mean, pull = mean[rows], 0.5 * free[rows, None]
-    for _ in range(rounds):
-        moved = skin[rows] + pull * (mean @ skin - skin[rows])
-        skin[rows] = push_outwards(moved, outline.at(moved), outline.axis)
-    return skin
-
-
-def push_outwards(points: Array, reach: Array, axis: float) -> Array:
-    """Move points (N, 3) away from the axis to at least ``reach`` (N,)."""
-    distance = np.hypot(points[:, 0], points[:, 2] - axis)
-    factor = np.maximum(reach / np.maximum(distance, 1e-6), 1.0)
-    out = points.copy()
-    out[:, 0] *= factor
-    out[:, 2] = axis + (points[:, 2] - axis) * factor
-    return out
-
 
 _ROUNDS = 400
 #: Cloth follows hollows up to the first depth, and spans hollows from the second depth on, metres.
@@ -178,59 +82,6 @@ SHOE_MARGIN = 0.007  # metres, as all lengths here
 SOLE_THICKNESS = 0.014
 CLOTH_SMOOTHING = 0.022
 TROUSER_LEG = 0.060  # radius at the hem
-
-
-@dataclass(frozen=True)
-class Cut:
-    """Decides where the body is cut and refined for a dress. Everything else of a dress only moves and
-    paints.
-
-    Attributes:
-        hair: See ``HairStyle.base``.
-        sleeves: Length of the sleeves.
-        drop: See ``Top``.
-        hem: See ``Bottom``.
-        covers: See ``Footwear``.
-        shaft: See ``Footwear``.
-    """
-
-    hair: Literal["none", "short", "long"] = "short"
-    sleeves: Literal["none", "short", "long"] = "short"
-    drop: float = 0.0
-    hem: float = 0.0
-    covers: bool = True
-    shaft: float = 0.0
-
-
-@dataclass(frozen=True)
-class Dress:
-    """Rows of the wardrobe that a person wears, and the length of sleeves for garments that do not define
-    it."""
-
-    hair: HairStyle = HAIR["short"]
-    beard: Beard = BEARDS["none"]
-    top: Top = TOPS["shirt"]
-    bottom: Bottom = BOTTOMS["trousers"]
-    footwear: Footwear = FOOTWEAR["shoes"]
-    sleeves: Literal["short", "long"] = "short"
-
-    @classmethod
-    def of(cls, config: MakeHumanConfig) -> Dress:
-        """Dress of a person."""
-        return cls(
-            HAIR[config.hair],
-            BEARDS[config.beard],
-            TOPS[config.top],
-            BOTTOMS[config.bottom],
-            FOOTWEAR[config.shoes],
-            config.sleeves,
-        )
-
-    @property
-    def cut(self) -> Cut:
-        """Where the body is cut."""
-        sleeves, shoes = self.top.sleeves or self.sleeves, self.footwear
-        return Cut(self.hair.base, sleeves, self.top.drop, self.bottom.hem, shoes.covers, shoes.shaft)
 
 
 @dataclass(frozen=True)

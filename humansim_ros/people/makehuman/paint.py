@@ -1,4 +1,4 @@
-"""Texture of a body: the layout of its parts, and the paint of skin, face, hair and cloth."""
+"""Paint of skin, face, hair and cloth on the texels of a body, and ambient occlusion."""
 
 from __future__ import annotations
 
@@ -10,11 +10,7 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
-from scipy.sparse import csgraph
-from scipy.spatial import cKDTree
 
-from humansim_ros.files.mesh import rasterise_uv
 from humansim_ros.files.yaml import ByteColor
 from humansim_ros.people.makehuman.clothes import BodyRegions
 from humansim_ros.people.makehuman.data import MakeHumanData, VertexIndices
@@ -25,112 +21,14 @@ from humansim_ros.people.makehuman.surface import (
     SHOES,
     TROUSERS,
     BodySurface,
+    Texels,
     grain,
-    neighbours,
     ramp,
     sample,
     vertex_normals,
 )
 from humansim_ros.people.makehuman.wardrobe import BEARDS, Fabric
 from humansim_ros.types import Array
-
-TEXTURE_SIZE = 1024
-# MakeHuman's layout gives the face a sixth of the width. Here clothes have less, and the face more:
-# old -> new coordinates (u from the left, h = 1 - v from the top), monotone so that no island folds.
-NARROW_U = ((0.0, 0.76), (0.0, 0.608))
-HEAD_U = ((0.63, 0.80, 0.97, 1.0), (0.615, 0.735, 0.985, 0.998))
-HEAD_H = ((0.17, 0.43, 0.60, 0.86), (0.008, 0.205, 0.585, 0.79))
-HANDS_SHIFT = -0.064
-EYE_BOX = 0.06
-
-
-def uv_islands(uv_faces: VertexIndices, count: int) -> VertexIndices:
-    """Island (T,) of each texture coordinate."""
-    return csgraph.connected_components(neighbours(uv_faces, count), directed=False)[1]
-
-
-def _with_hems(island: VertexIndices, uv: Array) -> VertexIndices:
-    """Islands (T,) in which both points of a hem belong to the island around them."""
-    small = np.bincount(island)[island] < 3
-    out = island.copy()
-    out[small] = island[~small][cKDTree(uv[~small]).query(uv[small])[1]]
-    return out
-
-
-def relay_uv(uv: Array, uv_faces: VertexIndices, is_eye: NDArray[np.bool_]) -> Array:
-    """Enlarge face and eyes in the texture. uv (T, 2), uv_faces (F, 4), is_eye (F,) -> uv (T, 2)."""
-    u, h = uv[:, 0].copy(), 1 - uv[:, 1]
-    island = _with_hems(uv_islands(uv_faces, len(uv)), uv)
-    new_u, new_h = u.copy(), h.copy()
-    eyes = np.unique(island[uv_faces[is_eye]])
-    for number in np.unique(island):
-        rows = island == number
-        centre_u, centre_h = u[rows].mean(), h[rows].mean()
-        if number in eyes:
-            k = int(np.searchsorted(eyes, number))
-            size = max(np.ptp(u[rows]), np.ptp(h[rows]))
-            new_u[rows] = 0.73 + 0.065 * k + (u[rows] - u[rows].min()) / size * EYE_BOX
-            new_h[rows] = 0.90 + (h[rows] - h[rows].min()) / size * EYE_BOX
-        elif centre_u > 0.7 and centre_h < 0.85:  # head
-            new_u[rows], new_h[rows] = np.interp(u[rows], *HEAD_U), np.interp(h[rows], *HEAD_H)
-        elif centre_u > 0.75 and centre_h > 0.85:  # inside of the mouth
-            new_u[rows] = 0.74 + 0.2 * (u[rows] - u[rows].min())
-            new_h[rows] = 0.965 + 0.2 * (h[rows] - h[rows].min())
-        elif centre_u > 0.4 and centre_h > 0.85:  # hands
-            new_u[rows] = u[rows] + HANDS_SHIFT
-        else:
-            new_u[rows] = np.interp(u[rows], *NARROW_U)
-    return np.c_[new_u, 1 - new_h]
-
-
-@dataclass(frozen=True)
-class Texels:
-    """N texels of faces. ``face``: (N,) face of each texel. ``vertex``: (N,) first corner of its triangle.
-    ``mixing``: (N, V) matrix that interpolates values of vertices. ``uv``: (N, 2) texture coordinates of the
-    base mesh. ``nearest``: (S, S) nearest texel of every place of the texture."""
-
-    face: VertexIndices
-    vertex: VertexIndices
-    mixing: sparse.csr_matrix
-    uv: Array
-    nearest: NDArray[np.int32]
-
-
-def rasterise(mesh: BodySurface, uv: Array, size: int) -> Texels:
-    """Find the triangle at the centre of each texel.
-
-    Args:
-        mesh: Surface with its faces.
-        uv: Texture coordinates (T, 2), v up.
-        size: Side of the texture, texels.
-    """
-    fan = ([0, 1, 2], [0, 2, 3])
-    triangles = np.concatenate([mesh.faces[:, c] for c in fan])
-    uv_triangles = np.concatenate([mesh.uv_faces[:, c] for c in fan])
-    found = rasterise_uv(uv, uv_triangles, size)
-    count, number = len(found.triangle), found.triangle
-    starts = np.arange(0, 3 * count + 1, 3)
-    mixing, uv_mixing = (
-        sparse.csr_matrix((found.weights.ravel(), corners[number].ravel(), starts), shape=(count, total))
-        for corners, total in ((triangles, len(mesh.vertices)), (uv_triangles, len(uv)))
-    )
-    empty = np.ones((size, size), np.uint8)
-    empty[found.row, found.column] = 0
-    _, labels = cv2.distanceTransformWithLabels(empty, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
-    texel = np.zeros(int(labels.max()) + 1, np.int32)
-    texel[labels[found.row, found.column]] = np.arange(count)
-    return Texels(number % len(mesh.faces), triangles[number, 0], mixing, uv_mixing @ mesh.uv, texel[labels])
-
-
-def as_image(texels: Texels, colour: Array) -> NDArray[np.uint8]:
-    """Texture of texel colours (N, ...). A raster with twice the resolution is reduced to half its size. Gaps
-    get the colour of the nearest texel."""
-    size = len(texels.nearest)
-    if size > TEXTURE_SIZE:
-        blocks = colour[texels.nearest].reshape(TEXTURE_SIZE, 2, TEXTURE_SIZE, 2, *colour.shape[1:])
-        return np.clip(np.rint(blocks.mean(axis=(1, 3))), 0, 255).astype(np.uint8)
-    return np.clip(np.rint(colour), 0, 255).astype(np.uint8)[texels.nearest]
-
 
 AO_DIRECTIONS = 96
 AO_REACH = 0.25

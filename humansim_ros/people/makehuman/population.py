@@ -21,9 +21,10 @@ import numpy as np
 from humansim_ros.errors import MeshError
 from humansim_ros.files.reading import read_table
 from humansim_ros.files.yaml import ByteColor
-from humansim_ros.people.makehuman.clothes import Cut, Dress
 from humansim_ros.people.makehuman.data import Base, MakeHumanData
 from humansim_ros.people.makehuman.shape import (
+    Cut,
+    Dress,
     MakeHumanConfig,
     Outfit,
     Race,

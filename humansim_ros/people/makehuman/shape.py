@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from typing import Annotated, Literal
 
 import numpy as np
@@ -19,12 +19,22 @@ from humansim_ros.files.mesh import WornName
 from humansim_ros.files.yaml import ByteColor, Section, Share
 from humansim_ros.people.makehuman.data import METRES, MakeHumanData, read_base
 from humansim_ros.people.makehuman.wardrobe import (
+    BEARDS,
+    BOTTOMS,
+    FOOTWEAR,
+    HAIR,
+    TOPS,
     Attire,
+    Beard,
     BeardName,
+    Bottom,
     BottomName,
     Fabric,
+    Footwear,
     FootwearName,
     HairName,
+    HairStyle,
+    Top,
     TopName,
     check_clothes,
 )
@@ -210,3 +220,56 @@ def _shares(slider: str, config: MakeHumanConfig) -> list[tuple[str, float]]:
         eye, value = np.eye(len(values)), float(getattr(config, slider))
         shares = {name: float(np.interp(value, values, eye[row])) for row, name in enumerate(names)}
     return [(name, share) for name, share in shares.items() if share > 0]
+
+
+@dataclass(frozen=True)
+class Cut:
+    """Decides where the body is cut and refined for a dress. Everything else of a dress only moves and
+    paints.
+
+    Attributes:
+        hair: See ``HairStyle.base``.
+        sleeves: Length of the sleeves.
+        drop: See ``Top``.
+        hem: See ``Bottom``.
+        covers: See ``Footwear``.
+        shaft: See ``Footwear``.
+    """
+
+    hair: Literal["none", "short", "long"] = "short"
+    sleeves: Literal["none", "short", "long"] = "short"
+    drop: float = 0.0
+    hem: float = 0.0
+    covers: bool = True
+    shaft: float = 0.0
+
+
+@dataclass(frozen=True)
+class Dress:
+    """Rows of the wardrobe that a person wears, and the length of sleeves for garments that do not define
+    it."""
+
+    hair: HairStyle = HAIR["short"]
+    beard: Beard = BEARDS["none"]
+    top: Top = TOPS["shirt"]
+    bottom: Bottom = BOTTOMS["trousers"]
+    footwear: Footwear = FOOTWEAR["shoes"]
+    sleeves: Literal["short", "long"] = "short"
+
+    @classmethod
+    def of(cls, config: MakeHumanConfig) -> Dress:
+        """Dress of a person."""
+        return cls(
+            HAIR[config.hair],
+            BEARDS[config.beard],
+            TOPS[config.top],
+            BOTTOMS[config.bottom],
+            FOOTWEAR[config.shoes],
+            config.sleeves,
+        )
+
+    @property
+    def cut(self) -> Cut:
+        """Where the body is cut."""
+        sleeves, shoes = self.top.sleeves or self.sleeves, self.footwear
+        return Cut(self.hair.base, sleeves, self.top.drop, self.bottom.hem, shoes.covers, shoes.shaft)

@@ -11,11 +11,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csr_matrix
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.files.reading import read_table
 from humansim_ros.geometry import from_y_axis, quaternion_to_matrix, shortest_rotations, unit_vectors
-from humansim_ros.motion.body import DETAIL_BONES
+from humansim_ros.motion.body import DETAIL_BONES, FINGERS, skin
 from humansim_ros.people.makehuman.data import Base, MakeHumanData, VertexIndices
 from humansim_ros.people.makehuman.surface import ramp
 from humansim_ros.types import Array
@@ -23,7 +24,6 @@ from humansim_ros.types import Array
 BONES_PER_VERTEX = 4
 #: A shoe bends within this distance from the ball of the foot, as a share of the length of the foot bone.
 _SHOE_BEND = 0.14
-
 _TABLE = read_table("makehuman_bones")
 # Name, parent, and landmarks (see `landmarks`) of head and tail; details come last.
 _BONES = _TABLE["bones"]
@@ -294,3 +294,103 @@ def unskin(vertices: Array, weights: Array, motion: Array) -> Array:
     back = np.einsum("nb,bij->nij", weights, np.linalg.inv(motion))
     homogeneous = np.c_[vertices, np.ones(len(vertices))]
     return np.linalg.solve(back, homogeneous[:, :, None])[:, :3, 0]
+
+
+#: Flexion of the three joints of each finger of a relaxed hand, degrees, from thumb to little finger.
+_FLEXION = ((6, 10, 14), (20, 28, 14), (24, 32, 16), (27, 34, 17), (30, 35, 17))
+#: A finger is turned towards the middle finger by this share of the angle between them.
+_CLOSING = 0.6
+#: Rotation of the thumb towards the fingers, degrees.
+_THUMB_CLOSING = 14.0
+
+
+def relaxed_fingers(points: Mapping[str, Array]) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Transforms (4, 4) of finger bones to a relaxed hand, and their axes (3,) of flexion there, both by name
+    of the bone. ``points``: landmarks (see ``skeleton.landmarks``). A positive angle about its axis flexes a
+    bone."""
+    transforms, hinges = {}, {}
+    for side in "lr":
+        for number, name in enumerate(FINGERS, 1):
+            segments, axis = _finger(points, side, number)
+            for segment, transform in enumerate(segments, 1):
+                transforms[f"{side}_{name}{segment}"] = transform
+                hinges[f"{side}_{name}{segment}"] = transform[:3, :3] @ axis
+    return transforms, hinges
+
+
+def finger_shares(source: MakeHumanData, count: int) -> Array:
+    """Weights (N, 31) of the artists: first the rest of the body, then the finger bones. The order of the
+    bones is the order of :func:`relaxed_fingers`. ``count``: number of vertices N."""
+    shares = np.zeros((count, 1 + 2 * 3 * len(FINGERS)))
+    names = [f"{side}_{name}{joint}" for side in "lr" for name in FINGERS for joint in (1, 2, 3)]
+    for column, name in enumerate(names, 1):
+        number = FINGERS.index(name[2:-1]) + 1
+        pairs = np.array(source.weights[f"finger{number}-{name[-1]}.{name[0].upper()}"])
+        shares[pairs[:, 0].astype(int), column] = pairs[:, 1]
+    shares[:, 0] = np.maximum(1.0 - shares[:, 1:].sum(axis=1), 0.0)
+    return shares
+
+
+def relax_hands(shares: Array, vertices: Array, transforms: Mapping[str, Array]) -> Array:
+    """Bend the fingers of both hands.
+
+    Args:
+        shares: See :func:`finger_shares`.
+        vertices: (N, 3) all vertices of the base mesh, metres, in the A pose.
+        transforms: See :func:`relaxed_fingers`, of the same body.
+
+    Returns:
+        (N, 3) vertices; only the vertices of the fingers differ.
+    """
+    moved = np.flatnonzero(shares[:, 0] < 1.0)
+    out = vertices.copy()
+    shares = shares[moved] / shares[moved].sum(axis=1, keepdims=True)
+    # dual quaternions, since linear blending would flatten the knuckles
+    motion = np.array([np.eye(4), *transforms.values()])
+    out[moved] = skin(vertices[moved], csr_matrix(shares), motion, "dual_quaternion")
+    return out
+
+
+def _finger(points: Mapping[str, Array], side: str, finger: int) -> tuple[list[Array], Array]:
+    """Transforms (4, 4) of the three segments of a finger, and the axis (3,) of flexion before they are
+    applied."""
+
+    def joint(number: int, of: int = finger) -> Array:
+        return points[f"joint-{side}-finger-{of}-{number}"]
+
+    along = joint(1, 3) - points[f"joint-{side}-hand"]
+    across = joint(1, 5) - joint(1, 2)
+    palm = np.cross(across, along) * (1.0 if side == "l" else -1.0)
+    palm /= np.linalg.norm(palm)
+    closing = _closing(palm, joint, finger)
+    if finger == 1:  # the thumb bends across the palm
+        forwards = joint(4) - joint(1)
+        sideways = across / np.linalg.norm(across)
+        axis = np.cross(forwards, 0.5 * palm + sideways)
+    else:
+        axis = np.cross(joint(4) - joint(1), palm)
+    axis /= np.linalg.norm(axis)
+    out, before = [], np.eye(4)
+    for segment, degrees in enumerate(_FLEXION[finger - 1], 1):
+        turn = Rotation.from_rotvec(np.radians(degrees) * axis).as_matrix()
+        if segment == 1:
+            turn = turn @ closing
+        before = before @ _about(joint(segment), turn)
+        out.append(before)
+    return out, axis
+
+
+def _closing(palm: Array, joint: object, finger: int) -> Array:
+    """Rotation (3, 3) about the normal of the palm that turns a finger towards the middle finger."""
+    assert callable(joint)
+    direction, middle = (d - (d @ palm) * palm for d in (joint(3) - joint(1), joint(3, 3) - joint(1, 3)))
+    angle = np.arctan2(np.cross(direction, middle) @ palm, direction @ middle)
+    angle = np.sign(angle) * np.radians(_THUMB_CLOSING) if finger == 1 else _CLOSING * angle
+    return Rotation.from_rotvec(angle * palm).as_matrix()
+
+
+def _about(centre: Array, turn: Array) -> Array:
+    out = np.eye(4)
+    out[:3, :3] = turn
+    out[:3, 3] = centre - turn @ centre
+    return out

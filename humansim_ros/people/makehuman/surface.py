@@ -1,17 +1,20 @@
-"""Body surface of the MakeHuman base mesh, and general surface operations."""
+"""Body surface of the MakeHuman base mesh, its outlines, and the layout of its texture."""
 
 from __future__ import annotations
 
 import functools
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.spatial import ConvexHull
+from scipy.ndimage import gaussian_filter, grey_closing, map_coordinates
+from scipy.sparse import csgraph
+from scipy.spatial import ConvexHull, cKDTree
 
-from humansim_ros.files.mesh import mean_normals
+from humansim_ros.files.mesh import mean_normals, rasterise_uv
 from humansim_ros.geometry import smooth_step
 from humansim_ros.people.makehuman.data import VertexIndices, VertexMask
 from humansim_ros.types import Array
@@ -306,3 +309,187 @@ def _mean_of_rows(table: list[list[int]], count: int) -> sparse.csr_matrix:
     columns = np.fromiter(itertools.chain.from_iterable(table), np.int64, int(sizes.sum()))
     starts = np.concatenate([[0], np.cumsum(sizes)])
     return sparse.csr_matrix((np.repeat(1 / sizes, sizes), columns, starts), shape=(len(table), count))
+
+
+_HIGH, _WIDE = 0.008, np.radians(3.0)  # cell size: metres, radians
+
+
+@dataclass(frozen=True)
+class Outline:
+    """Outline of a surface around a vertical axis: its largest distance ``reach`` (H, W) from the axis, in
+    metres. The rows are heights, the columns directions. The axis is x = 0, z = ``axis``."""
+
+    bottom: float
+    axis: float
+    reach: Array
+
+    @classmethod
+    def of(cls, vertices: Array, faces: VertexIndices, axis: float) -> Outline:
+        """Outline of a surface of quads (F, 4) around the axis."""
+        corners = vertices[faces]
+        sides = [(corners[:, k] + corners[:, k - 1]) / 2 for k in range(4)]
+        points = np.concatenate([vertices[np.unique(faces)], corners.mean(axis=1), *sides])
+        bottom = float(points[:, 1].min())
+        rows = ((points[:, 1] - bottom) / _HIGH).astype(int)
+        columns = round(2 * np.pi / _WIDE)
+        turn, reach = around(points, axis)
+        grid = np.zeros((rows.max() + 1, columns))
+        np.maximum.at(grid, (rows, (turn / _WIDE).astype(int) % columns), reach)
+        padded = np.pad(np.pad(grid, ((3, 3), (0, 0)), "edge"), ((0, 0), (6, 6)), "wrap")
+        smooth = gaussian_filter(grey_closing(padded, (5, 5)), 0.7)
+        return cls(bottom, axis, smooth[3:-3, 6:-6])
+
+    def hanging(self) -> Outline:
+        """Outline of a surface that hangs down from this one. It is nowhere narrower than above."""
+        return replace(self, reach=np.maximum.accumulate(self.reach[::-1])[::-1])
+
+    def at(self, points: Array) -> Array:
+        """Reach (N,) at the height and in the direction of points (N, 3)."""
+        row = ((points[:, 1] - self.bottom) / _HIGH - 0.5).clip(0, len(self.reach) - 1)
+        column = around(points, self.axis)[0] / _WIDE - 0.5
+        return np.asarray(map_coordinates(self._ring, np.stack([row, column + 1]), order=1, mode="nearest"))
+
+    @functools.cached_property
+    def _ring(self) -> Array:
+        """Reach with the first and the last direction on both sides."""
+        return np.pad(self.reach, ((0, 0), (1, 1)), "wrap")
+
+
+def around(points: Array, axis: float) -> tuple[Array, Array]:
+    """Direction (N,), 0 to two pi, and distance (N,) of points (N, 3) from the axis."""
+    x, z = points[:, 0], points[:, 2] - axis
+    return np.arctan2(x, z) % (2 * np.pi), np.hypot(x, z)
+
+
+def shrink_onto(
+    vertices: Array, mean: sparse.csr_matrix, free: Array, outline: Outline, rounds: int
+) -> Array:
+    """Smooth a surface towards the mean of its neighbours, but keep it outside an outline.
+
+    Folded small faces spread over the surface.
+
+    Args:
+        vertices: (V, 3).
+        mean: Matrix (V, V) from :func:`mean_matrix`.
+        free: Mobility of each vertex, (V,), 0 to 1.
+        outline: Outline that vertices stay outside of.
+        rounds: Number of smoothing steps.
+
+    Returns:
+        Vertices (V, 3).
+    """
+    skin = vertices.copy()
+    rows = np.flatnonzero(free > 0)
+    mean, pull = mean[rows], 0.5 * free[rows, None]
+    for _ in range(rounds):
+        moved = skin[rows] + pull * (mean @ skin - skin[rows])
+        skin[rows] = push_outwards(moved, outline.at(moved), outline.axis)
+    return skin
+
+
+def push_outwards(points: Array, reach: Array, axis: float) -> Array:
+    """Move points (N, 3) away from the axis to at least ``reach`` (N,)."""
+    distance = np.hypot(points[:, 0], points[:, 2] - axis)
+    factor = np.maximum(reach / np.maximum(distance, 1e-6), 1.0)
+    out = points.copy()
+    out[:, 0] *= factor
+    out[:, 2] = axis + (points[:, 2] - axis) * factor
+    return out
+
+
+TEXTURE_SIZE = 1024
+# MakeHuman's layout gives the face a sixth of the width. Here clothes have less, and the face more:
+# old -> new coordinates (u from the left, h = 1 - v from the top), monotone so that no island folds.
+NARROW_U = ((0.0, 0.76), (0.0, 0.608))
+HEAD_U = ((0.63, 0.80, 0.97, 1.0), (0.615, 0.735, 0.985, 0.998))
+HEAD_H = ((0.17, 0.43, 0.60, 0.86), (0.008, 0.205, 0.585, 0.79))
+HANDS_SHIFT = -0.064
+EYE_BOX = 0.06
+
+
+def uv_islands(uv_faces: VertexIndices, count: int) -> VertexIndices:
+    """Island (T,) of each texture coordinate."""
+    return csgraph.connected_components(neighbours(uv_faces, count), directed=False)[1]
+
+
+def _with_hems(island: VertexIndices, uv: Array) -> VertexIndices:
+    """Islands (T,) in which both points of a hem belong to the island around them."""
+    small = np.bincount(island)[island] < 3
+    out = island.copy()
+    out[small] = island[~small][cKDTree(uv[~small]).query(uv[small])[1]]
+    return out
+
+
+def relay_uv(uv: Array, uv_faces: VertexIndices, is_eye: NDArray[np.bool_]) -> Array:
+    """Enlarge face and eyes in the texture. uv (T, 2), uv_faces (F, 4), is_eye (F,) -> uv (T, 2)."""
+    u, h = uv[:, 0].copy(), 1 - uv[:, 1]
+    island = _with_hems(uv_islands(uv_faces, len(uv)), uv)
+    new_u, new_h = u.copy(), h.copy()
+    eyes = np.unique(island[uv_faces[is_eye]])
+    for number in np.unique(island):
+        rows = island == number
+        centre_u, centre_h = u[rows].mean(), h[rows].mean()
+        if number in eyes:
+            k = int(np.searchsorted(eyes, number))
+            size = max(np.ptp(u[rows]), np.ptp(h[rows]))
+            new_u[rows] = 0.73 + 0.065 * k + (u[rows] - u[rows].min()) / size * EYE_BOX
+            new_h[rows] = 0.90 + (h[rows] - h[rows].min()) / size * EYE_BOX
+        elif centre_u > 0.7 and centre_h < 0.85:  # head
+            new_u[rows], new_h[rows] = np.interp(u[rows], *HEAD_U), np.interp(h[rows], *HEAD_H)
+        elif centre_u > 0.75 and centre_h > 0.85:  # inside of the mouth
+            new_u[rows] = 0.74 + 0.2 * (u[rows] - u[rows].min())
+            new_h[rows] = 0.965 + 0.2 * (h[rows] - h[rows].min())
+        elif centre_u > 0.4 and centre_h > 0.85:  # hands
+            new_u[rows] = u[rows] + HANDS_SHIFT
+        else:
+            new_u[rows] = np.interp(u[rows], *NARROW_U)
+    return np.c_[new_u, 1 - new_h]
+
+
+@dataclass(frozen=True)
+class Texels:
+    """N texels of faces. ``face``: (N,) face of each texel. ``vertex``: (N,) first corner of its triangle.
+    ``mixing``: (N, V) matrix that interpolates values of vertices. ``uv``: (N, 2) texture coordinates of the
+    base mesh. ``nearest``: (S, S) nearest texel of every place of the texture."""
+
+    face: VertexIndices
+    vertex: VertexIndices
+    mixing: sparse.csr_matrix
+    uv: Array
+    nearest: NDArray[np.int32]
+
+
+def rasterise(mesh: BodySurface, uv: Array, size: int) -> Texels:
+    """Find the triangle at the centre of each texel.
+
+    Args:
+        mesh: Surface with its faces.
+        uv: Texture coordinates (T, 2), v up.
+        size: Side of the texture, texels.
+    """
+    fan = ([0, 1, 2], [0, 2, 3])
+    triangles = np.concatenate([mesh.faces[:, c] for c in fan])
+    uv_triangles = np.concatenate([mesh.uv_faces[:, c] for c in fan])
+    found = rasterise_uv(uv, uv_triangles, size)
+    count, number = len(found.triangle), found.triangle
+    starts = np.arange(0, 3 * count + 1, 3)
+    mixing, uv_mixing = (
+        sparse.csr_matrix((found.weights.ravel(), corners[number].ravel(), starts), shape=(count, total))
+        for corners, total in ((triangles, len(mesh.vertices)), (uv_triangles, len(uv)))
+    )
+    empty = np.ones((size, size), np.uint8)
+    empty[found.row, found.column] = 0
+    _, labels = cv2.distanceTransformWithLabels(empty, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
+    texel = np.zeros(int(labels.max()) + 1, np.int32)
+    texel[labels[found.row, found.column]] = np.arange(count)
+    return Texels(number % len(mesh.faces), triangles[number, 0], mixing, uv_mixing @ mesh.uv, texel[labels])
+
+
+def as_image(texels: Texels, colour: Array) -> NDArray[np.uint8]:
+    """Texture of texel colours (N, ...). A raster with twice the resolution is reduced to half its size. Gaps
+    get the colour of the nearest texel."""
+    size = len(texels.nearest)
+    if size > TEXTURE_SIZE:
+        blocks = colour[texels.nearest].reshape(TEXTURE_SIZE, 2, TEXTURE_SIZE, 2, *colour.shape[1:])
+        return np.clip(np.rint(blocks.mean(axis=(1, 3))), 0, 255).astype(np.uint8)
+    return np.clip(np.rint(colour), 0, 255).astype(np.uint8)[texels.nearest]

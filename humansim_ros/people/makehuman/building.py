@@ -77,7 +77,7 @@ from humansim_ros.people.makehuman.worn import (
     WornPart,
     add_parts,
     loose_parts,
-    strip_height,
+    placed,
     strip_image,
 )
 from humansim_ros.types import Array
@@ -129,13 +129,9 @@ class Choice:
 class _Scalp:
     """Data that all choices with the same hairline have in common.
 
-    Attributes:
-        bare: Body and eyes of the base mesh, on the reference body.
-        rows: (V,) vertices of ``bare`` in the base mesh.
-        fingers: (N, 31) see :func:`finger_shares`.
-        is_ear: (V,) above 0.5 at the ears.
-        man: Reference body.
-        refined: The mesh with a finer scalp, and the matrix that gives its vertices from ``bare``.
+    ``bare``: body and eyes of the base mesh, on the reference body ``man``. ``rows``: (V,) vertices of
+    ``bare`` in the base mesh. ``fingers``: (N, 31) see :func:`finger_shares`. ``is_ear``: (V,) above 0.5 at
+    the ears. ``refined``: the mesh with a finer scalp, and the matrix that gives its vertices from ``bare``.
     """
 
     bare: BodySurface
@@ -162,15 +158,10 @@ class _Scalp:
 class PersonTopology:
     """Data that all people with the same choice have in common.
 
-    Attributes:
-        scalp: Data that they also share with other choices of the same hairline.
-        reference: Regions of the reference body.
-        cut: The mesh with a finer scalp, cut along the borders of clothes, and the matrix from that mesh.
-        ear_cover: (V',) above 0 at the ears, of ``cut``.
-        uv: (T, 2) layout of the texture.
-        edges: (E, 2) of ``cut``.
-        source: MakeHuman's files.
-        raster: See :class:`Choice`.
+    ``scalp``: data that all choices of the same hairline share. ``reference``: regions of the reference body.
+    ``cut``: the mesh with a finer scalp, cut along the borders of clothes, and the matrix from the mesh
+    without cuts. ``ear_cover``: (V',) above 0 at the ears, and ``edges``: (E, 2), both of ``cut``. ``uv``:
+    (T, 2) layout of the texture. ``source``: MakeHuman's files. ``raster``: see :class:`Choice`.
     """
 
     scalp: _Scalp
@@ -270,7 +261,7 @@ def build(
         **{f"texture_{name}": _jpeg(image) for name, image in looks.items()},
         **shape_arrays(Shapes.of_offsets(ACTIONS, figure.offsets), figure.scale),
         "mouth": (figure.mouth - sole).astype(np.float32),
-        "skin": np.pad(common.skin, ((0, strip_height(parts)), (0, 0))),
+        "skin": np.pad(common.skin, ((0, placed(parts)[1]), (0, 0))),
         "materials": figure.materials,
         **figure.off_body,
         **figure.hair,
@@ -293,18 +284,10 @@ def build_unpainted(source: MakeHumanData, config: MakeHumanConfig) -> tuple[dic
 class _Figure:
     """A dressed person before it is painted.
 
-    Attributes:
-        common: Topology of the person.
-        config: Its sliders, with its stature.
-        scale: Size relative to the sliders.
-        mesh: Surface of body and clothes.
-        dressed: Vertices (V, 3) of ``mesh`` in the T pose.
-        own: Regions of this body.
-        bones: Its bones.
-        offsets: Offsets of the face by the actions, in the T pose.
-        mouth: (M, 3) teeth and tongue in the T pose.
-        parts: Off-body parts, such as hats and skirts.
-        solid: Arrays of surface and parts, see :func:`add_parts`.
+    ``config``: sliders with the stature. ``scale``: size relative to the sliders. ``mesh``: surface of body
+    and clothes. In the T pose: ``dressed``, vertices (V, 3) of ``mesh``; ``offsets`` of the face by the
+    actions; ``mouth``, teeth and tongue (M, 3). ``own``: regions of this body. ``parts``: off-body parts,
+    such as hats and skirts. ``solid``: arrays of surface and parts, see :func:`add_parts`.
     """
 
     common: PersonTopology
@@ -328,7 +311,8 @@ class _Figure:
         common = topology(source, choice)
         scalp = common.scalp
         config, scale = with_stature(source, config)
-        base = _scaled(read_base(source, target_strengths(source, config)), scale)
+        base = read_base(source, target_strengths(source, config))
+        base = replace(base, vertices=base.vertices * scale)
         body = _naked(base, scalp.rows, scalp.bare, scalp.fingers)
         own = replace(body.regions(scalp.is_ear, scalp.bare.part, choice), dress=Dress.of(config))
         mesh = common.worn_by(body, own)
@@ -340,17 +324,9 @@ class _Figure:
         weights = _worn_weights(common, mesh, dressed, body.bones, height)
         wearer = Wearer(mesh, dressed, weights, common.ear_cover, common.reference, own)
         parts = worn_parts(config, wearer)
-        solid = add_parts(
-            {
-                "vertices": under_skirts(config, wearer),
-                "faces": mesh.faces,
-                "uv": common.uv,
-                "uv_faces": mesh.uv_faces,
-                "weights": weights,
-            },
-            parts,
-            TEXTURE_SIZE,
-        )
+        surface = {"vertices": under_skirts(config, wearer), "faces": mesh.faces, "weights": weights}
+        surface |= {"uv": common.uv, "uv_faces": mesh.uv_faces}
+        solid = add_parts(surface, parts, TEXTURE_SIZE)
         mouth = mouth_places(base) - body.floor  # the T pose does not move the head
         return cls(common, config, scale, mesh, dressed, own, body.bones, offsets, mouth, parts, solid)
 
@@ -377,7 +353,7 @@ class _Figure:
         texels = self.common.texels
         canvas = replace(self.common.canvas, own=self.own)
         share = as_image(texels, 255 * hair_share(self.mesh, texels, canvas))
-        return {"hair": np.pad(share, ((0, strip_height(self.parts)), (0, 0)))}
+        return {"hair": np.pad(share, ((0, placed(self.parts)[1]), (0, 0)))}
 
     @property
     def loose(self) -> dict[str, NDArray[Any]]:
@@ -413,15 +389,8 @@ class _Figure:
 def _painted(
     common: PersonTopology, mesh: BodySurface, dressed: Array, own: BodyRegions, outfits: Mapping[str, Outfit]
 ) -> dict[str, NDArray[np.uint8]]:
-    """Textures by outfit.
-
-    Args:
-        common: Topology of the person.
-        mesh: Surface of the person.
-        dressed: Vertices of ``mesh`` with clothes, (V, 3), in the T pose.
-        own: Regions of this body.
-        outfits: Colours and fabrics by the name of the outfit.
-    """
+    """Textures by outfit. ``dressed``: vertices (V, 3) of ``mesh`` with clothes, in the T pose. ``own``:
+    regions of this body."""
     texels = common.texels
     canvas = replace(common.canvas, dressed=texels.mixing @ dressed, own=own)
     fine = len(texels.nearest) > TEXTURE_SIZE
@@ -451,10 +420,6 @@ def _jpeg(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.asarray(encoded, dtype=np.uint8).ravel()
 
 
-def _scaled(base: Base, scale: float) -> Base:
-    return base if scale == 1.0 else replace(base, vertices=base.vertices * scale)
-
-
 def _bare(source: MakeHumanData, base: Base) -> tuple[VertexIndices, BodySurface]:
     """Rows (V,) of the base mesh that are body and eyes, and their surface with faces, weights and shapes."""
     keep = np.isin(base.face_groups, ("body", "helper-l-eye", "helper-r-eye"))
@@ -465,9 +430,8 @@ def _bare(source: MakeHumanData, base: Base) -> tuple[VertexIndices, BodySurface
     for number, side in enumerate("lr", 1):
         group = f"helper-{side}-eye"
         part[faces[base.face_groups[keep] == group]] = number
-        weights[base.vertex_groups[group]] = np.eye(len(BONE_NAMES))[
-            BONE_NAMES.index(f"{side}_eyeball_joint")
-        ]
+        bone = BONE_NAMES.index(f"{side}_eyeball_joint")
+        weights[base.vertex_groups[group]] = np.eye(len(BONE_NAMES))[bone]
     naked = base.vertices[rows]
     return rows, BodySurface(
         vertices=naked,
@@ -486,14 +450,9 @@ def _bare(source: MakeHumanData, base: Base) -> tuple[VertexIndices, BodySurface
 
 
 def _naked(base: Base, rows: VertexIndices, bare: BodySurface, fingers: Array) -> _Body:
-    """Body and eyes without the other helpers. In the T pose the bare soles are at height 0.
-
-    Args:
-        base: Base mesh with its targets.
-        rows: Its vertices (V,) that are body and eyes.
-        bare: Their surface.
-        fingers: See :func:`finger_shares`.
-    """
+    """Body and eyes of a base mesh without the other helpers. In the T pose the bare soles are at height 0.
+    ``rows``, ``bare``: vertices (V,) of body and eyes, and their surface. ``fingers``: see
+    :func:`finger_shares`."""
     points = landmarks(base)
     transforms, hinges = relaxed_fingers(points)
     motion, bones = t_pose(make_bones(points, transforms, hinges))

@@ -29,7 +29,6 @@ from humansim_ros.people.makehuman.surface import (
     push_outwards,
     ramp,
     shrink_onto,
-    smooth,
     smooth_rows,
     smooth_towards,
     vertex_normals,
@@ -308,18 +307,14 @@ def snap_to_border(
     """Move vertices along edges onto the zero line of one field, so that no edge crosses the line.
     ``fields``: (V, K) values at the vertices. Returns the mesh, its new fields, and the matrix (V, V) that
     moves the vertices."""
-    corners = [0, 1, 2, 3]
-    pairs = [
-        (mesh.faces[:, i], mesh.faces[:, j], mesh.uv_faces[:, i], mesh.uv_faces[:, j])
-        for i in corners
-        for j in ((i + 1) % 4, (i + 3) % 4)
-    ]
-    v, u, tv, tu = (np.concatenate(x) for x in zip(*pairs, strict=True))
+    i, j = np.array([(i, (i + step) % 4) for i in range(4) for step in (1, 3)]).T
+    v, u, tv, tu = (faces[:, k].T.ravel() for faces in (mesh.faces, mesh.uv_faces) for k in (i, j))
     value = fields[:, column]
     crossing = (value[v] * value[u] < 0) & (np.abs(value[v]) <= np.abs(value[u])) & (mesh.part[v] == 0)
     copies: dict[int, set[int]] = {}
-    for vertex, texture in zip(v[np.isin(v, v[crossing])], tv[np.isin(v, v[crossing])], strict=True):
-        copies.setdefault(int(vertex), set()).add(int(texture))
+    ends = np.isin(v, v[crossing])
+    for vertex, texture in zip(v[ends].tolist(), tv[ends].tolist(), strict=True):
+        copies.setdefault(vertex, set()).add(texture)
     best: dict[int, tuple[float, int, float]] = {}
     targets: dict[tuple[int, int], dict[int, int]] = {}
     for row in np.flatnonzero(crossing):
@@ -343,13 +338,10 @@ def snap_to_border(
     )
     new_fields = carry @ fields
     new_fields[moved, column] = 0.0
-    return replace(carried(mesh, carry), uv=uv), new_fields, carry
-
-
-def carried(mesh: BodySurface, carry: sparse.csr_matrix) -> BodySurface:
-    """The mesh, with all values of its vertices multiplied by a matrix (V', V)."""
-    names = ("vertices", "canonical", "naked", "weights", "shapes")
-    return replace(mesh, **{name: carry @ getattr(mesh, name) for name in names})
+    values = {
+        name: carry @ getattr(mesh, name) for name in ("vertices", "canonical", "naked", "weights", "shapes")
+    }
+    return replace(mesh, **values, uv=uv), new_fields, carry
 
 
 def split_along(
@@ -425,32 +417,16 @@ def cut_clothes(mesh: BodySurface, reference: BodyRegions) -> tuple[BodySurface,
     return cut, carry[old]
 
 
-def wrap_in_shoe(
-    vertices: Array,
-    faces: VertexIndices,
-    naked: Array,
-    foot: VertexIndices,
-    ball: Array,
-    amount: Array,
-    size: float,
+def _wrap_in_shoe(
+    vertices: Array, mesh: BodySurface, foot: VertexIndices, ball: Array, amount: Array, size: float
 ) -> Array:
-    """Wrap one foot in a convex shoe.
+    """Wrap one foot in a convex shoe: vertices (V, 3) of the body with the shoe.
 
     The toes are first smoothed flat, then projected onto the shoe, so that the small faces between them do
-    not fold.
-
-    Args:
-        vertices: Vertices of the body, (V, 3).
-        faces: Quads (F, 4).
-        naked: Vertices of the naked body, (V, 3).
-        foot: Vertices of the foot below the ankle.
-        ball: Joint of the big toe, (3,).
-        amount: Blend factor (V,) between body and shoe.
-        size: Length of the foot relative to the reference body.
-
-    Returns:
-        Vertices (V, 3) with the shoe.
+    not fold. ``foot``: vertices below the ankle. ``ball``: joint of the big toe, (3,). ``amount``: blend
+    factor (V,) between body and shoe. ``size``: length of the foot relative to the reference body.
     """
+    naked = mesh.vertices
     skin = naked[foot]
     floor, tip = skin[:, 1].min(), skin[:, 2].max()
     low = outline(skin[skin[:, 1] < floor + 0.05 * size][:, [0, 2]], SHOE_MARGIN * size)
@@ -479,7 +455,7 @@ def wrap_in_shoe(
 
     free = np.zeros(len(vertices))
     free[foot] = naked[foot, 2] > ball[2] - 0.012 * size
-    mean = mean_matrix(neighbours(faces, len(vertices)))
+    mean = mean_matrix(neighbours(mesh.surface, len(vertices)))
     wrapped = smooth_towards(mean, naked, free, 300)
     rows = foot[amount[foot] > 0.9]
     free[rows] = 1.0
@@ -492,7 +468,7 @@ def wrap_in_shoe(
     return vertices + amount[:, None] * (wrapped - vertices)
 
 
-def drape_long_hair(
+def _drape_long_hair(
     mesh: BodySurface,
     reference: BodyRegions,
     own: BodyRegions,
@@ -501,20 +477,8 @@ def drape_long_hair(
     is_ear: Array,
     lumps: Array,
 ) -> Array:
-    """Drape long hair over the head and ears, straight down from the widest part of the head.
-
-    Args:
-        mesh: Surface of the body.
-        reference: Regions of the reference body.
-        own: Regions of this body.
-        dressed: Vertices with clothes, (V, 3).
-        covered: Distance of each vertex inside the hairline, (V,).
-        is_ear: Above 0 at the ears, (V,).
-        lumps: Factor of the thickness, (V,).
-
-    Returns:
-        Vertices with hair, (V, 3).
-    """
+    """Drape long hair over the head and ears, straight down from the widest part of the head. ``covered``:
+    distance (V,) inside the hairline. ``lumps``: factor (V,) of the thickness. Returns vertices (V, 3)."""
     p, q = mesh.canonical, mesh.naked
     size = (own.skull_top - own.eye[1]) / (reference.skull_top - reference.eye[1])
     free = np.where(p[:, 1] < reference.ear[1] + 0.08, ramp(covered, 0.0, 0.004), 0.0)
@@ -535,17 +499,13 @@ def drape_long_hair(
 def dress(
     mesh: BodySurface, reference: BodyRegions, own: BodyRegions, is_ear: Array, balls: tuple[Array, Array]
 ) -> Array:
-    """Add clothes, shoes and hair to the body.
+    """Add clothes, shoes and hair to the body. Returns vertices (V, 3) in the A pose.
 
     Args:
         mesh: Surface of the body, cut along the borders of clothes.
-        reference: Regions of the reference body.
-        own: Regions of this body.
+        reference, own: Regions of the reference body and of this body.
         is_ear: Above 0 at the ears, (V,).
         balls: Joints of the left and right big toe, (3,) each.
-
-    Returns:
-        Vertices (V, 3) in the A pose.
     """
     p, body = mesh.canonical, mesh.part == 0
     size = own.foot_length / reference.foot_length
@@ -557,7 +517,8 @@ def dress(
     welded, cloth = np.zeros_like(vertices), np.zeros(len(vertices))
     welded[mesh.weld] = vertices
     cloth[mesh.weld[shirt | trousers]] = 1.0
-    normals = smooth(vertex_normals(welded, joined), joined, 0.5 * cloth, 12)[mesh.weld]
+    mean = mean_matrix(neighbours(joined, len(vertices)))
+    normals = smooth_towards(mean, vertex_normals(welded, joined), 0.5 * cloth, 12)[mesh.weld]
     # trouser legs are tubes around the shins
     q = mesh.naked
     shin = q * [1, 0, 1] - np.stack([np.sign(q[:, 0]) * own.leg_x(q), 0 * hem, own.leg_z(q)], axis=1)
@@ -588,12 +549,12 @@ def dress(
     dressed = vertices + thickness[:, None] * normals
     if reference.long_hair:
         inside = np.where(body & (mesh.garment == NONE), covered, 0.0)
-        dressed = drape_long_hair(mesh, reference, own, dressed, inside, is_ear, lumps)
+        dressed = _drape_long_hair(mesh, reference, own, dressed, inside, is_ear, lumps)
     in_shoe = np.where(mesh.garment == SHOES, ramp(ankle, 0.0, -0.015), 0.0)
     if not worn.footwear.covers:
         return dressed
     for side, ball in zip((1, -1), balls, strict=True):
         foot = np.flatnonzero(body & (p[:, 0] * side > 0) & (ankle < 0.015))
         this_shoe = in_shoe * (p[:, 0] * side > 0)
-        dressed = wrap_in_shoe(dressed, mesh.surface, mesh.vertices, foot, ball, this_shoe, size)
+        dressed = _wrap_in_shoe(dressed, mesh, foot, ball, this_shoe, size)
     return dressed

@@ -149,9 +149,8 @@ def paint_skin(c: Canvas, outfit: Outfit) -> Array:
     if outfit.wrinkles > 0:
         colour = blend(colour, skin * [0.70, 0.58, 0.52], outfit.wrinkles * _wrinkles(c))
     lips = np.clip(c.mask("lips") * 1.2 - 0.1, 0, 1)
-    red = skin * [0.84, 0.62, 0.62] + outfit.lips * (
-        np.array([168.0, 44.0, 58.0]) - skin * [0.84, 0.62, 0.62]
-    )
+    bare = skin * [0.84, 0.62, 0.62]
+    red = bare + outfit.lips * (np.array([168.0, 44.0, 58.0]) - bare)
     colour = blend(colour, red, (0.65 + 0.3 * outfit.lips) * lips)
     colour = blend(colour, skin * [1.06, 1.02, 1.02], 0.6 * c.mask("fingernails"))
     colour = blend(colour, (70, 26, 26), c.mask("inside-mouth"))
@@ -167,9 +166,8 @@ def _wrinkles(c: Canvas) -> Array:
     forehead = line((bent % 0.011) - 0.0055, 0.0012) * ramp(up, 0.030, 0.036) * ramp(up, 0.062, 0.056)
     forehead *= ramp(side, 0.045, 0.035)
     fan = np.arctan2(up + 0.002, side - 0.046)
-    corner = (
-        line(((fan * 0.02) % 0.007) - 0.0035, 0.001) * ramp(side, 0.049, 0.052) * ramp(side, 0.070, 0.060)
-    )
+    corner = line(((fan * 0.02) % 0.007) - 0.0035, 0.001) * ramp(side, 0.049, 0.052)
+    corner *= ramp(side, 0.070, 0.060)
     corner *= ramp(np.abs(up), 0.022, 0.014)
     fold = line(side - 0.020 - 0.45 * (-up - 0.045).clip(0, 0.035), 0.0022)
     fold *= ramp(up, -0.043, -0.047) * ramp(up, -0.085, -0.078)
@@ -204,15 +202,8 @@ def _brows(p: Array, eye: Array) -> tuple[Array, Array]:
     return brow * ramp(along, -0.08, 0.04) * ramp(along, 1.05, 0.9), strands
 
 
-def paint_eye(c: Canvas, outfit: Outfit, centre: Array, axis: Array) -> Array:
-    """Colours (N, 3) of an eyeball.
-
-    Args:
-        c: Texels of the eye.
-        outfit: Colour of the iris.
-        centre: Centre of the eyeball, (3,).
-        axis: Unit viewing direction, (3,).
-    """
+def _eye(c: Canvas, outfit: Outfit, centre: Array, axis: Array) -> Array:
+    """Colours (N, 3) of an eyeball with its centre (3,). ``axis``: unit viewing direction (3,)."""
     ray = c.body - centre
     angle = np.arccos(np.clip(ray @ axis / np.linalg.norm(ray, axis=1), -1, 1))
     colour = np.tile([226.0, 221.0, 214.0], (len(ray), 1))
@@ -279,11 +270,9 @@ def weave(
 
     Args:
         p: Points (N, 3) of the body.
-        along: Coordinate (N,) down the trunk and the limbs, metres.
-        around: Coordinate (N,) around them, metres.
+        along, around: Coordinates (N,) down the trunk and the limbs, and around them, metres.
         fabric: Pattern.
-        first: Main colour.
-        second: Second colour of patterns.
+        first, second: Main colour, and second colour of patterns.
         seed: Seed of the noise.
     """
     base, other = np.array(first, float), np.array(second, float)
@@ -426,21 +415,15 @@ def paint_trousers(c: Canvas, outfit: Outfit) -> Array:
     seam = line(front, 0.003) * (below > 0.05)  # down both sides of each leg
     fly = line(p[:, 0] - 0.018, 0.0025) * ramp(below, 0.14, 0.135) * (front > 0)
     hem = line(t.above_hem(p) - 0.02, 0.003)
-    pocket = (
-        line(below - 0.06 - 1.1 * (from_leg - 0.02), 0.003)
-        * (from_leg > -0.035)
-        * (from_leg < 0.075)
-        * (front > 0)
-    )
+    pocket = line(below - 0.06 - 1.1 * (from_leg - 0.02), 0.003)
+    pocket *= (from_leg > -0.035) & (from_leg < 0.075) & (front > 0)
     across, down = np.abs(np.abs(p[:, 0]) - 0.085) - 0.055, np.abs(below - 0.155) - 0.06
     back_pocket = line(np.maximum(across, down + 0.25 * across), 0.003) * (front < -0.03)
     stitches = np.maximum.reduce([fly, hem, pocket, back_pocket])
     colour = blend(colour, np.array(outfit.trousers) * 0.55, np.maximum(0.7 * seam, 0.75 * stitches))
     belt = ramp(below, 0.036, 0.034)
-    leather = (
-        np.array(outfit.belt) * (1 + 0.08 * c.noise(0.006, 18) - 0.35 * line(below - 0.035, 0.004))[:, None]
-    )
-    colour = blend(colour, leather, belt)
+    grains = 1 + 0.08 * c.noise(0.006, 18) - 0.35 * line(below - 0.035, 0.004)
+    colour = blend(colour, np.array(outfit.belt) * grains[:, None], belt)
     buckle = np.maximum(np.abs(p[:, 0]) - 0.022, np.abs(below - 0.017) - 0.018)
     return blend(colour, (168, 160, 144), ramp(np.abs(buckle + 0.003), 0.0035, 0.0025) * (p[:, 2] > 0))
 
@@ -461,11 +444,8 @@ def paint_shoes(c: Canvas, outfit: Outfit) -> Array:
     laces = np.clip(np.sin(up / 0.013 * np.pi) * 3 - 1.5, 0, 1) * (forward < -0.002)
     laces *= (forward > -0.105) * (height < 0.08 + 0.7 * shaft) if shaft else forward > -0.085
     laces *= ramp(np.abs(across), 0.022, 0.020) * (height > 0.038)
-    colour *= (
-        1
-        - 0.35
-        * np.maximum(cap, line(np.abs(across) - 0.024, 0.003) * (height > 0.038) * (forward < 0))[:, None]
-    )
+    edge = line(np.abs(across) - 0.024, 0.003) * (height > 0.038) * (forward < 0)
+    colour *= 1 - 0.35 * np.maximum(cap, edge)[:, None]
     colour = blend(colour, (210, 204, 192), laces)
     sole = np.array(outfit.soles) * (1 + 0.04 * grain(q, 0.006, 21))[:, None]
     colour = blend(colour, sole, ramp(height, 0.0235, 0.0215))
@@ -477,18 +457,13 @@ def paint_shoes(c: Canvas, outfit: Outfit) -> Array:
 def paint(
     mesh: BodySurface, texels: Texels, canvas: Canvas, light: Array, outfit: Outfit, gaze: Array
 ) -> Array:
-    """Paint all texels.
+    """Paint all texels: colours (N, 3).
 
     Args:
-        mesh: Surface of the body.
-        texels: Texels of the texture.
-        canvas: Geometry of the texels.
+        mesh, texels, canvas: Surface of the body, texels of its texture, and their geometry.
         light: Factor (N,) of the colours, from ambient occlusion.
         outfit: Colours and fabrics.
         gaze: Points (2, 3) that the eyes of the reference body look at.
-
-    Returns:
-        Colours (N, 3).
     """
     garment = mesh.face_garment[texels.face]
     part = mesh.part[texels.vertex]
@@ -508,7 +483,7 @@ def paint(
         centre = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
         axis = gaze[number - 1] - centre
         axis /= np.linalg.norm(axis)
-        eye = functools.partial(paint_eye, outfit=outfit, centre=centre, axis=axis)
+        eye = functools.partial(_eye, outfit=outfit, centre=centre, axis=axis)
         fill(f"eye {number}", part == number, eye)
     return np.asarray(colour * light[:, None])
 

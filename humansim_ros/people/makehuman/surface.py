@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import functools
-import itertools
 from dataclasses import dataclass, replace
+from itertools import chain, pairwise
 
 import cv2
 import numpy as np
@@ -94,32 +94,14 @@ def mean_matrix(graph: sparse.csr_matrix) -> sparse.csr_matrix:
     return (sparse.diags(1 / np.maximum(np.asarray(graph.sum(axis=1)).ravel(), 1)) @ graph).tocsr()
 
 
-def smooth(vertices: Array, faces: VertexIndices, amount: Array, rounds: int) -> Array:
-    """Smooth vertices in the same way as :func:`smooth_towards`.
-
-    Args:
-        vertices: (V, 3).
-        faces: Quads (F, 4).
-        amount: Factor (V,) of each step, 0 to 1.
-        rounds: Number of steps.
-
-    Returns:
-        Vertices (V, 3).
-    """
-    return smooth_towards(mean_matrix(neighbours(faces, len(vertices))), vertices, amount, rounds)
-
-
 def smooth_towards(mean: sparse.csr_matrix, vertices: Array, amount: Array, rounds: int) -> Array:
-    """Smooth vertices towards the mean of their neighbours.
+    """Smooth vertices (V, 3) towards the mean of their neighbours.
 
     Args:
         mean: Matrix (V, V) of :func:`mean_matrix`.
         vertices: (V, 3).
         amount: Factor (V,) of each step, 0 to 1.
         rounds: Number of steps.
-
-    Returns:
-        Vertices (V, 3).
     """
     rows, out = np.flatnonzero(amount), vertices.copy()
     smooth_rows(mean[rows], out, rows, amount[rows, None], rounds)
@@ -127,12 +109,12 @@ def smooth_towards(mean: sparse.csr_matrix, vertices: Array, amount: Array, roun
 
 
 def smooth_rows(mean: sparse.csr_matrix, out: Array, rows: VertexIndices, amount: Array, rounds: int) -> None:
-    """Smooth the rows (M,) of vertices (V, 3) in place.
+    """Smooth some of the vertices (V, 3) in place.
 
     Args:
-        mean: These rows (M, V) of the matrix of :func:`mean_matrix`.
+        mean: Rows (M, V) of the matrix of :func:`mean_matrix`.
         out: Vertices.
-        rows: Rows that move.
+        rows: Numbers (M,) of the vertices that move.
         amount: Factor (M, 1) of each step.
         rounds: Number of steps.
     """
@@ -259,20 +241,19 @@ def refine(mesh: BodySurface, chosen: NDArray[np.bool_]) -> tuple[BodySurface, s
         for k in range(4):
             ring.append(quad[k])
             uv_ring.append(uv_quad[k])
-            edge = (quad[k], quad[(k + 1) % 4])
+            after = (k + 1) % 4
+            edge = [quad[k], quad[after]]
             if tuple(sorted(edge)) in middles:
                 first = len(ring)
-                ring.append(middle(list(edge), middles, rows))
-                uv_ring.append(middle([uv_quad[k], uv_quad[(k + 1) % 4]], uv_middles, uv_rows))
+                ring.append(middle(edge, middles, rows))
+                uv_ring.append(middle([uv_quad[k], uv_quad[after]], uv_middles, uv_rows))
         if first < 0:
             faces.append(quad)
             uv_faces.append(uv_quad)
             continue
         for polygon, out in ((ring, faces), (uv_ring, uv_faces)):
-            polygon = polygon[first:] + polygon[:first]
-            out += [
-                [polygon[0], polygon[k], polygon[k + 1], polygon[k + 1]] for k in range(1, len(polygon) - 1)
-            ]
+            start, *others = polygon[first:] + polygon[:first]
+            out += [[start, a, b, b] for a, b in pairwise(others)]
 
     new_faces, count = np.array(faces), len(rows)
     means, uv_means = (
@@ -306,7 +287,7 @@ def refine(mesh: BodySurface, chosen: NDArray[np.bool_]) -> tuple[BodySurface, s
 def _mean_of_rows(table: list[list[int]], count: int) -> sparse.csr_matrix:
     """Matrix (N, ``count``) that gives N means. Each row of the table lists the numbers that are averaged."""
     sizes = np.array([len(row) for row in table])
-    columns = np.fromiter(itertools.chain.from_iterable(table), np.int64, int(sizes.sum()))
+    columns = np.fromiter(chain.from_iterable(table), np.int64, int(sizes.sum()))
     starts = np.concatenate([[0], np.cumsum(sizes)])
     return sparse.csr_matrix((np.repeat(1 / sizes, sizes), columns, starts), shape=(len(table), count))
 
@@ -364,19 +345,13 @@ def around(points: Array, axis: float) -> tuple[Array, Array]:
 def shrink_onto(
     vertices: Array, mean: sparse.csr_matrix, free: Array, outline: Outline, rounds: int
 ) -> Array:
-    """Smooth a surface towards the mean of its neighbours, but keep it outside an outline.
-
-    Folded small faces spread over the surface.
+    """Smooth vertices (V, 3) towards the mean of their neighbours, but keep them outside an outline. Folded
+    small faces spread over the surface.
 
     Args:
-        vertices: (V, 3).
-        mean: Matrix (V, V) from :func:`mean_matrix`.
+        vertices, mean, rounds: The same as in :func:`smooth_towards`.
         free: Mobility of each vertex, (V,), 0 to 1.
         outline: Outline that vertices stay outside of.
-        rounds: Number of smoothing steps.
-
-    Returns:
-        Vertices (V, 3).
     """
     skin = vertices.copy()
     rows = np.flatnonzero(free > 0)
@@ -407,13 +382,9 @@ HANDS_SHIFT = -0.064
 EYE_BOX = 0.06
 
 
-def uv_islands(uv_faces: VertexIndices, count: int) -> VertexIndices:
-    """Island (T,) of each texture coordinate."""
-    return csgraph.connected_components(neighbours(uv_faces, count), directed=False)[1]
-
-
-def _with_hems(island: VertexIndices, uv: Array) -> VertexIndices:
-    """Islands (T,) in which both points of a hem belong to the island around them."""
+def _islands(uv_faces: VertexIndices, uv: Array) -> VertexIndices:
+    """Island (T,) of each texture coordinate. Both points of a hem belong to the island around them."""
+    island = csgraph.connected_components(neighbours(uv_faces, len(uv)), directed=False)[1]
     small = np.bincount(island)[island] < 3
     out = island.copy()
     out[small] = island[~small][cKDTree(uv[~small]).query(uv[small])[1]]
@@ -423,7 +394,7 @@ def _with_hems(island: VertexIndices, uv: Array) -> VertexIndices:
 def relay_uv(uv: Array, uv_faces: VertexIndices, is_eye: NDArray[np.bool_]) -> Array:
     """Enlarge face and eyes in the texture. uv (T, 2), uv_faces (F, 4), is_eye (F,) -> uv (T, 2)."""
     u, h = uv[:, 0].copy(), 1 - uv[:, 1]
-    island = _with_hems(uv_islands(uv_faces, len(uv)), uv)
+    island = _islands(uv_faces, uv)
     new_u, new_h = u.copy(), h.copy()
     eyes = np.unique(island[uv_faces[is_eye]])
     for number in np.unique(island):
@@ -460,13 +431,8 @@ class Texels:
 
 
 def rasterise(mesh: BodySurface, uv: Array, size: int) -> Texels:
-    """Find the triangle at the centre of each texel.
-
-    Args:
-        mesh: Surface with its faces.
-        uv: Texture coordinates (T, 2), v up.
-        size: Side of the texture, texels.
-    """
+    """Find the triangle at the centre of each texel. ``uv``: texture coordinates (T, 2), v up. ``size``: side
+    of the texture, texels."""
     fan = ([0, 1, 2], [0, 2, 3])
     triangles = np.concatenate([mesh.faces[:, c] for c in fan])
     uv_triangles = np.concatenate([mesh.uv_faces[:, c] for c in fan])

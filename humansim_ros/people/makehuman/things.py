@@ -9,12 +9,28 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from humansim_ros.files.mesh import WornName
-from humansim_ros.motion.body import CLOTH
-from humansim_ros.motion.body import HAIR as HAIR_ENDS
 from humansim_ros.people.makehuman.shape import MakeHumanConfig
 from humansim_ros.people.makehuman.surface import TROUSERS, Outline, noise, ramp
-from humansim_ros.people.makehuman.wardrobe import BOTTOMS, FOOTWEAR, HAIR, TOPS, WORN, HairStyle, Worn
-from humansim_ros.people.makehuman.worn import _COLUMNS, _ROWS, Hanging, PartMaterial, Wearer, WornPart
+from humansim_ros.people.makehuman.wardrobe import (
+    BOTTOMS,
+    FOOTWEAR,
+    HAIR,
+    TOPS,
+    WORN,
+    Bottom,
+    HairStyle,
+    Top,
+    Worn,
+)
+from humansim_ros.people.makehuman.worn import (
+    COLUMNS,
+    ROWS,
+    PartMaterial,
+    Wearer,
+    WornPart,
+    hanging_cloth,
+    hanging_hair,
+)
 from humansim_ros.types import Array
 
 #: Surfaces around the head continue below the skin, hidden, to this depth in metres.
@@ -32,7 +48,7 @@ def worn_parts(config: MakeHumanConfig, wearer: Wearer) -> list[WornPart]:
     return parts
 
 
-def _on_head(
+def _around_head(
     wearer: Wearer, thickness: Array, material: PartMaterial, reach: Array | None = None
 ) -> WornPart:
     """Surface around the head. All bodies have the same faces. What is not shown is hidden in the head."""
@@ -42,7 +58,7 @@ def _on_head(
     # far from its edge, the hidden rest is deep in the head
     deep = np.minimum(dome.reach - _DEEP, _DEEPEST) * wearer.head_size
     points = np.where((near[1:-1, 1:-1] > 0)[..., None], points, dome.centre + deep[..., None] * dome.ray)
-    return WornPart(points, wearer.rigid(points.shape[:2], vt3=1.0), material)
+    return wearer.on_head(points, material)
 
 
 def _line_of_hats(wearer: Wearer) -> Array:
@@ -79,7 +95,7 @@ def _hair(config: MakeHumanConfig, wearer: Wearer) -> Iterator[WornPart]:
             shown &= _line_of_hats(wearer) < 0.004
             volume *= ramp(_line_of_hats(wearer), 0.0, -0.03)
         if shown.any():
-            yield _on_head(wearer, np.where(shown, size * volume, -_HIDDEN), "hair")
+            yield _around_head(wearer, np.where(shown, size * volume, -_HIDDEN), "hair")
     yield from _tied(style, wearer, bool(heads))
 
 
@@ -89,47 +105,65 @@ def _tied(style: HairStyle, wearer: Wearer, hat: bool) -> Iterator[WornPart]:
     top, behind = dome.points(np.zeros_like(dome.reach)), [0, -1]
 
     def at(row: float, column: int) -> Array:
-        point: Array = top[round(row * (_ROWS - 1)), column]
+        point: Array = top[round(row * (ROWS - 1)), column]
         return point
 
     if style.tie == "bun":
-        yield _ball(wearer, at(0.40, 0) * [0, 1, 1] - [0, 0, 0.018 * size], 0.036 * size, "hair")
+        yield _ball(wearer, at(0.40, 0) * [0, 1, 1] - [0, 0, 0.018 * size], 0.036 * size)
     elif style.tie == "top_knot" and not hat:
-        yield _ball(wearer, at(0.08, 0) * [0, 1, 1] + [0, 0.016 * size, 0], 0.032 * size, "hair")
+        yield _ball(wearer, at(0.08, 0) * [0, 1, 1] + [0, 0.016 * size, 0], 0.032 * size)
     elif style.tie == "tail":
-        yield _strand(wearer, top[round(0.34 * _ROWS), behind].mean(axis=0) * [0, 1, 1], style.length, 0.026)
+        yield _strand(wearer, top[round(0.34 * ROWS), behind].mean(axis=0) * [0, 1, 1], style.length, 0.026)
     elif style.tie in ("pigtails", "plaits"):
-        for column in (_COLUMNS // 6, _COLUMNS - 1 - _COLUMNS // 6):
+        for column in (COLUMNS // 6, COLUMNS - 1 - COLUMNS // 6):
             row = 0.46 if style.tie == "pigtails" else 0.56
             lumpy = style.tie == "plaits"
             yield _strand(wearer, at(row, column), style.length, 0.019 if lumpy else 0.026, lumpy)
     elif style.length > 0:
-        start = top[round(0.52 * _ROWS), behind].mean(axis=0) * [0, 1, 1] + [0, 0, 0.012 * size]
+        start = top[round(0.52 * ROWS), behind].mean(axis=0) * [0, 1, 1] + [0, 0, 0.012 * size]
         yield _strand(wearer, start, style.length, 0.03, wide=2.8)
 
 
-def _ball(wearer: Wearer, centre: Array, radius: float, material: PartMaterial) -> WornPart:
+def _ball(wearer: Wearer, centre: Array, radius: float) -> WornPart:
     rise, turn = _sphere(9, 16)
     ball = np.stack([np.sin(rise) * np.cos(turn), np.cos(rise), np.sin(rise) * np.sin(turn)], axis=2)
     lumps = 1 + 0.10 * np.sin(3 * turn + 5 * rise)
-    points = centre + radius * lumps[..., None] * ball
-    return WornPart(points, wearer.rigid(points.shape[:2], vt3=1.0), material)
+    return wearer.on_head(centre + radius * lumps[..., None] * ball, "hair")
 
 
 def _sphere(rows: int, columns: int) -> tuple[Array, Array]:
     """Angles (R, C) of points of a sphere: from the top, and around."""
     rise = (np.arange(rows) + 0.5) / rows * np.pi
-    turn = np.arange(columns) / columns * 2 * np.pi
-    return np.repeat(rise[:, None], columns, axis=1), np.repeat(turn[None], rows, axis=0)
+    return np.repeat(rise[:, None], columns, axis=1), np.repeat(_turn(columns)[None], rows, axis=0)
+
+
+def _turn(count: int) -> Array:
+    """Angles (N,) of points around a ring."""
+    return np.arange(count) / count * 2 * np.pi
+
+
+def _power(values: Array, exponent: float) -> Array:
+    """Power that keeps the sign."""
+    return np.sign(values) * np.abs(values) ** exponent
+
+
+def _outwards(points: Array, middle: Array) -> Array:
+    """Horizontal unit directions (..., 3) of points (..., 3) away from a middle."""
+    out = (points - middle) * [1, 0, 1]
+    return np.asarray(out / np.linalg.norm(out, axis=-1, keepdims=True))
+
+
+def _resampled(path: Array, count: int) -> Array:
+    """Points (``count``, 3) evenly spread over the numbers of the points of a path (N, 3)."""
+    even = np.linspace(0, len(path) - 1, count)
+    return np.stack([np.interp(even, np.arange(len(path)), path[:, k]) for k in range(3)], axis=1)
 
 
 def _strand(
     wearer: Wearer, start: Array, length: float, radius: float, lumpy: bool = False, wide: float = 1.0
 ) -> WornPart:
     """Hair that hangs from the head, outside the neck and the back."""
-    size, own = wearer.head_size, wearer.own
-    count = 20
-    side = float(np.sign(start[0]))
+    size, own, count = wearer.head_size, wearer.own, 20
     out = start - wearer.head.centre
     out = out * [1, 0, 1] / max(float(np.linalg.norm(out[[0, 2]])), 1e-6)
     end = own.ear[1] - length * size
@@ -146,48 +180,28 @@ def _strand(
         if path[k, 1] < own.ear[1] - 0.05 * size:
             edge = wearer.surface_z(float(path[k, 0]), float(path[k, 1]), -1)
             path[k, 2] = min(path[k, 2], edge - (0.7 if wide == 1 else 0.25) * radii[k])
-        path[k, 2] = min(path[k, 2], path[k - 1, 2] + 0.004) if side == 0 else path[k, 2]
-    points = sweep(path, wide * radii, radii * (0.75 if wide > 1 else 1.0), np.array([1.0, 0, 0]))
+        if start[0] == 0:
+            path[k, 2] = min(path[k, 2], path[k - 1, 2] + 0.004)
+    points = _sweep(path, wide * radii, radii * (0.75 if wide > 1 else 1.0), np.array([1.0, 0, 0]))
     low = own.shoulder_y + 0.02
-    head = ramp(points[..., 1], low - 0.10 * size, own.ear[1] - 0.04 * size)[..., None]
-    chest, skull = (wearer.rigid(points.shape[:2], **{name: 1.0}) for name in ("vl5", "vt3"))
-    return WornPart(points, head * skull + (1 - head) * chest, "hair", hanging=_hanging_hair(points, out))
+    head = ramp(points[..., 1], low - 0.10 * size, own.ear[1] - 0.04 * size)
+    weights = wearer.rigid(points.shape[:2], vt3=head, vl5=1 - head)
+    return WornPart(points, weights, "hair", hanging=hanging_hair(points, out))
 
 
-def _hanging_hair(points: Array, out: Array) -> Hanging:
-    """Hair (R, C, 3) with a lower end that swings. ``out``: direction (3,) away from the head."""
-    rows, columns = points.shape[:2]
-    count = rows * columns + 2  # the points that close both ends come last
-    share = (np.linspace(0, 1, rows) / 0.85 - 0.15 / 0.85).clip(0) ** 1.3
-    shares = np.zeros((count, 2))
-    shares[:, 0] = [*np.repeat(share, columns), 0.0, 1.0]
-    outwards = out / np.linalg.norm(out)
-    nothing = np.zeros((count, 3))
-    ends = np.array([[count - 2, count - 1]])
-    return Hanging(HAIR_ENDS, ends, outwards[None], np.zeros((count, 2), int), shares, nothing, nothing[:, 0])
-
-
-def sweep(
+def _sweep(
     path: Array, width: Array, depth: Array, side: Array, corners: int = 14, square: float = 1.0
 ) -> Array:
-    """Points (N, C, 3) of a tube along a path.
-
-    Args:
-        path: (N, 3).
-        width: Half width (N,) along ``side``.
-        depth: Half width (N,) across it.
-        side: Direction (3,) or (N, 3). It is made perpendicular to the path.
-        corners: Number C of points of a section.
-        square: Exponent of the section. 1 is an ellipse; a smaller exponent is a box with round corners.
-    """
+    """Points (N, C, 3) of a tube along a path (N, 3), with half widths (N,): ``width`` along ``side``, and
+    ``depth`` across. ``side``: (3,) or (N, 3), made perpendicular to the path. ``corners``: number C of
+    points of a section. ``square``: exponent of the section, 1 for an ellipse, less for a rounded box."""
     ahead = np.gradient(path, axis=0)
     ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
     sides = np.broadcast_to(side, path.shape)
     sides = sides - np.einsum("ni,ni->n", sides, ahead)[:, None] * ahead
     sides = sides / np.linalg.norm(sides, axis=1, keepdims=True)
     out = np.cross(sides, ahead)
-    turn = np.arange(corners) / corners * 2 * np.pi
-    c, s = (np.sign(f) * np.abs(f) ** square for f in (np.cos(turn), np.sin(turn)))
+    c, s = (_power(f(_turn(corners)), square) for f in (np.cos, np.sin))
     return np.asarray(
         path[:, None]
         + (width[:, None] * c)[..., None] * sides[:, None]
@@ -198,14 +212,12 @@ def sweep(
 def _hat(name: WornName, worn: Worn, wearer: Wearer) -> Iterator[WornPart]:
     size, dome = wearer.head_size, wearer.head
     above = _line_of_hats(wearer)
-    reach = dome.smooth(1.5)
+    reach = dome.smooth(4.0 if name == "hard_hat" else 1.5)  # a stiff shell is smoother
     ease = size * worn.ease
-    if name == "hard_hat":  # stiff: a smooth shell
-        reach = dome.smooth(4.0)
     thickness = np.where(above > 0, ease * ramp(above, -0.01, 0.02), -_HIDDEN)
     if worn.fabric == "knit":  # a cuff
         thickness = np.where((above > 0) & (above < 0.045), ease + 0.007 * size, thickness)
-    yield _on_head(wearer, thickness, name, reach)
+    yield _around_head(wearer, thickness, name, reach)
     if worn.brim:
         yield _brim(name, worn, wearer, reach, above)
 
@@ -213,13 +225,12 @@ def _hat(name: WornName, worn: Worn, wearer: Wearer) -> Iterator[WornPart]:
 def _brim(name: WornName, worn: Worn, wearer: Wearer, reach: Array, above: Array) -> WornPart:
     """Brim: a flat ring. On a cap it is wide only in front."""
     dome, size = wearer.head, wearer.head_size
-    row = np.where(above > 0, np.arange(_ROWS)[:, None], -1).max(axis=0)
-    column = np.arange(_COLUMNS)
+    row = np.where(above > 0, np.arange(ROWS)[:, None], -1).max(axis=0)
+    column = np.arange(COLUMNS)
     edge = dome.centre + (reach[row, column] + size * worn.ease)[:, None] * dome.ray[row, column]
     edge[:, 1] = gaussian_filter(edge[:, 1], 2, mode="wrap")
-    out = (edge - dome.centre) * [1, 0, 1]
-    out /= np.linalg.norm(out, axis=1, keepdims=True)
-    width = np.full(_COLUMNS, size * worn.brim)
+    out = _outwards(edge, dome.centre)
+    width = np.full(COLUMNS, size * worn.brim)
     if name == "cap":
         width *= ramp(out[:, 2], 0.55, 0.85)
     fall = np.array([0, -0.25 if name != "cap" else -0.35, 0])
@@ -228,7 +239,7 @@ def _brim(name: WornName, worn: Worn, wearer: Wearer, reach: Array, above: Array
     thick = np.array([0, 0.0022 * size, 0])
     middle = (inner + outer) / 2
     points = np.stack([inner + thick, middle + thick, outer + thick, outer - thick, inner - thick])
-    return WornPart(points, wearer.rigid(points.shape[:2], vt3=1.0), name, ring=True)
+    return wearer.on_head(points, name, ring=True)
 
 
 def _wrap(name: WornName, worn: Worn, wearer: Wearer) -> Iterator[WornPart]:
@@ -240,7 +251,7 @@ def _wrap(name: WornName, worn: Worn, wearer: Wearer) -> Iterator[WornPart]:
     folds = np.sin((p[..., 1] / 0.020 + 1.1 * np.sin(turn)) * 2 * np.pi)
     bulge = ramp(above, -0.012, 0.03) * (0.45 + 0.55 * ramp(above, 0.13, 0.07))
     thickness = size * worn.ease * bulge * (1 + 0.07 * folds)
-    yield _on_head(wearer, np.where(above > 0, thickness, -_HIDDEN), name, dome.smooth(2.0))
+    yield _around_head(wearer, np.where(above > 0, thickness, -_HIDDEN), name, dome.smooth(2.0))
 
 
 def _scarf(name: WornName, worn: Worn, wearer: Wearer) -> Iterator[WornPart]:
@@ -254,37 +265,30 @@ def _scarf(name: WornName, worn: Worn, wearer: Wearer) -> Iterator[WornPart]:
     thickness = size * np.clip(edge, -_HIDDEN, worn.ease)
     low = dome.points(thickness)[..., 1] < own.eye[1] - 0.160 * size
     thickness[low] = -_HIDDEN
-    yield _on_head(wearer, thickness, name, np.where(bare, dome.reach, over_ears))
+    yield _around_head(wearer, thickness, name, np.where(bare, dome.reach, over_ears))
     # around the neck, from inside the cloth of the head to inside the shirt
     top, bottom = own.eye[1] - 0.112 * size, own.shoulder_y + 0.010 * size
     points = _around(wearer, np.linspace(top, bottom, 14), 0.012 * size, neck=True)
-    turn = np.arange(points.shape[1]) / points.shape[1] * 2 * np.pi
+    turn = _turn(points.shape[1])
     # higher behind, up to the nape
     points[..., 1] += 0.030 * size * np.linspace(1, 0, len(points))[:, None] * (1 - np.cos(turn))
     waves = 0.004 * size * np.sin(points[..., 1] / (0.016 * size) + 2 * np.sin(turn))
-    middle = points.mean(axis=1, keepdims=True)
-    out = (points - middle) * [1, 0, 1]
-    out /= np.linalg.norm(out, axis=2, keepdims=True)
-    points += waves[..., None] * out
-    head = ramp(points[..., 1], bottom + 0.02 * size, top - 0.01 * size)[..., None]
-    skull, chest = (wearer.rigid(points.shape[:2], **{bone: 1.0}) for bone in ("vt3", "vl5"))
-    yield WornPart(points, head * skull + (1 - head) * chest, name)
+    points += waves[..., None] * _outwards(points, points.mean(axis=1, keepdims=True))
+    head = ramp(points[..., 1], bottom + 0.02 * size, top - 0.01 * size)
+    yield WornPart(points, wearer.rigid(points.shape[:2], vt3=head, vl5=1 - head), name)
 
 
 def _around(wearer: Wearer, heights: Array, ease: Array | float, neck: bool = False) -> Array:
     """Rings (R, 48, 3) around the trunk, or around neck and chin, at heights (R,)."""
     own, points = wearer.own, wearer.points
-    if neck:
-        chosen = (wearer.mesh.part == 0) & (np.abs(points[:, 0]) < 0.085 * wearer.head_size)
-    else:
-        chosen = wearer.trunk
+    slim = np.abs(points[:, 0]) < 0.085 * wearer.head_size
+    chosen = (wearer.mesh.part == 0) & slim if neck else wearer.trunk
     chosen = chosen & (points[:, 1] > heights.min() - 0.05) & (points[:, 1] < heights.max() + 0.05)
     near = points[chosen]
     axis = float(own.ear[2] - 0.01) if neck else float((near[:, 2].min() + near[:, 2].max()) / 2)
     faces = wearer.mesh.surface
     outline = Outline.of(points, faces[chosen[faces].all(axis=1)], axis)
-    turn = np.arange(48) / 48 * 2 * np.pi
-    y, t = np.meshgrid(heights, turn, indexing="ij")
+    y, t = np.meshgrid(heights, _turn(48), indexing="ij")
     ring = np.stack([np.sin(t), y, np.cos(t)], axis=2)
     ring[..., 2] += axis
     shape = outline if neck else outline.hanging()
@@ -302,11 +306,12 @@ def _skirts(config: MakeHumanConfig, wearer: Wearer) -> Iterator[WornPart]:
     """Cloth that hangs from the waist: skirts, and the lower part of dresses and coats."""
     own, size = wearer.own, wearer.own.hip_y / wearer.reference.hip_y
     upper, lower = TOPS[config.top], BOTTOMS[config.bottom]
-    rows: list[tuple[float, float, float, float, PartMaterial]] = [
-        (lower.skirt, 0.006, 0.0, lower.flare, "bottom"),
-        (upper.skirt, 0.003, 0.004 + upper.ease, upper.flare, "top"),
+    rows: list[tuple[Top | Bottom, float, float, PartMaterial, float]] = [
+        (lower, 0.006, 0.0, "bottom", 0.010),
+        (upper, 0.003, 0.004 + upper.ease, "top", 0.020),
     ]
-    for length, ease, more, flare, material in rows:
+    for garment, ease, more, material, room in rows:
+        length, flare = garment.skirt, garment.flare
         if not length:
             continue
         waist, bottom = own.belt_height + 0.012 * size, own.belt_height - length * size
@@ -314,81 +319,17 @@ def _skirts(config: MakeHumanConfig, wearer: Wearer) -> Iterator[WornPart]:
         edge = wearer.points[wearer.mesh.garment == TROUSERS, 1].max(initial=own.belt_height)
         top = max(waist, float(edge) + 0.002 * size)
         heights = np.linspace(top, bottom, 26)
-
         below = ramp(heights, waist, waist - 0.12)
         wider = size * (ease + (0.012 + more) * below) + flare * (waist - heights).clip(0)
         outer = _around(wearer, heights, wider)
-        turn = np.arange(outer.shape[1]) / outer.shape[1] * 2 * np.pi
-        middle = outer.mean(axis=1, keepdims=True)
-        out = (outer - middle) * [1, 0, 1]
-        out /= np.linalg.norm(out, axis=2, keepdims=True)
+        turn = _turn(outer.shape[1])
+        out = _outwards(outer, outer.mean(axis=1, keepdims=True))
         depth = flare * 0.22 * (waist - outer[..., 1]).clip(0)
         outer = outer + (depth * np.sin(9 * turn + 2 * np.sin(2 * turn)))[..., None] * out
         inner = outer - 0.005 * size * out
         points = np.concatenate([outer, inner[::-1]])
-        room = 0.010 if material == "bottom" else 0.020
-        hanging = _hanging_cloth(wearer, points, out[-1], room)
+        hanging = hanging_cloth(wearer, points, out[-1], room)
         yield WornPart(points, _leg_weights(wearer, points, waist), material, ring=True, hanging=hanging)
-
-
-#: Number of ends around a skirt that swing.
-_ENDS = 8
-
-
-def _hanging_cloth(wearer: Wearer, points: Array, out: Array, room: float) -> Hanging:
-    """Cloth around both legs. Its hem swings, and it lies on the thighs when the wearer sits.
-
-    Args:
-        wearer: The wearer.
-        points: (2 R, C, 3) outer rows from the waist to the hem, then inner rows from the hem to the waist.
-        out: Directions (C, 3) away from the body at the hem.
-        room: Metres between leg and outer surface of gathered cloth.
-    """
-    count, columns = len(points) // 2, points.shape[1]
-    step = columns // _ENDS
-    around, share = np.divmod(np.arange(columns), step)
-    share = ramp(share / step, 0.0, 1.0)
-    down = (np.linspace(0, 1, count) / 0.85 - 0.15 / 0.85).clip(0) ** 1.5
-    down = np.concatenate([down, down[::-1]])[:, None]
-    nodes = np.stack([around, (around + 1) % _ENDS], axis=1)
-    shares = np.stack([down * (1 - share), down * share], axis=2).reshape(-1, 2)
-    at = step * np.arange(_ENDS)
-    ends = np.stack([at, (count - 1) * columns + at], axis=1)
-    layer = np.repeat([0.0, 0.005 * wearer.size], count * columns)
-    flat = points.reshape(-1, 3)
-    return Hanging(
-        CLOTH,
-        ends,
-        out[at],
-        np.tile(nodes, (len(points), 1)),
-        shares,
-        _gathered(
-            wearer, flat, wearer.size * (room + 0.014 * np.repeat(down, columns)) - layer
-        ),  # over the knees
-        ramp(flat[:, 0], -0.5 * wearer.own.leg_x(flat), 0.5 * wearer.own.leg_x(flat)),
-    )
-
-
-def _gathered(wearer: Wearer, points: Array, room: Array) -> Array:
-    """Offsets (N, 3) that draw cloth inwards until it is ``room`` (N,) away from the hull of both legs."""
-    own, legs = wearer.own, wearer.points[wearer.trunk & (wearer.points[:, 1] < wearer.own.hip_y)]
-    across = np.abs(legs[:, 0]) - own.leg_x(legs)
-    radius = np.hypot(across, legs[:, 2] - own.leg_z(legs))
-    heights = np.linspace(0.2 * own.hip_y, 0.95 * own.hip_y, 40)
-    near = np.argpartition(np.abs(legs[:, 1] - heights[:, None]), 100, axis=1)[:, :100]
-    thick = np.quantile(radius[near], 0.97, axis=1)
-    thick = np.interp(points[:, 1], heights, gaussian_filter(thick, 1.5, mode="nearest")) + room
-    # the hull of two circles, seen from the middle between them
-    x, z = points[:, 0], points[:, 2] - own.leg_z(points)
-    reach = np.maximum(np.hypot(x, z), 1e-6)
-    sine, cosine = np.abs(x) / reach, np.abs(z) / reach
-    apart = own.leg_x(points)
-    flat = thick / np.maximum(cosine, 1e-6)
-    bend = apart * sine + np.sqrt(np.maximum(thick**2 - (apart * cosine) ** 2, 0.0))
-    hull = np.where(flat * sine <= apart, flat, bend)
-    low = ramp(points[:, 1], own.hip_y, own.hip_y - 0.3 * (own.hip_y - own.knee_y))
-    inwards = low * np.minimum(hull / reach - 1, 0.0)
-    return np.stack([inwards * x, 0 * x, inwards * z], axis=1)
 
 
 def under_skirts(config: MakeHumanConfig, wearer: Wearer) -> Array:
@@ -415,15 +356,14 @@ def _leg_weights(wearer: Wearer, points: Array, top: float) -> Array:
     left = ramp(points[..., 0], -near, near)
     leg = ramp(points[..., 1], top - 0.02, own.hip_y - 0.10 * (own.hip_y - own.knee_y))
     shin = 0.5 * ramp(points[..., 1], own.knee_y + 0.02, 0.5 * own.knee_y)
-    weights = wearer.rigid(points.shape[:2])
-    for side, share in (("l", left), ("r", 1 - left)):
-        weights[..., own.bones.index(f"{side}_hip")] = leg * share * (1 - shin)
-        weights[..., own.bones.index(f"{side}_knee")] = leg * share * shin
+    parts = {"hip": 1 - shin, "knee": shin}
+    sides = {"l": left, "r": 1 - left}
+    shares = {f"{a}_{b}": leg * side * part for a, side in sides.items() for b, part in parts.items()}
+    weights = wearer.rigid(points.shape[:2], **shares)
     # the waist bends like the garment below it, so that no slit opens
     near = gaussian_filter(wearer.near_weights(points), (0.5, 1.0, 0.0), mode=("nearest", "wrap", "wrap"))
     weights += (1 - leg)[..., None] * near
-    order = np.argsort(weights, axis=2)[..., :-4]
-    np.put_along_axis(weights, order, 0.0, axis=2)
+    np.put_along_axis(weights, np.argsort(weights, axis=2)[..., :-4], 0.0, axis=2)
     return weights / weights.sum(axis=2, keepdims=True)
 
 
@@ -432,38 +372,30 @@ def _collar(config: MakeHumanConfig, wearer: Wearer) -> Iterator[WornPart]:
     kind, size = TOPS[config.top].collar, wearer.size
     if kind == "none":
         return
-    count = 40
-    turn = (0.88 if kind == "hood" else 0.94) * np.linspace(-np.pi, np.pi, count)
+    turn = (0.88 if kind == "hood" else 0.94) * np.linspace(-np.pi, np.pi, 40)
     # the edge of the neckline: the vertices nearest to it
-    mesh = wearer.mesh
-    edge = np.flatnonzero(
-        (mesh.part == 0)
-        & (np.abs(wearer.reference.above_neckline(mesh.canonical)) < 0.012)
-        & (np.abs(mesh.canonical[:, 0]) < 0.14)
-        & (mesh.canonical[:, 1] > wearer.reference.shoulder_y - 0.1)
-    )
-    points = wearer.points[edge]
+    mesh, reference = wearer.mesh, wearer.reference
+    p = mesh.canonical
+    chest = (mesh.part == 0) & (np.abs(p[:, 0]) < 0.14) & (p[:, 1] > reference.shoulder_y - 0.1)
+    points = wearer.points[chest & (np.abs(reference.above_neckline(p)) < 0.012)]
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
     angle = np.arctan2(points[:, 0] - middle[0], middle[2] - points[:, 2])  # 0 behind
     order = np.argsort(angle)
-    ring = np.stack(
-        [np.interp(turn, angle[order], points[order, k], period=2 * np.pi) for k in range(3)], axis=1
-    )
+    axes = [np.interp(turn, angle[order], points[order, k], period=2 * np.pi) for k in range(3)]
+    ring = np.stack(axes, axis=1)
     ring = gaussian_filter(ring, (1.5, 0), mode="nearest")
-    out = (ring - middle) * [1, 0, 1]
-    out /= np.linalg.norm(out, axis=1, keepdims=True)
-    back = np.cos(turn)
+    out = _outwards(ring, middle)
     if kind == "hood":
-        thick = size * (0.014 + 0.034 * ramp(back, -0.3, 0.9))
+        thick = size * (0.014 + 0.034 * ramp(np.cos(turn), -0.3, 0.9))
         fall = np.stack([0 * turn, 0.006 * size - 0.35 * thick, 0 * turn], axis=1)
         path = ring + (0.5 * thick)[:, None] * out + fall
-        shape = sweep(path, thick, 0.62 * thick, out - np.array([0, 0.7, 0]))
+        shape = _sweep(path, thick, 0.62 * thick, out - np.array([0, 0.7, 0]))
     else:
         height = size * (0.020 if kind == "stand" else 0.017) * (1 + 0 * turn)
         lean = 0.15 if kind == "stand" else 0.9
         axis = np.array([0, 1.0, 0]) + (lean if kind == "fold" else -lean) * out * [1, 1, 1]
         path = ring + np.array([0, 0.7, 0]) * height[:, None] + 0.007 * size * out
-        shape = sweep(path, height, np.full(count, 0.004 * size), axis, square=0.6)
+        shape = _sweep(path, height, np.full(len(turn), 0.004 * size), axis, square=0.6)
     weights = np.repeat(wearer.near_weights(ring)[:, None], shape.shape[1], axis=1)
     yield WornPart(shape, weights, "top")
 
@@ -472,18 +404,14 @@ def _glasses(name: WornName, worn: Worn, wearer: Wearer) -> Iterator[WornPart]:
     size, own = wearer.head_size, wearer.own
     eye = own.eye
     front = eye[2] + own.eye_radius + 0.017 * size
-    dark = name == "sunglasses"
-    turn = np.arange(28) / 28 * 2 * np.pi
-    c, s = (np.sign(f) * np.abs(f) ** 0.65 for f in (np.cos(turn), np.sin(turn)))
+    c, s = (_power(f(_turn(28)), 0.65) for f in (np.cos, np.sin))
     for side in (1, -1):
         centre = np.array([side * eye[0], eye[1] - 0.002 * size, front])
         rim = np.stack([centre[0] + 0.0245 * size * c, centre[1] + 0.019 * size * s, 0 * c + front], axis=1)
         rim[:, 2] -= 0.10 * (np.abs(rim[:, 0]) - eye[0])
-        points = _ring_tube(rim, 0.0017 * size)
-        yield WornPart(points, wearer.rigid(points.shape[:2], vt3=1.0), name, ring=True)
-        if dark:
-            lens = rim + np.array([[[0, 0, 0.0008]], [[0, 0, -0.0008]]])
-            yield WornPart(lens, wearer.rigid(lens.shape[:2], vt3=1.0), name)
+        yield wearer.on_head(_ring_tube(rim, 0.0017 * size), name, ring=True)
+        if name == "sunglasses":
+            yield wearer.on_head(rim + np.array([[[0, 0, 0.0008]], [[0, 0, -0.0008]]]), name)
         start = np.array([side * (eye[0] + 0.0245 * size), eye[1] + 0.006 * size, front - 0.0025 * size])
         ear = own.ear * [side, 1, 1] + np.array([side * 0.004, 0.026, 0.004]) * size
         corner = start + size * np.array([side * 0.012, 0, -0.012])
@@ -497,23 +425,17 @@ def _glasses(name: WornName, worn: Worn, wearer: Wearer) -> Iterator[WornPart]:
 
 
 def _wire(wearer: Wearer, path: Array, radius: float, material: PartMaterial) -> WornPart:
-    even = np.linspace(0, len(path) - 1, 3 * len(path))
-    path = np.stack([np.interp(even, np.arange(len(path)), path[:, k]) for k in range(3)], axis=1)
+    path = _resampled(path, 3 * len(path))
     radii = np.full(len(path), radius)
-    points = sweep(path, radii, radii, np.array([0.0, 1.0, 0.05]), corners=8)
-    return WornPart(points, wearer.rigid(points.shape[:2], vt3=1.0), material)
+    return wearer.on_head(_sweep(path, radii, radii, np.array([0.0, 1.0, 0.05]), corners=8), material)
 
 
 def _ring_tube(path: Array, radius: float) -> Array:
     """Points (N, 8, 3) of a tube along a closed path in a plane of nearly constant z."""
     ahead = np.roll(path, -1, axis=0) - np.roll(path, 1, axis=0)
     ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
-    out = np.cross(ahead, [0, 0, 1.0])
-    turn = np.arange(8) / 8 * 2 * np.pi
-    return np.asarray(
-        path[:, None]
-        + radius * (np.cos(turn)[:, None] * out[:, None] + np.sin(turn)[:, None] * np.array([0, 0, 1.0]))
-    )
+    out, up, turn = np.cross(ahead, [0, 0, 1.0]), np.array([0, 0, 1.0]), _turn(8)[:, None]
+    return np.asarray(path[:, None] + radius * (np.cos(turn) * out[:, None] + np.sin(turn) * up))
 
 
 def _mask(name: WornName, worn: Worn, wearer: Wearer) -> Iterator[WornPart]:
@@ -528,7 +450,7 @@ def _mask(name: WornName, worn: Worn, wearer: Wearer) -> Iterator[WornPart]:
     pleats = 0.0012 * np.sin((p[..., 1] - eye[1]) / 0.014 * 2 * np.pi)
     # it meets the skin on a smooth line
     thickness = size * np.clip(1.5 * inside, -_HIDDEN, worn.ease + pleats)
-    yield _on_head(wearer, thickness, name, np.where(inside > 0, dome.smooth(1.3), dome.reach))
+    yield _around_head(wearer, thickness, name, np.where(inside > 0, dome.smooth(1.3), dome.reach))
     for side in (1, -1):
         ear = wearer.own.ear * [side, 1, 1] + np.array([side * 0.006, 0.0, -0.012]) * size
         for up in (0.034, 0.086):
@@ -554,41 +476,24 @@ def _pack(name: WornName, worn: Worn, wearer: Wearer) -> Iterator[WornPart]:
         centre = np.array([edge[0] + half[0] - 0.002 * size, own.hip_y - 0.02 * size, edge[2]])
         bones = {"HumanoidRoot": 1.0}
     rise, turn = _sphere(18, 32)
-    ring = _power(np.sin(rise))
-    box = [ring * _power(np.cos(turn)), _power(np.cos(rise)), ring * _power(np.sin(turn))]
-    points = centre + half * np.stack(box, axis=2)
+    c, s, up, ring = (_power(f(a), 0.38) for a in (turn, rise) for f in (np.cos, np.sin))
+    points = centre + half * np.stack([ring * c, up, ring * s], axis=2)
     yield WornPart(points, wearer.rigid(points.shape[:2], **bones), name)
     top = own.shoulder_y
     if worn.place == "back":
+        # x in widths of a strap, height above the shoulder, and front or back
+        way = (1, -0.02, -1), (1, 0.04, -1), (1, 0.04, 1), (1, -0.03, 1)
+        lower = (1.1, -0.12, 1), (1.45, -0.24, 1), (1.5, -0.30, -1)
         for side in (1, -1):
             x = side * 0.095 * size
-            yield _strap(
-                wearer,
-                [
-                    (x, top - 0.02 * size, -1),
-                    (x, top + 0.04 * size, -1),
-                    (x, top + 0.04 * size, 1),
-                    (x, top - 0.03 * size, 1),
-                    (1.1 * x, top - 0.12 * size, 1),
-                    (1.45 * x, top - 0.24 * size, 1),
-                    (1.5 * x, top - 0.30 * size, -1),
-                ],
-                0.022 * size,
-                name,
-            )
+            stations = [(wide * x, top + y * size, front) for wide, y, front in (*way, *lower)]
+            yield _strap(wearer, stations, 0.022 * size, name)
     else:
-        end = own.hip_y + 0.06 * size
-        stations = [(-0.10, 0.05), (-0.02, -0.06), (0.06, -0.18), (0.12, -0.30)]
-        front = [(x * size, top + y * size, 1) for x, y in stations]
-        behind = [(x * size, y, -1) for x, y, _ in reversed(front)]
-        for line_of in (front, behind[::-1]):
-            yield _strap(
-                wearer, [*line_of, (float(centre[0]) - 0.01 * size, end, line_of[0][2])], 0.014 * size, name
-            )
-
-
-def _power(values: Array) -> Array:
-    return np.sign(values) * np.abs(values) ** 0.38
+        end = float(centre[0]) - 0.01 * size, own.hip_y + 0.06 * size
+        for front, wide in ((1, 1.0), (-1, size)):
+            down = (-0.10, 0.05), (-0.02, -0.06), (0.06, -0.18), (0.12, -0.30)
+            stations = [*((x * size * wide, top + y * size, front) for x, y in down), (*end, front)]
+            yield _strap(wearer, stations, 0.014 * size, name)
 
 
 def _strap(
@@ -596,21 +501,14 @@ def _strap(
 ) -> WornPart:
     """A strap along stations. A station is x, y, and front or back of the trunk."""
     points = np.array([[x, y, wearer.surface_z(x, y, side)] for x, y, side in stations])
-    even = np.linspace(0, len(points) - 1, 5 * len(points))
-    path = np.stack([np.interp(even, np.arange(len(points)), points[:, k]) for k in range(3)], axis=1)
-    path = gaussian_filter(path, (2.0, 0), mode="nearest")
+    path = gaussian_filter(_resampled(points, 5 * len(points)), (2.0, 0), mode="nearest")
     rows = wearer.nearest(path)
     out = gaussian_filter(wearer.normals[rows], (1.5, 0), mode="nearest")
     out /= np.linalg.norm(out, axis=1, keepdims=True)
     path = gaussian_filter(wearer.points[rows], (1.5, 0), mode="nearest") + 0.017 * wearer.size * out
-    ahead = np.gradient(path, axis=0)
-    shape = sweep(
-        path,
-        np.full(len(path), width),
-        np.full(len(path), 0.004 * wearer.size),
-        np.cross(ahead, out),
-        square=0.6,
-    )
+    across = np.cross(np.gradient(path, axis=0), out)
+    wide, thin = np.full(len(path), width), np.full(len(path), 0.004 * wearer.size)
+    shape = _sweep(path, wide, thin, across, square=0.6)
     weights = np.repeat(wearer.weights[rows][:, None], shape.shape[1], axis=1)
     return WornPart(shape, weights, material)
 
@@ -625,7 +523,7 @@ def _sandals(config: MakeHumanConfig, wearer: Wearer) -> Iterator[WornPart]:
         foot = wearer.points[(wearer.points[:, 0] * side > 0) & (wearer.points[:, 1] < floor + 0.05 * size)]
         low = foot[foot[:, 1] < floor + 0.03 * size]
         middle = (low.min(axis=0) + low.max(axis=0)) / 2
-        turn = np.arange(40) / 40 * 2 * np.pi
+        turn = _turn(40)
         ray = np.stack([np.sin(turn), np.cos(turn)], axis=1)
         reach = ((low[:, [0, 2]] - middle[[0, 2]]) @ ray.T).max(axis=0) + 0.006 * size
         # the support function gives the outline of the convex hull
@@ -642,20 +540,15 @@ def _sandals(config: MakeHumanConfig, wearer: Wearer) -> Iterator[WornPart]:
         yield WornPart(points, wearer.near_weights(above), "soles")
         for share in (0.28, 0.06):
             z = middle[2] + share * float(np.ptp(low[:, 2]))
-            slab = wearer.points[
-                (wearer.points[:, 0] * side > 0)
-                & (np.abs(wearer.points[:, 2] - z) < 0.022 * size)
-                & (wearer.points[:, 1] < floor + 0.078 * size)
-            ]
+            own_side, low_enough = wearer.points[:, 0] * side > 0, wearer.points[:, 1] < floor + 0.078 * size
+            slab = wearer.points[own_side & low_enough & (np.abs(wearer.points[:, 2] - z) < 0.022 * size)]
             angle = np.linspace(-0.12, 1.12, 18) * np.pi
             ray = np.stack([np.cos(angle), np.sin(angle)], axis=1)
             base = np.array([(slab[:, 0].min() + slab[:, 0].max()) / 2, floor + 0.012 * size])
             reach = ((slab[:, :2] - base) @ ray.T).max(axis=0) + 0.003 * size
-            path = np.stack(
-                [base[0] + reach * ray[:, 0], base[1] + reach * ray[:, 1], np.full(18, z)], axis=1
-            )
+            path = np.c_[base + reach[:, None] * ray, np.full(18, z)]
             wide, thin = np.full(18, 0.013 * size), np.full(18, 0.0025 * size)
-            strap = sweep(path, wide, thin, np.array([0, 0, 1.0]), square=0.6)
+            strap = _sweep(path, wide, thin, np.array([0, 0, 1.0]), square=0.6)
             yield WornPart(strap, wearer.near_weights(strap), "shoes")
 
 

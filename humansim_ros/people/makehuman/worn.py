@@ -17,17 +17,18 @@ from scipy.ndimage import gaussian_filter, grey_closing
 from scipy.spatial import cKDTree
 
 from humansim_ros.files.mesh import MATERIAL_LABELS, WornName
-from humansim_ros.motion.body import LooseParts
+from humansim_ros.motion.body import CLOTH, LooseParts
+from humansim_ros.motion.body import HAIR as HAIR_ENDS
 from humansim_ros.people.makehuman.clothes import BodyRegions
 from humansim_ros.people.makehuman.data import VertexIndices
 from humansim_ros.people.makehuman.paint import line, weave
 from humansim_ros.people.makehuman.shape import MakeHumanConfig, Outfit
-from humansim_ros.people.makehuman.surface import BodySurface, noise, vertex_normals
+from humansim_ros.people.makehuman.surface import BodySurface, noise, ramp, vertex_normals
 from humansim_ros.people.makehuman.wardrobe import TOPS, WORN
 from humansim_ros.types import Array
 
 #: Rows and columns of directions around the head.
-_ROWS, _COLUMNS = 44, 72
+ROWS, COLUMNS = 44, 72
 #: Largest side of a tile, and width of the texture, texels.
 _LARGEST, _WIDTH = 500, 1024
 #: Margin around a tile with the colours of the tile, texels, so that smaller mip levels do not mix tiles.
@@ -52,14 +53,11 @@ class Hanging:
 
 @dataclass(frozen=True)
 class WornPart:
-    """A closed surface over a grid.
+    """A closed surface over a grid of ``points`` (R, C, 3), metres, with ``weights`` (R, C, B) of bones.
 
-    Attributes:
-        points: (R, C, 3) metres. The columns of each row form a ring.
-        weights: (R, C, B) weights of bones.
-        material: Material, which decides the colours.
-        ring: Whether the last row is joined to the first one. Otherwise a point closes each of both.
-        hanging: How the part swings. If None, it only follows the bones.
+    The columns of each row form a ring. ``material`` decides the colours. ``ring``: whether the last row is
+    joined to the first one. Otherwise a point closes each of both. ``hanging``: how the part swings. If None,
+    the part only follows the bones.
     """
 
     points: Array
@@ -95,14 +93,10 @@ class WornPart:
     def mesh(self) -> tuple[VertexIndices, Array, VertexIndices]:
         """Faces (F, 4), texture coordinates (T, 2) in the tile, v up, and texture faces (F, 4)."""
         rows, columns = self.points.shape[:2]
-        down = rows if self.ring else rows - 1
+        down, wide = rows if self.ring else rows - 1, columns + 1
         r, c = (grid.ravel() for grid in np.mgrid[:down, :columns])
-        across = (c + 1) % columns
-        faces = np.stack(
-            [r * columns + c, (r + 1) % rows * columns + c, (r + 1) % rows * columns + across], axis=1
-        )
-        faces = np.c_[faces, r * columns + across]
-        wide = columns + 1
+        here, below, across = r * columns, (r + 1) % rows * columns, (c + 1) % columns
+        faces = np.stack([here + c, below + c, below + across, here + across], axis=1)
         uv_faces = np.stack([r * wide + c, (r + 1) * wide + c, (r + 1) * wide + c + 1, r * wide + c + 1], 1)
         v, u = np.mgrid[: down + 1, :wide]
         uv = np.stack([u / columns, 1 - v / down], axis=2).reshape(-1, 2)
@@ -110,13 +104,10 @@ class WornPart:
             k = np.arange(columns)
             after, last = (k + 1) % columns, (rows - 1) * columns
             ends = rows * columns
-            top = np.stack([np.full(columns, ends), k, after, after], axis=1)
-            bottom = np.stack([np.full(columns, ends + 1), last + after, last + k, last + k], axis=1)
-            tip = (rows - 1) * wide
-            uv_top = np.stack([k, k, k + 1, k + 1], axis=1)
-            uv_bottom = np.stack([tip + k, tip + k + 1, tip + k, tip + k], axis=1)
-            faces = np.concatenate([faces, top, bottom])
-            uv_faces = np.concatenate([uv_faces, uv_top, uv_bottom])
+            tip = (rows - 1) * wide + k
+            top, bottom = np.full(columns, ends), np.full(columns, ends + 1)
+            faces = np.r_[faces, np.c_[top, k, after, after], np.c_[bottom, last + after, last + k, last + k]]
+            uv_faces = np.r_[uv_faces, np.c_[k, k, k + 1, k + 1], np.c_[tip, tip + 1, tip, tip]]
         if _volume(self.vertices, faces) < 0:
             faces, uv_faces = _reversed(faces), _reversed(uv_faces)
         return faces, uv, uv_faces
@@ -154,15 +145,10 @@ def _reversed(faces: VertexIndices) -> VertexIndices:
 
 @dataclass(frozen=True)
 class Wearer:
-    """A dressed body in the T pose.
+    """A dressed body in the T pose, with its dressed vertices ``points`` (V, 3) and ``weights`` (V, B).
 
-    Attributes:
-        mesh: Surface of the body. ``canonical`` has the positions on the reference body.
-        points: (V, 3) dressed vertices.
-        weights: (V, B) weights.
-        is_ear: (V,) above 0 at the ears.
-        reference: Regions of the reference body.
-        own: Regions of this body.
+    ``is_ear``: (V,) above 0 at the ears. ``reference``, ``own``: regions of the reference body and of this
+    body.
     """
 
     mesh: BodySurface
@@ -183,8 +169,12 @@ class Wearer:
         """Width of the shoulders relative to the reference body."""
         return self.own.shoulder_x / self.reference.shoulder_x
 
-    def rigid(self, shape: tuple[int, int], **shares: float) -> Array:
-        """Weights (R, C, B) of bones by name."""
+    def on_head(self, points: Array, material: PartMaterial, ring: bool = False) -> WornPart:
+        """Part with points (R, C, 3) that moves with the head."""
+        return WornPart(points, self.rigid(points.shape[:2], vt3=1.0), material, ring)
+
+    def rigid(self, shape: tuple[int, ...], **shares: float | Array) -> Array:
+        """Weights (R, C, B) of bones by name, from shares, which may be (R, C)."""
         weights = np.zeros((*shape, self.weights.shape[1]))
         for name, share in shares.items():
             weights[..., self.own.bones.index(name)] = share
@@ -228,12 +218,8 @@ class Wearer:
     @cached_property
     def armless(self) -> NDArray[np.bool_]:
         """(V,) whether a vertex is on the head, the trunk or the legs."""
-        bones = self.own.bones
-        arms = [
-            number
-            for number, name in enumerate(bones.names)
-            if name[2:].startswith(("shoulder", "elbow", "wrist"))
-        ]
+        names = enumerate(self.own.bones.names)
+        arms = [number for number, name in names if name[2:].startswith(("shoulder", "elbow", "wrist"))]
         return (self.weights[:, arms].sum(axis=1) < 0.5) & (self.mesh.part == 0)
 
     def surface_z(self, x: float, y: float, side: int) -> float:
@@ -270,15 +256,15 @@ class Dome:
         distance = np.linalg.norm(points, axis=1)
         rise = np.arccos(np.clip(points[:, 1] / distance, -1, 1))
         turn = np.arctan2(-points[:, 0], -points[:, 2]) % (2 * np.pi)
-        grid = np.zeros((_ROWS, _COLUMNS))
-        row = np.minimum((rise / np.pi * _ROWS).astype(int), _ROWS - 1)
-        np.maximum.at(grid, (row, (turn / (2 * np.pi) * _COLUMNS).astype(int) % _COLUMNS), distance)
+        grid = np.zeros((ROWS, COLUMNS))
+        row = np.minimum((rise / np.pi * ROWS).astype(int), ROWS - 1)
+        np.maximum.at(grid, (row, (turn / (2 * np.pi) * COLUMNS).astype(int) % COLUMNS), distance)
         padded = np.pad(np.pad(grid, ((4, 4), (0, 0)), "edge"), ((0, 0), (4, 4)), "wrap")
         reach = gaussian_filter(grey_closing(padded, (5, 5)), 0.5)[4:-4, 4:-4].clip(0.05 * size, 0.19 * size)
-        rise = (np.arange(_ROWS) + 0.5) / _ROWS * np.pi
-        turn = (np.arange(_COLUMNS) + 0.5) / _COLUMNS * 2 * np.pi
+        rise = (np.arange(ROWS) + 0.5) / ROWS * np.pi
+        turn = (np.arange(COLUMNS) + 0.5) / COLUMNS * 2 * np.pi
         ring = np.sin(rise)[:, None]
-        up = np.repeat(np.cos(rise)[:, None], _COLUMNS, axis=1)
+        up = np.repeat(np.cos(rise)[:, None], COLUMNS, axis=1)
         ray = np.stack([-ring * np.sin(turn), up, -ring * np.cos(turn)], axis=2)
         tree_rows = np.flatnonzero(chosen)
         tree = cKDTree(wearer.points[tree_rows])
@@ -295,6 +281,72 @@ class Dome:
         wrapped = np.pad(np.pad(self.reach, ((8, 8), (0, 0)), "edge"), ((0, 0), (8, 8)), "wrap")
         blurred = gaussian_filter(wrapped, cells)[8:-8, 8:-8]
         return np.maximum(blurred, self.reach)
+
+
+def hanging_hair(points: Array, out: Array) -> Hanging:
+    """Hair (R, C, 3) with a lower end that swings. ``out``: direction (3,) away from the head."""
+    rows, columns = points.shape[:2]
+    count = rows * columns + 2  # the points that close both ends come last
+    share = (np.linspace(0, 1, rows) / 0.85 - 0.15 / 0.85).clip(0) ** 1.3
+    shares = np.zeros((count, 2))
+    shares[:, 0] = [*np.repeat(share, columns), 0.0, 1.0]
+    outwards = out / np.linalg.norm(out)
+    nothing = np.zeros((count, 3))
+    ends = np.array([[count - 2, count - 1]])
+    return Hanging(HAIR_ENDS, ends, outwards[None], np.zeros((count, 2), int), shares, nothing, nothing[:, 0])
+
+
+#: Number of ends around a skirt that swing.
+_ENDS = 8
+
+
+def hanging_cloth(wearer: Wearer, points: Array, out: Array, room: float) -> Hanging:
+    """Cloth around both legs. Its hem swings, and it lies on the thighs when the wearer sits.
+
+    Args:
+        wearer: The wearer.
+        points: (2 R, C, 3) outer rows from the waist to the hem, then inner rows from the hem to the waist.
+        out: Directions (C, 3) away from the body at the hem.
+        room: Metres between leg and outer surface of gathered cloth.
+    """
+    count, columns = len(points) // 2, points.shape[1]
+    step = columns // _ENDS
+    around, share = np.divmod(np.arange(columns), step)
+    share = ramp(share / step, 0.0, 1.0)
+    down = (np.linspace(0, 1, count) / 0.85 - 0.15 / 0.85).clip(0) ** 1.5
+    down = np.concatenate([down, down[::-1]])[:, None]
+    nodes = np.stack([around, (around + 1) % _ENDS], axis=1)
+    shares = np.stack([down * (1 - share), down * share], axis=2).reshape(-1, 2)
+    at = step * np.arange(_ENDS)
+    ends = np.stack([at, (count - 1) * columns + at], axis=1)
+    layer = np.repeat([0.0, 0.005 * wearer.size], count * columns)
+    flat = points.reshape(-1, 3)
+    over_knees = wearer.size * (room + 0.014 * np.repeat(down, columns)) - layer
+    half = 0.5 * wearer.own.leg_x(flat)
+    gather, left = _gathered(wearer, flat, over_knees), ramp(flat[:, 0], -half, half)
+    return Hanging(CLOTH, ends, out[at], np.tile(nodes, (len(points), 1)), shares, gather, left)
+
+
+def _gathered(wearer: Wearer, points: Array, room: Array) -> Array:
+    """Offsets (N, 3) that draw cloth inwards until it is ``room`` (N,) away from the hull of both legs."""
+    own, legs = wearer.own, wearer.points[wearer.trunk & (wearer.points[:, 1] < wearer.own.hip_y)]
+    across = np.abs(legs[:, 0]) - own.leg_x(legs)
+    radius = np.hypot(across, legs[:, 2] - own.leg_z(legs))
+    heights = np.linspace(0.2 * own.hip_y, 0.95 * own.hip_y, 40)
+    near = np.argpartition(np.abs(legs[:, 1] - heights[:, None]), 100, axis=1)[:, :100]
+    thick = np.quantile(radius[near], 0.97, axis=1)
+    thick = np.interp(points[:, 1], heights, gaussian_filter(thick, 1.5, mode="nearest")) + room
+    # the hull of two circles, seen from the middle between them
+    x, z = points[:, 0], points[:, 2] - own.leg_z(points)
+    reach = np.maximum(np.hypot(x, z), 1e-6)
+    sine, cosine = np.abs(x) / reach, np.abs(z) / reach
+    apart = own.leg_x(points)
+    flat = thick / np.maximum(cosine, 1e-6)
+    bend = apart * sine + np.sqrt(np.maximum(thick**2 - (apart * cosine) ** 2, 0.0))
+    hull = np.where(flat * sine <= apart, flat, bend)
+    low = ramp(points[:, 1], own.hip_y, own.hip_y - 0.3 * (own.hip_y - own.knee_y))
+    inwards = low * np.minimum(hull / reach - 1, 0.0)
+    return np.stack([inwards * x, 0 * x, inwards * z], axis=1)
 
 
 def loose_parts(parts: Sequence[WornPart], first: int) -> LooseParts | None:
@@ -342,12 +394,9 @@ def part_color(part: WornPart, config: MakeHumanConfig, outfit: Outfit) -> NDArr
         top = part.material == "top"
         girth = max(round(float(np.ptp(p[:, 0])) * 2.6 / 0.036), 1) * 0.036
         turn = girth * np.arctan2(p[:, 0], p[:, 2] - float(np.median(p[:, 2]))) / (2 * np.pi)
-        cloth = (
-            (outfit.shirt_fabric, outfit.shirt, outfit.shirt_second, 12)
-            if top
-            else (outfit.trousers_fabric, outfit.trousers, outfit.trousers_second, 15)
-        )
-        color = weave(p, p[:, 1], turn, *cloth)
+        shirt = outfit.shirt_fabric, outfit.shirt, outfit.shirt_second, 12
+        trousers = outfit.trousers_fabric, outfit.trousers, outfit.trousers_second, 15
+        color = weave(p, p[:, 1], turn, *(shirt if top else trousers))
         if part.ring:  # hems, and the front of a coat
             color *= (1 - 0.25 * line(p[:, 1] - float(p[:, 1].min()) - 0.025, 0.003))[:, None]
             color *= (1 + 0.08 * noise(p * [1, 0.15, 1], 0.05, 51))[:, None]
@@ -379,11 +428,6 @@ def placed(parts: Sequence[WornPart]) -> tuple[list[tuple[int, int]], int]:
         places[number] = (y + _MARGIN, x + _MARGIN)
         x, tall = x + width, max(tall, height)
     return places, -(-(y + tall) // 64) * 64
-
-
-def strip_height(parts: Sequence[WornPart]) -> int:
-    """Rows of texels that the parts add to the texture."""
-    return placed(parts)[1]
 
 
 def strip_image(parts: Sequence[WornPart], config: MakeHumanConfig, outfit: Outfit) -> NDArray[np.uint8]:

@@ -300,46 +300,36 @@ def _skeleton(
     bone_of = {joint: bone for bone, joint in matched.items()}
     detail_of = {joint: bone for bone, joint in details.items()}
     taken = {*general.names, *details}
-    names: list[str] = []
-    parents: list[str | None] = []
-    heads: list[Array] = []
-    name_of: dict[int, str] = {}
-
-    def add(name: str, parent: str | None, head: Array) -> None:
-        names.append(name)
-        parents.append(parent)
-        heads.append(np.asarray(head))
-
+    body = _Body(figure, match, joints, vertices)
     for joint in range(len(joints)):
-        above = name_of[int(figure.parents[joint])] if figure.parents[joint] >= 0 else None
+        above = body.name_of[int(figure.parents[joint])] if figure.parents[joint] >= 0 else None
         bone = bone_of.get(joint)
         if bone is None:
             bone = detail_of.get(joint) or _unique_name(figure.joint_names[joint], taken)
-            add(bone, above, joints[joint])
         else:
             # bones of the general skeleton on the way to this one that have no joint
             chain: list[str] = []
             ancestor = parent_of[bone]
-            while ancestor is not None and ancestor not in matched and ancestor not in names:
+            while ancestor is not None and ancestor not in matched and ancestor not in body.names:
                 chain.insert(0, ancestor)
                 ancestor = parent_of[ancestor]
-            start = heads[names.index(above)] if above is not None else joints[joint] - [0.0, _STUB, 0.0]
+            start = body.head(above) if above is not None else joints[joint] - [0.0, _STUB, 0.0]
             for step, name in enumerate(chain):
                 share = step / len(chain)
-                add(name, above, (1 - share) * start + share * joints[joint])
+                body.add(name, above, (1 - share) * start + share * joints[joint])
                 above = name
-            add(bone, above, joints[joint])
-        name_of[joint] = bone
+        body.add(bone, above, joints[joint])
+        body.name_of[joint] = bone
     for name in general.names:  # remaining bones, which have no joints
-        if name not in names:
+        if name not in body.names:
             parent = parent_of[name]
-            add(name, parent, heads[names.index(parent)] if parent is not None else joints[0])
-    tails = _tails(figure, match, names, parents, heads, name_of, joints, vertices)
-    numbers = np.array([-1 if p is None else names.index(p) for p in parents])
-    bones = Bones(tuple(names), numbers, np.array(heads), tails, _hinges(names, heads, tails))
+            body.add(name, parent, body.head(parent) if parent is not None else joints[0])
+    names, tails = body.names, body.tails()
+    numbers = np.array([-1 if p is None else names.index(p) for p in body.parents])
+    bones = Bones(tuple(names), numbers, np.array(body.heads), tails, _hinges(names, body.heads, tails))
     rolls = np.where(bones.hinges.any(axis=1), bones.rolls, 0.0)
     skeleton = Skeleton(bones.names, bones.parents, bones.heads, tails, rolls)
-    return skeleton, [names.index(name_of[joint]) for joint in range(len(joints))]
+    return skeleton, [names.index(body.name_of[joint]) for joint in range(len(joints))]
 
 
 def _hinges(names: list[str], heads: list[Array], tails: Array) -> Array:
@@ -357,130 +347,101 @@ def _hinges(names: list[str], heads: list[Array], tails: Array) -> Array:
     return hinges
 
 
-def _tails(
-    figure: SkinnedMesh,
-    match: JointMatch,
-    names: list[str],
-    parents: list[str | None],
-    heads: list[Array],
-    name_of: Mapping[int, str],
-    joints: Array,
-    vertices: Array,
-) -> Array:
-    """Tails (B, 3) of the bones.
+class _Body:
+    """Bones of a skinned mesh while they are made. ``joints``: (J, 3), ``vertices``: (V, 3) metres in body
+    space. The lists have an entry for each bone. ``name_of``: bone of each joint."""
 
-    A tail is at the end of the link, at the only child (or the next bone of the general skeleton), or at the
-    end of the skin. The chest points to the head's joint, the head to the top of the head. Both are nearly
-    upright.
+    def __init__(self, figure: SkinnedMesh, match: JointMatch, joints: Array, vertices: Array) -> None:
+        self.figure, self.match, self.joints, self.vertices = figure, match, joints, vertices
+        self.names: list[str] = []
+        self.parents: list[str | None] = []
+        self.heads: list[Array] = []
+        self.name_of: dict[int, str] = {}
+        #: (V,) joint that each vertex follows most.
+        self.heaviest = dominant_bones(figure.weights)
 
-    Args:
-        figure: Skinned mesh.
-        match: Joints of the figure that drive bones.
-        names: Names of the B bones.
-        parents: Name of each bone's parent; None for the root.
-        heads: Heads of the bones, (3,) metres each.
-        name_of: Joint -> name of its bone.
-        joints: Positions of the J joints, (J, 3) metres.
-        vertices: Vertices in body space, (V, 3) metres.
-    """
-    general = hanim_skeleton()
-    joint_of = {name: joint for joint, name in name_of.items()}
-    links = {**match.details, **match.parallel}
-    heaviest = dominant_bones(figure.weights)
-    tails = np.array(heads)
-    for number, name in enumerate(names):
-        children = [i for i, parent in enumerate(parents) if parent == name]
-        named = [i for i in children if names[i] in general.names]
-        if len(children) > len(named):  # a hand or a foot without a joint has no place in the file
-            named = [i for i in named if names[i] in joint_of or names[i] not in _ENDS]
-        if name in _ENDS and name not in joint_of and parents[number] is not None:
-            heads[number] = tails[names.index(str(parents[number]))]
-        head = heads[number]
+    def add(self, name: str, parent: str | None, head: Array) -> None:
+        self.names.append(name)
+        self.parents.append(parent)
+        self.heads.append(np.asarray(head))
+
+    def head(self, name: str) -> Array:
+        return self.heads[self.names.index(name)]
+
+    def tails(self) -> Array:
+        """Tails (B, 3) of the bones.
+
+        A tail is at the end of the link, at the only child (or the next bone of the general skeleton), or at
+        the end of the skin. The chest points to the head's joint, the head to the top of the head. Both are
+        nearly upright.
+        """
+        joint_of = {name: joint for joint, name in self.name_of.items()}
+        tails = np.array(self.heads)
+        for number, name in enumerate(self.names):
+            parent = self.parents[number]
+            if name in _ENDS and name not in joint_of and parent is not None:
+                self.heads[number] = tails[self.names.index(parent)]
+            head, joint = self.heads[number], joint_of.get(name)
+            children = [i for i, parent in enumerate(self.parents) if parent == name]
+            goal = self._goal(name, head, children, joint_of)
+            if np.linalg.norm(goal - head) < 1e-3:
+                along = _along(number, self.names, self.parents, self.heads)
+                skin = self.vertices[self.heaviest == joint] if joint is not None else self.vertices[:0]
+                reach = (skin - head) @ along
+                far = skin[reach >= 0.9 * reach.max(initial=0.0)]
+                goal = far.mean(0) if reach.max(initial=0.0) > _STUB else head + _STUB * along
+            elif children and name in ("l_wrist", "r_wrist") and joint is not None:
+                goal = head + (goal - head) * self._hand_reach(joint, head, goal)
+            tails[number] = head + _upright(name, goal - head)
+        return tails
+
+    def _goal(self, name: str, head: Array, children: list[int], joint_of: Mapping[str, int]) -> Array:
+        """Point (3,) that a bone leads to; its head (3,) if nothing shows the direction. ``children``: bones
+        below it."""
+        names, links = self.names, {**self.match.details, **self.match.parallel}
         if name == "vt3":
-            goal = _top_of_head(figure, match, joint_of.get(name), joints, vertices, heaviest, head)
-        elif name in links and joint_of.get(name) == links[name][0]:
-            goal = joints[links[name][1]]
-        elif name in _TRUNK:
-            goal = heads[names.index(_TRUNK[_TRUNK.index(name) + 1])]
-        elif len(named) == 1 or (named and len(children) == 1):
-            goal = heads[named[0]]
-        elif children:
-            others = [i for i in children if names[i] not in _ENDS or names[i] in joint_of]
-            goal = np.mean([heads[i] for i in named or others or children], axis=0)
-        else:
-            goal = head
-        if np.linalg.norm(goal - head) < 1e-3:
-            along = _along(number, names, parents, heads)
-            skin = vertices[heaviest == joint_of[name]] if name in joint_of else vertices[:0]
-            reach = (skin - head) @ along
-            far = skin[reach >= 0.9 * reach.max(initial=0.0)]
-            goal = far.mean(0) if reach.max(initial=0.0) > _STUB else head + _STUB * along
-        elif children and name in ("l_wrist", "r_wrist") and name in joint_of:
-            goal = head + (goal - head) * _hand_reach(figure, joint_of[name], vertices, heaviest, head, goal)
-        tails[number] = head + _upright(name, goal - head)
-    return tails
+            return self._top_of_head(joint_of.get(name), head)
+        if name in links and joint_of.get(name) == links[name][0]:
+            return np.asarray(self.joints[links[name][1]])
+        if name in _TRUNK:
+            return self.head(_TRUNK[_TRUNK.index(name) + 1])
+        general = hanim_skeleton().names
+        named = [i for i in children if names[i] in general]
+        # a hand or a foot without a joint has no place in the file
+        placed = [i for i in children if names[i] not in _ENDS or names[i] in joint_of]
+        if len(children) > len(named):
+            named = [i for i in named if i in placed]
+        if len(named) == 1:
+            return self.heads[named[0]]
+        chosen = named or placed or children
+        return np.asarray(np.mean([self.heads[i] for i in chosen], axis=0)) if chosen else head
 
+    def _hand_reach(self, joint: int, head: Array, goal: Array) -> float:
+        """Share of the way from the wrist ``head`` (3,) to the point ``goal`` (3,) of the knuckles at which a
+        hand with fingers ends, at least 1. ``joint``: that of the hand."""
+        parents = self.figure.parents
+        hand = [number for number in range(len(parents)) if _descends(number, joint, parents)]
+        skin, along = self.vertices[np.isin(self.heaviest, hand)], goal - head
+        length = float(along @ along)
+        return max(1.0, float(((skin - head) @ along).max(initial=0.0)) / length)
 
-def _hand_reach(
-    figure: SkinnedMesh,
-    joint: int,
-    vertices: Array,
-    heaviest: NDArray[np.intp],
-    head: Array,
-    goal: Array,
-) -> float:
-    """Share of the way from the wrist to the knuckles at which a hand with fingers ends, at least 1.
-
-    Args:
-        figure: Skinned mesh.
-        joint: Joint of the hand.
-        vertices: Vertices in body space, (V, 3) metres.
-        heaviest: Joint (V,) that each vertex follows most.
-        head: Wrist, (3,) metres.
-        goal: Point of the knuckles, (3,) metres.
-    """
-    hand = [number for number in range(len(figure.parents)) if _descends(number, joint, figure.parents)]
-    skin, along = vertices[np.isin(heaviest, hand)], goal - head
-    length = float(along @ along)
-    return max(1.0, float(((skin - head) @ along).max(initial=0.0)) / length)
-
-
-def _top_of_head(
-    figure: SkinnedMesh,
-    match: JointMatch,
-    joint: int | None,
-    joints: Array,
-    vertices: Array,
-    heaviest: NDArray[np.intp],
-    head: Array,
-) -> Array:
-    """Top of the head (3,): the joint that is there, or else a point at the height of the top of the skin.
-
-    Joints of eyes, hair and hats may lie at any side of the head, so that they do not show its direction.
-
-    Args:
-        figure: Skinned mesh.
-        match: Joints of the figure that drive bones.
-        joint: Joint of the head; None if the figure has none.
-        joints: Positions of the J joints, (J, 3) metres.
-        vertices: Vertices in body space, (V, 3) metres.
-        heaviest: Joint (V,) that each vertex follows most.
-        head: Lower end of the bone of the head, (3,) metres.
-    """
-    top = match.roles.get("HeadTop")
-    if top is not None and joints[top, 1] > head[1] + _STUB:
-        return joints[top]
-    if joint is None:
-        return head
-    carried = np.zeros(len(figure.parents), dtype=bool)
-    for number, parent in enumerate(figure.parents):  # parents come first
-        carried[number] = number == joint or (parent >= 0 and carried[parent])
-    own, all_ = (
-        float((vertices[skin, 1] - head[1]).max(initial=0.0))
-        for skin in (heaviest == joint, carried[heaviest])
-    )
-    height = own if own >= _SKULL * all_ else all_
-    return head + height * _direction(_UPRIGHT["vt3"][0]) if height > _STUB else head
+    def _top_of_head(self, joint: int | None, head: Array) -> Array:
+        """Top of the head (3,): the joint that is there, or else a point at the height of the top of the
+        skin. Joints of eyes, hair and hats may lie at any side of the head, so that they do not show its
+        direction. ``joint``: that of the head. ``head``: (3,) lower end of the bone of the head."""
+        top = self.match.roles.get("HeadTop")
+        if top is not None and self.joints[top, 1] > head[1] + _STUB:
+            return np.asarray(self.joints[top])
+        if joint is None:
+            return head
+        parents = self.figure.parents
+        carried = np.array([_descends(number, joint, parents) for number in range(len(parents))])
+        own, all_ = (
+            float((self.vertices[skin, 1] - head[1]).max(initial=0.0))
+            for skin in (self.heaviest == joint, carried[self.heaviest])
+        )
+        height = own if own >= _SKULL * all_ else all_
+        return head + height * _direction(_UPRIGHT["vt3"][0]) if height > _STUB else head
 
 
 def _direction(degrees: float) -> Array:

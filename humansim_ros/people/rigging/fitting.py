@@ -90,9 +90,7 @@ def check_parts(mesh: Mesh) -> None:
         cells = np.floor((points - points.min(axis=0)) / (0.5 * _FAR_PART * size)).astype(np.int64)
         occupied, cell_of = np.unique(cells, axis=0, return_inverse=True)
         neighbours = scipy.spatial.cKDTree(occupied).query_pairs(1.8, output_type="ndarray")
-        graph = scipy.sparse.coo_matrix(
-            (np.ones(len(neighbours)), neighbours.T), shape=(len(occupied), len(occupied))
-        )
+        graph = scipy.sparse.coo_matrix((np.ones(len(neighbours)), neighbours.T), (len(occupied),) * 2)
         count, cluster_of = scipy.sparse.csgraph.connected_components(graph, directed=False)
         cluster = cluster_of[cell_of.reshape(-1)]
         body = np.bincount(cluster[: len(samples)]).argmax()
@@ -255,9 +253,8 @@ def fit_skeleton(
     if not height > 0:
         raise MeshError("the mesh has no height")
     size = _stature(height, unit, stature) or default
-    ankle = (
-        float(general.heads[[general.bone("l_ankle"), general.bone("r_ankle")], 2].mean()) * size / default
-    )
+    ankles = general.heads[[general.bone("l_ankle"), general.bone("r_ankle")], 2]
+    ankle = float(ankles.mean()) * size / default
     origin = np.array([_middle(points, low, height), low, _ankles(points, low, height)])
     scale_to_body = size / height
 
@@ -302,29 +299,19 @@ def skeleton_at(joints: dict[str, Array]) -> Skeleton:
         first_child.setdefault(int(parent), bone)
     # connecting bones start at the tail of their parent
     starts = {"HumanoidRoot": "sacroiliac", "vl5": "vt3"}
-    heads = np.array(
-        [
-            joints[name if "_to_" not in name else starts[general.names[general.parents[bone]]]]
-            for bone, name in enumerate(general.names)
-        ]
-    )
-    tails = np.array(
-        [
-            heads[first_child[bone]] if bone in first_child else joints[f"{name}_end"]
-            for bone, name in enumerate(general.names)
-        ]
-    )
+    heads, tails = np.empty_like(general.heads), np.empty_like(general.tails)
+    for bone, name in enumerate(general.names):
+        heads[bone] = joints[name if "_to_" not in name else starts[general.names[general.parents[bone]]]]
+    for bone, name in enumerate(general.names):
+        tails[bone] = heads[first_child[bone]] if bone in first_child else joints[f"{name}_end"]
     return replace(general, heads=heads, tails=tails)
 
 
 def joints_of(skeleton: Skeleton) -> dict[str, Array]:
     """Joints (3,) of a general skeleton. The key is the bone that begins there, or ``<bone>_end`` at a leaf.
     :func:`skeleton_at` is the inverse."""
-    heads = {
-        name: head.copy()
-        for name, head in zip(skeleton.names, skeleton.heads, strict=True)
-        if "_to_" not in name
-    }
+    named = zip(skeleton.names, skeleton.heads, strict=True)
+    heads = {name: head.copy() for name, head in named if "_to_" not in name}
     return heads | {f"{skeleton.names[bone]}_end": skeleton.tails[bone].copy() for bone in skeleton.ends}
 
 
@@ -411,17 +398,16 @@ def rig(mesh: Mesh, skeleton: Skeleton, rule: RigRule = "heat") -> csr_matrix:
     parent = skeleton.parents[best]
     weight = np.where(parent < 0, 1.0, weight)
     rows = np.arange(len(best))
-    data = np.concatenate([weight, 1.0 - weight])
-    columns = np.concatenate([best, np.maximum(parent, 0)])
-    shape = (len(best), len(skeleton))
-    weights = csr_matrix((data, (np.concatenate([rows, rows]), columns)), shape=shape)
+    places = np.r_[rows, rows], np.r_[best, np.maximum(parent, 0)]
+    weights = csr_matrix((np.r_[weight, 1.0 - weight], places), (len(best), len(skeleton)))
     weights.eliminate_zeros()
     return weights
 
 
 def _by_angle(vertices: Array, skeleton: Skeleton, printed: bool) -> tuple[NDArray[np.intp], Array]:
     """Bone (V,) with the largest angle head-vertex-tail, and its weight (V,)."""
-    angles = _viewing_angles(vertices, skeleton)
+    to_head, to_tail = (ends[None] - vertices[:, None] for ends in (skeleton.heads, skeleton.tails))
+    angles = angle_between(to_head, to_tail)
     sides = np.array([side_of(name) for name in skeleton.names])
     angles[sides[None, :] * np.sign(vertices[:, :1]) < 0] = -1.0
     best = np.argmax(angles, axis=1)
@@ -430,10 +416,3 @@ def _by_angle(vertices: Array, skeleton: Skeleton, printed: bool) -> tuple[NDArr
     head, tail = skeleton.heads[best], skeleton.tails[best]
     angle = np.degrees(angle_between(vertices - head, tail - head))
     return best, np.minimum(1.0, angle / 60.0 if printed else 60.0 / np.maximum(angle, 1e-9))
-
-
-def _viewing_angles(vertices: Array, skeleton: Skeleton) -> Array:
-    """Angles (V, B) head-vertex-tail at the vertices, radians."""
-    to_head = skeleton.heads[None] - vertices[:, None]
-    to_tail = skeleton.tails[None] - vertices[:, None]
-    return angle_between(to_head, to_tail)

@@ -121,9 +121,8 @@ def _normals(points: Array, triangles: NDArray[np.intp]) -> Array:
     np.add.at(middle, piece_of, (a + b + c) / 3)
     np.add.at(count, piece_of, 1.0)
     volume = np.zeros(len(middle))
-    np.add.at(
-        volume, piece_of, np.einsum("ij,ij->i", a - (middle / np.maximum(count, 1)[:, None])[piece_of], area)
-    )
+    from_middle = a - (middle / np.maximum(count, 1)[:, None])[piece_of]
+    np.add.at(volume, piece_of, np.einsum("ij,ij->i", from_middle, area))
     area *= np.where(volume < 0, -1.0, 1.0)[piece_of][:, None]
     return mean_normals(area, triangles, len(points))
 
@@ -131,15 +130,8 @@ def _normals(points: Array, triangles: NDArray[np.intp]) -> Array:
 def _sources(
     points: Array, normals: Array, skeleton: Skeleton, volume: Volume, height: float
 ) -> tuple[NDArray[np.intp], Array]:
-    """Heat source of each point: bone (P,) and its distance (P,).
-
-    Args:
-        points: Points on the skin, (P, 3) metres in body space.
-        normals: Unit normals of the skin at the points, (P, 3).
-        skeleton: Skeleton in the body.
-        volume: Inside of the body.
-        height: Height of the body, metres.
-    """
+    """Heat source of each point: bone (P,) and its distance (P,). ``points``, ``normals``: (P, 3) points on
+    the skin in body space, and unit normals there. ``volume``: inside of the body of a ``height``, metres."""
     score = np.full((len(points), len(skeleton)), -1.0)
     far = np.zeros_like(score)
     side = np.sign(points[:, 0])
@@ -181,15 +173,8 @@ def _sources(
 def _first_visible(
     points: Array, score: Array, skeleton: Skeleton, volume: Volume, most_air: float
 ) -> NDArray[np.intp]:
-    """Bone (P,) with the highest score, among the bones with a straight line to the point inside the body.
-
-    Args:
-        points: Points on the skin, (P, 3) metres in body space.
-        score: Score of each bone for each point, (P, B).
-        skeleton: Skeleton of B bones.
-        volume: Inside of the body.
-        most_air: Length outside the body up to which a way counts as inside, metres.
-    """
+    """Bone (P,) with the highest ``score`` (P, B), among the bones with a straight line to the point (P, 3)
+    inside the body. ``most_air``: metres outside the body up to which a line counts as inside."""
     source = score.argmax(axis=1)
     limbs = np.array([side_of(name) != 0 and "_to_" not in name for name in skeleton.names])
     rows = np.flatnonzero(limbs[source])
@@ -274,22 +259,15 @@ def _conjugate_gradients(matrix: sparse.csc_matrix, right: Array) -> Array:
 def _interpolation(
     mesh: Mesh, points: Array, triangles: NDArray[np.intp], number: NDArray[np.intp], size: float
 ) -> sparse.csr_matrix:
-    """Interpolation (V, P) from the point of a vertex and its neighbours; rows sum to 1.
-
-    Args:
-        mesh: Mesh of V vertices.
-        points: Points of the coarser surface, (P, 3) metres.
-        triangles: Triangles between the points, (T, 3).
-        number: Point of each vertex, (V,).
-        size: Distance between neighbouring points, metres.
-    """
+    """Interpolation (V, P) from the point of a vertex and its neighbours; rows sum to 1. ``points``,
+    ``triangles``: coarser surface. ``number``: point of each vertex, (V,). ``size``: distance between
+    neighbouring points, metres."""
     edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     every = np.arange(len(points))
     rows = np.concatenate([every, edges[:, 0], edges[:, 1]])
     columns = np.concatenate([every, edges[:, 1], edges[:, 0]])
-    near = sparse.csr_matrix((np.ones(len(rows), np.float32), (rows, columns)), shape=(len(points),) * 2)[
-        number
-    ]
+    ones = np.ones(len(rows), np.float32)
+    near = sparse.csr_matrix((ones, (rows, columns)), shape=(len(points),) * 2)[number]
     vertex = np.repeat(np.arange(len(number)), np.diff(near.indptr))
     distance = np.linalg.norm(mesh.vertices[vertex] - points[near.indices], axis=1)
     near.data = np.maximum(1 - distance / (2 * size), 1e-3) ** 2

@@ -208,29 +208,17 @@ def measure(mesh: Mesh) -> Measures:
         volume, gaps = joined_parts(whole, pairs_only=False)
         measures = _measure(mesh, whole, volume)
     if gaps:
-        parts = (
-            f"{len(gaps)} parts of the body are separate"
-            if len(gaps) > 1
-            else "a part of the body is separate"
-        )
-        warn_about(
-            "mesh",
-            f"{parts}, with gaps of up to {max(gaps):.1%} of the height: joined to find the joints; look at "
-            "the result",
-        )
+        several = f"{len(gaps)} parts of the body are"
+        parts = f"{several if len(gaps) > 1 else 'a part of the body is'} separate"
+        gap = f"{max(gaps):.1%} of the height: joined to find the joints; look at the result"
+        warn_about("mesh", f"{parts}, with gaps of up to {gap}")
     return measures
 
 
 def joined_parts(volume: Volume, *, pairs_only: bool) -> tuple[Volume, list[float]]:
-    """The largest part of a volume, joined by bridges to parts that belong to it and are near.
-
-    Args:
-        volume: Volume of a body of height 1 with its middle at x = 0.
-        pairs_only: Join only parts in the middle or with a mirror image. Limbs have one, a sword has none.
-
-    Returns:
-        One connected volume, and the length of each bridge.
-    """
+    """The largest part of a volume, joined by bridges to parts that belong to it and are near. Returns one
+    connected volume, and the length of each bridge. ``volume``: a body of height 1 with its middle at x = 0.
+    ``pairs_only``: join only parts in the middle or with a mirror image. Limbs have one, a sword has none."""
     label, count = scipy.ndimage.label(volume.filled, structure=np.ones((3, 3, 3)))
     if count < 2:
         return volume, []
@@ -280,24 +268,18 @@ def _measure(mesh: Mesh, whole: Volume, volume: Volume) -> Measures:
     """
     filled, size = whole.filled & volume.filled, volume.spacing  # slices are measured without the bridges
     xs, heights, zs = (volume.origin[k] + size * np.arange(filled.shape[k]) for k in range(3))
-    groin = _groin(filled.sum(axis=2), xs, heights, size)
-    neck, front, back = _trunk(filled, xs, heights, zs, size)
+    slices = _Slices(filled, xs, heights, zs, size)
+    groin = slices.groin()
+    neck, front, back = slices.trunk()
     if not _PLAUSIBLE_GROIN[0] <= groin <= _PLAUSIBLE_GROIN[1]:
         warn_about("mesh", "no groin detected (a skirt?): hips and spine are set to average heights")
         groin = coefficients()["groin"][0]
     if np.isnan(neck):
         neck = predict("neck", groin)
-    return Measures(
-        groin,
-        neck,
-        heights,
-        front,
-        back,
-        np.stack([_legs(filled, sign * xs, heights, zs) for sign in (1.0, -1.0)]),
-        np.stack([_toes(mesh.vertices, sign) for sign in (1.0, -1.0)]),
-        (_arm(volume, 1.0), _arm(volume, -1.0)),
-        mesh.vertices[mesh.vertices[:, 1] > 0.95].mean(axis=0),
-    )
+    legs, toes = np.stack([slices.leg(1.0), slices.leg(-1.0)]), [_toes(mesh.vertices, s) for s in (1.0, -1.0)]
+    crown = mesh.vertices[mesh.vertices[:, 1] > 0.95].mean(axis=0)
+    arms = _arm(volume, 1.0), _arm(volume, -1.0)
+    return Measures(groin, neck, heights, front, back, legs, np.stack(toes), arms, crown)
 
 
 def joint_positions(measures: Measures) -> dict[str, Array]:
@@ -336,9 +318,7 @@ def joint_positions(measures: Measures) -> dict[str, Array]:
         joints[f"{letter}_elbow"] = arm.at(elbow) + np.array([0.0, *coefficients()["elbow off"]])
         joints[f"{letter}_wrist"] = arm.at(wrist)
         joints[f"{letter}_wrist_end"] = arm.tip
-        collar = [
-            predict(f"collar {axis}", joints["vt3"][k], shoulder[k]) for k, axis in ((1, "y"), (2, "z"))
-        ]
+        collar = [predict(f"collar {a}", joints["vt3"][k], shoulder[k]) for k, a in ((1, "y"), (2, "z"))]
         joints[f"{letter}_sternoclavicular"] = out * [predict("collar x"), *collar]
     return joints
 
@@ -361,72 +341,63 @@ def predict(what: str, *measurements: float) -> float:
     return constant + float(np.dot(factors, measurements))
 
 
-def _groin(depth: NDArray[np.integer], xs: Array, heights: Array, size: float) -> float:
-    """Height below which the middle is empty, or thinner than the legs at its sides (since legs may touch).
+@dataclass(frozen=True)
+class _Slices:
+    """Horizontal slices of a body of height 1. ``filled``: (X, Y, Z) voxels inside. ``xs``, ``heights``,
+    ``zs``: positions of the voxels from right to left (X,), upwards (Y,), from back to front (Z,). ``size``:
+    edge of a voxel."""
 
-    Args:
-        depth: Number of voxels inside the body from front to back, (X, Y).
-        xs: Positions of the voxels from right to left, (X,).
-        heights: Heights of the voxels, (Y,).
-        size: Edge of a voxel.
-    """
-    middle = depth[np.abs(xs) < 1.2 * size].min(axis=0)
-    thick = depth[np.abs(xs) < _LEGS].max(axis=0)
-    low, row = np.searchsorted(heights, _GROIN)
-    while row > low and middle[row] > 0.5 * thick[row]:
-        row -= 1
-    return float(heights[row] + size / 2)
+    filled: NDArray[np.bool_]
+    xs: Array
+    heights: Array
+    zs: Array
+    size: float
 
+    def groin(self) -> float:
+        """Height below which the middle is empty, or thinner than the legs at its sides (since legs may
+        touch)."""
+        depth = self.filled.sum(axis=2)
+        middle = depth[np.abs(self.xs) < 1.2 * self.size].min(axis=0)
+        thick = depth[np.abs(self.xs) < _LEGS].max(axis=0)
+        low, row = np.searchsorted(self.heights, _GROIN)
+        while row > low and middle[row] > 0.5 * thick[row]:
+            row -= 1
+        return float(self.heights[row] + self.size / 2)
 
-def _trunk(
-    filled: NDArray[np.bool_], xs: Array, heights: Array, zs: Array, size: float
-) -> tuple[float, Array, Array]:
-    """Height of the neck (NaN if hair hides it), and front and back (Y,) of the trunk.
+    def trunk(self) -> tuple[float, Array, Array]:
+        """Height of the neck (NaN if hair hides it), and front and back (Y,) of the trunk."""
+        xs, zs, size = self.xs, self.zs, self.size
+        front, back, width = (np.full(len(self.heights), np.nan) for _ in range(3))
+        middle, core = np.abs(xs) < 1.2 * size, np.abs(xs) < _CORE
+        for row in range(len(self.heights)):
+            number, _ = scipy.ndimage.label(self.filled[:, row])
+            labels = number[middle]
+            labels = labels[labels > 0]
+            if not len(labels):
+                continue
+            piece = number == np.bincount(labels).argmax()
+            across = np.flatnonzero(piece.any(axis=1))
+            along = np.flatnonzero(piece[core].any(axis=0))
+            width[row] = xs[across[-1]] - xs[across[0]] + size
+            back[row], front[row] = zs[along[0]] - size / 2, zs[along[-1]] + size / 2
+        if np.isfinite(front).sum() < 0.3 * _VOXELS:
+            raise MeshError("no trunk detected: the mesh must be one body with a trunk")
+        low, high = np.searchsorted(self.heights, _NECK)
+        if np.isnan(width[low:high]).all():
+            raise MeshError("no head detected on the trunk")
+        row = low + int(np.nanargmin(width[low:high]))
+        hidden = width[row] > _PLAUSIBLE_NECK * np.nanmax(width[row:])
+        return (np.nan if hidden else float(self.heights[row])), front, back
 
-    Args:
-        filled: Voxels inside the body, (X, Y, Z).
-        xs: Positions of the voxels from right to left, (X,).
-        heights: Heights of the voxels, (Y,).
-        zs: Positions of the voxels from back to front, (Z,).
-        size: Edge of a voxel. All lengths are shares of the body height.
-    """
-    front, back, width = (np.full(len(heights), np.nan) for _ in range(3))
-    middle, core = np.abs(xs) < 1.2 * size, np.abs(xs) < _CORE
-    for row in range(len(heights)):
-        number, _ = scipy.ndimage.label(filled[:, row])
-        labels = number[middle]
-        labels = labels[labels > 0]
-        if not len(labels):
-            continue
-        piece = number == np.bincount(labels).argmax()
-        across = np.flatnonzero(piece.any(axis=1))
-        along = np.flatnonzero(piece[core].any(axis=0))
-        width[row] = xs[across[-1]] - xs[across[0]] + size
-        back[row], front[row] = zs[along[0]] - size / 2, zs[along[-1]] + size / 2
-    if np.isfinite(front).sum() < 0.3 * _VOXELS:
-        raise MeshError("no trunk detected: the mesh must be one body with a trunk")
-    low, high = np.searchsorted(heights, _NECK)
-    if np.isnan(width[low:high]).all():
-        raise MeshError("no head detected on the trunk")
-    row = low + int(np.nanargmin(width[low:high]))
-    hidden = width[row] > _PLAUSIBLE_NECK * np.nanmax(width[row:])
-    return (np.nan if hidden else float(heights[row])), front, back
-
-
-def _legs(filled: NDArray[np.bool_], aside: Array, heights: Array, zs: Array) -> Array:
-    """Centres (Y, 2) of the filled voxels of one half below the hips: distance from the middle, z.
-
-    Args:
-        filled: Voxels inside the body, (X, Y, Z).
-        aside: Distances of the voxels from the middle, positive on the side of the leg, (X,).
-        heights: Heights of the voxels, (Y,).
-        zs: Positions of the voxels from back to front, (Z,).
-    """
-    half = filled[(aside > 0) & (aside < _LEGS)]
-    count = half.sum(axis=(0, 2)).astype(float)
-    count[(count == 0) | (heights > _GROIN[1])] = np.nan
-    x = np.einsum("xyz,x->y", half, aside[(aside > 0) & (aside < _LEGS)])
-    return np.stack([x / count, np.einsum("xyz,z->y", half, zs) / count], axis=1)
+    def leg(self, sign: float) -> Array:
+        """Centres (Y, 2) of the filled voxels of one half below the hips: distance from the middle, z."""
+        aside = sign * self.xs
+        chosen = (aside > 0) & (aside < _LEGS)
+        half = self.filled[chosen]
+        count = half.sum(axis=(0, 2)).astype(float)
+        count[(count == 0) | (self.heights > _GROIN[1])] = np.nan
+        sums = np.einsum("xyz,x->y", half, aside[chosen]), np.einsum("xyz,z->y", half, self.zs)
+        return np.stack(sums, axis=1) / count[:, None]
 
 
 def _toes(vertices: Array, sign: float) -> Array:
@@ -466,10 +437,8 @@ def _arm(volume: Volume, sign: float) -> Arm:
     count = np.bincount(band[reached], minlength=bands)[:bands]
     if not count.all():
         raise MeshError("an arm is not connected to the trunk")
-    centres = np.stack(
-        [np.bincount(band[reached], points[reached, k], minlength=bands)[:bands] / count for k in range(3)],
-        axis=1,
-    )
+    sums = [np.bincount(band[reached], points[reached, k], minlength=bands)[:bands] for k in range(3)]
+    centres = np.stack(sums, axis=1) / count[:, None]
     along = (np.arange(bands) + 0.5) * _BAND
     hands = (along > _WRIST[0]) & (along < _WRIST[1])
     wrist = float(along[hands][count[hands].argmin()])

@@ -425,16 +425,9 @@ def _mirrored(base: Base) -> tuple[VertexIndices, VertexIndices]:
 
 
 def _rounds(base: Base, mirrored: VertexIndices) -> list[tuple[VertexIndices, csr_matrix, NDArray[np.int32]]]:
-    """Rounds of decoding: the vertices of a round are predicted from neighbours in earlier rounds.
-
-    Args:
-        base: Base mesh.
-        mirrored: Vertices (K,) that are mirror images. No round has them.
-
-    Returns:
-        For each round: vertices (M,), the matrix (M, V) that sums the values of their earlier neighbours, and
-        the number (M, 1) of these neighbours.
-    """
+    """Rounds of decoding: the vertices of a round are predicted from neighbours in earlier rounds. Each has
+    vertices (M,), the matrix (M, V) that sums the values of their earlier neighbours, and the number (M, 1)
+    of these neighbours. ``mirrored``: vertices (K,) that are mirror images. No round has them."""
     count = len(base.vertices)
     left = np.ones(count, bool)
     left[mirrored] = False

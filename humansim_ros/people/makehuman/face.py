@@ -46,13 +46,8 @@ def face_offsets(source: MakeHumanData, rows: VertexIndices) -> Array:
 
 
 def unskin_offsets(offsets: Array, weights: Array, motion: Array) -> Array:
-    """Convert offsets (V, 3 S) in the A pose to offsets (V, S, 3) in the T pose.
-
-    Args:
-        offsets: (V, 3 S) metres.
-        weights: (V, B).
-        motion: Transforms (B, 4, 4) of the bones, as for ``skeleton.unskin``.
-    """
+    """Convert offsets (V, 3 S) in the A pose, metres, to offsets (V, S, 3) in the T pose. ``weights``: (V,
+    B). ``motion``: transforms (B, 4, 4) of the bones, as for ``skeleton.unskin``."""
     out = offsets.reshape(len(offsets), -1, 3).copy()
     rows = np.flatnonzero(out.any(axis=(1, 2)))
     back = np.einsum("nb,bij->nij", weights[rows], np.linalg.inv(motion)[:, :3, :3])
@@ -171,14 +166,9 @@ def with_mouth(human: Human) -> Human:
 class _Parts:
     """Data of teeth and tongue that are the same for all people: M vertices, F faces, 52 actions.
 
-    Attributes:
-        faces: (F, 4).
-        labels: (F,) materials.
-        bones: M names of bones.
-        tile: (M, 2) place in the tile of the texture, 0 to 1, from its upper left corner.
-        groups: Vertices of each group.
-        offsets: (M, 52, 3) metres, of :data:`ACTIONS`.
-        largest: Largest offset of ``jawOpen`` in the base mesh, metres.
+    ``labels``: (F,) materials. ``bones``: M names. ``tile``: (M, 2) place in the tile of the texture, 0 to 1,
+    from its upper left corner. ``groups``: vertices of each group. ``offsets``: (M, 52, 3) metres, of
+    :data:`ACTIONS`. ``largest``: largest offset of ``jawOpen`` in the base mesh, metres.
     """
 
     faces: VertexIndices
@@ -241,9 +231,8 @@ def _grid(vertices: Array, faces: VertexIndices) -> VertexIndices:
             around.setdefault(quad[k - 1], set()).add(quad[k])
     corners = [vertex for vertex, near in around.items() if len(near) == 2 and vertices[vertex, 0] < 0]
     start, end = sorted(corners, key=lambda vertex: vertices[vertex, 0])  # the gum is outside
-    column = next(
-        [start, a, b, end] for a in around[start] for b in around[a] & around[end] if len(around[a]) == 3
-    )
+    pairs = ((a, b) for a in around[start] for b in around[a] & around[end] if len(around[a]) == 3)
+    column = [start, *next(pairs), end]
     columns = [column]
     seen = set(column)
     while len(columns) <= _TEETH:

@@ -67,6 +67,8 @@ MONK_TONES: Sequence[Sequence[int]] = _TABLE["tones"]
 #: Number of dark colours of hair and eyes, which people with the tones 5 to 10 have; and the colour of grey
 #: hair.
 _DARK, _GREY = 2, (206, 204, 200)
+#: First and last tone of the scale.
+_TONES = (1.0, 10.0)
 #: Colours of cloth in a street, estimated without a source: shares in percent for adults and for children,
 #: and ranges of hue, saturation and value (HSV, 0 to 1). A hue above 1 lies beyond red.
 _CLOTH = _TABLE["cloth"]
@@ -85,17 +87,9 @@ _NORMAL = NormalDist()
 class Person:
     """A person before it is built.
 
-    Attributes:
-        age: Years.
-        sex: ``female`` or ``male``.
-        stature: Metres, barefoot.
-        weight: Kilograms, without clothes.
-        tone: Number of the skin tone in the Monk scale, 1 to 10.
-        muscle: Muscles compared with others, 0.3 to 0.7.
-        race: Shares of MakeHuman's three races.
-        face: Strengths of targets of the face.
-        clothes: Hair, beard, garments and things worn.
-        outfit: Colours and fabrics.
+    ``age``: years. ``stature``: metres, barefoot. ``weight``: kilograms, without clothes. ``tone``: number of
+    the skin tone in the Monk scale, 1 to 10. ``muscle``: muscles compared with others, 0.3 to 0.7. ``race``:
+    shares of MakeHuman's three races. ``face``: strengths of targets of the face.
     """
 
     age: float
@@ -117,16 +111,9 @@ class Person:
 
 @dataclass(frozen=True)
 class PeopleLimits:
-    """Limits for the people that are drawn.
-
-    Attributes:
-        age: Youngest and oldest age, years.
-        women: Share of women and girls.
-        stature: Least and greatest stature, metres.
-        bmi: Least and greatest body mass index, kilograms per square metre.
-        skin: First and last skin tone of the Monk scale.
-        uniform: Whether all people wear clothes of the same cut, colours and fabrics.
-    """
+    """Limits for the people that are drawn: ``age`` in years, share of ``women`` and girls, ``stature`` in
+    metres, ``bmi`` (body mass index) in kilograms per square metre, ``skin`` tones of the Monk scale.
+    ``uniform``: whether all people wear clothes of the same cut, colours and fabrics."""
 
     age: tuple[float, float] = AGES
     women: float = 0.5
@@ -176,9 +163,7 @@ _CLOTHES = (
 )
 #: Ranges in names of people that :func:`draw_people` checks (:func:`_drawn` checks the age): name, limits,
 #: unit.
-_RANGES = (
-    *(("stature", STATURES, "metres"), ("bmi", BMIS, "kg/m²"), ("skin", (1.0, 10.0), "of the Monk scale")),
-)
+_RANGES = (("stature", STATURES, "metres"), ("bmi", BMIS, "kg/m²"), ("skin", _TONES, "of the Monk scale"))
 #: Prefix of the name of a drawn person, and the separator of ranges in the name.
 _PERSON, _TO = "person#", ".."
 
@@ -291,8 +276,7 @@ def draw_person(
     """Draw a person. The result depends only on the seed, the number and the given traits.
 
     Args:
-        seed: Seed.
-        number: Number of the person.
+        seed, number: Seed, and number of the person.
         ages: Youngest and oldest age, years. All ages between them are equally frequent.
         sex: Sex. If None, it is drawn, like all traits below.
         stature: Metres, barefoot.
@@ -321,24 +305,15 @@ def _drawn(
     tone: int | None = None,
     clothes: Mapping[str, Any] | None = None,
 ) -> Person:
-    """Draw a person from its own seed.
-
-    Args:
-        seed: Seed of the person.
-        people: Limits of age, sex and skin tone. Its limits of stature and body mass index are ignored here.
-        sex: See :func:`draw_person`, like all traits below.
-        stature: Metres.
-        weight: Kilograms.
-        tone: Skin tone.
-        clothes: What is worn.
-    """
+    """Draw a person from its own seed, with the traits of :func:`draw_person`. Limits of stature and body
+    mass index are ignored here."""
     ages = people.age
     for limit in ages:
         _check("age", limit, AGES, "years")
     if ages[0] > ages[1]:
         raise MeshError(f"the youngest age, {ages[0]:g}, is above the oldest, {ages[1]:g}", key="age")
     for limit in people.skin:
-        _check("skin", limit, (1, 10), "of the Monk scale")
+        _check("skin", limit, _TONES, "of the Monk scale")
     uniform = random.Random(seed).random
     age = round(ages[0] + (ages[1] - ages[0]) * uniform(), 2)
     drawn_sex = SEXES[uniform() < 1 - people.women]
@@ -355,7 +330,7 @@ def _drawn(
     lightest, darkest = people.skin
     drawn_tone = lightest + int((darkest - lightest + 1) * uniform())
     tone = drawn_tone if tone is None else tone
-    _check("skin", tone, (1, 10), "of the Monk scale")
+    _check("skin", tone, _TONES, "of the Monk scale")
     muscle = round(0.3 + 0.4 * uniform(), 3)
     race, face = _race(tone, uniform), _face(uniform)
     uniform()  # drew the hair once: the numbers after it stay those of each seed
@@ -364,18 +339,8 @@ def _drawn(
     # numbers of their own, so that new garments leave faces and colours as they are
     others = random.Random(f"{seed}/clothes").random
     worn = draw_clothes(others, age, sex == "female", sleeves, clothes or {})
-    return Person(
-        age=age,
-        sex=sex,
-        stature=stature,
-        weight=weight,
-        tone=tone,
-        muscle=muscle,
-        race=race,
-        face=face,
-        clothes=worn,
-        outfit=_worn_colors(outfit, worn, age, others),
-    )
+    outfit = _worn_colors(outfit, worn, age, others)
+    return Person(age, sex, stature, weight, tone, muscle, race, face, worn, outfit)
 
 
 def _check(name: str, value: float, limits: tuple[float, float], unit: str) -> None:
@@ -419,11 +384,8 @@ def _race(tone: int, uniform: Callable[[], float]) -> dict[Race, float]:
     """Shares of MakeHuman's races. The darker the skin, the more African; the rest is divided at random."""
     african = min(max((tone - 5) / 4 + 0.4 * (uniform() - 0.5), 0.0), 1.0)
     asian = uniform()
-    shares: dict[Race, float] = {
-        "african": african,
-        "asian": (1 - african) * asian,
-        "caucasian": (1 - african) * (1 - asian),
-    }
+    rest = 1 - african
+    shares: dict[Race, float] = {"african": african, "asian": rest * asian, "caucasian": rest * (1 - asian)}
     return {race: round(share, 3) for race, share in shares.items()}
 
 
@@ -474,10 +436,8 @@ def _cloth_color(age: float, uniform: Callable[[], float], count: int | None = N
     place = ends[-1] * uniform()
     kind = bisect(ends, place)
     parts = (1 - (ends[kind] - place) / shares[kind], uniform(), uniform())
-    ranges = (kinds[kind][name] for name in ("hue", "saturation", "value"))
-    hue, saturation, value = (
-        low + (high - low) * part for (low, high), part in zip(ranges, parts, strict=True)
-    )
+    ranges = zip((kinds[kind][name] for name in ("hue", "saturation", "value")), parts, strict=True)
+    hue, saturation, value = (low + (high - low) * part for (low, high), part in ranges)
     red, green, blue = (round(255 * part) for part in colorsys.hsv_to_rgb(hue % 1.0, saturation, value))
     return red, green, blue
 
@@ -486,9 +446,8 @@ def _worn_colors(outfit: Outfit, clothes: Attire, age: float, uniform: Callable[
     """Colours of garments that have their own colours, and of worn things."""
     cloth, bright = _cloth_color(age, uniform, _COATS), uniform() < 0.7
     worn = {name: _cloth_color(age, uniform) for name in WORN if WORN[name].place in ("head", "back", "side")}
-    changes: dict[str, Any] = {
-        "worn": {name: worn[name] for name in clothes.wears if name in worn and name != "hard_hat"}
-    }
+    own = {name: worn[name] for name in clothes.wears if name in worn and name != "hard_hat"}
+    changes: dict[str, Any] = {"worn": own}
     if clothes.top == "suit":
         changes |= {"shirt": cloth, "trousers": cloth, "shirt_fabric": "twill", "trousers_fabric": "twill"}
     elif clothes.top in ("coat", "jacket"):

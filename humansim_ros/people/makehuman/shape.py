@@ -184,19 +184,14 @@ def with_stature(source: MakeHumanData, config: MakeHumanConfig) -> tuple[MakeHu
         else:
             high = middle
     fitted = config.model_copy(update={"height": round((low + high) / 2, 5)})
-    scale = config.stature / _barefoot(source, fitted)
+    base = read_base(source, target_strengths(source, fitted))
+    scale = config.stature / float(np.ptp(base.vertices[base.vertex_groups["body"], 1]))
     if not _SHORTEST <= scale <= _TALLEST:
         raise MeshError(
             f"{config.stature:g} m is impossible: sex and age give {config.stature / scale:.2f} m",
             key="makehuman.stature",
         )
     return fitted, scale
-
-
-def _barefoot(source: MakeHumanData, config: MakeHumanConfig) -> float:
-    """Height (metres) of a naked body."""
-    base = read_base(source, target_strengths(source, config))
-    return float(np.ptp(base.vertices[base.vertex_groups["body"], 1]))
 
 
 def read_body(source: MakeHumanData, targets: Mapping[str, float]) -> Array:
@@ -224,17 +219,9 @@ def _shares(slider: str, config: MakeHumanConfig) -> list[tuple[str, float]]:
 
 @dataclass(frozen=True)
 class Cut:
-    """Decides where the body is cut and refined for a dress. Everything else of a dress only moves and
-    paints.
-
-    Attributes:
-        hair: See ``HairStyle.base``.
-        sleeves: Length of the sleeves.
-        drop: See ``Top``.
-        hem: See ``Bottom``.
-        covers: See ``Footwear``.
-        shaft: See ``Footwear``.
-    """
+    """Decides where the body is cut and refined for a dress: ``base`` of a ``HairStyle``, length of the
+    sleeves, ``drop`` of a ``Top``, ``hem`` of a ``Bottom``, ``covers`` and ``shaft`` of ``Footwear``.
+    Everything else of a dress only moves and paints."""
 
     hair: Literal["none", "short", "long"] = "short"
     sleeves: Literal["none", "short", "long"] = "short"
@@ -259,14 +246,8 @@ class Dress:
     @classmethod
     def of(cls, config: MakeHumanConfig) -> Dress:
         """Dress of a person."""
-        return cls(
-            HAIR[config.hair],
-            BEARDS[config.beard],
-            TOPS[config.top],
-            BOTTOMS[config.bottom],
-            FOOTWEAR[config.shoes],
-            config.sleeves,
-        )
+        hair, beard, top = HAIR[config.hair], BEARDS[config.beard], TOPS[config.top]
+        return cls(hair, beard, top, BOTTOMS[config.bottom], FOOTWEAR[config.shoes], config.sleeves)
 
     @property
     def cut(self) -> Cut:

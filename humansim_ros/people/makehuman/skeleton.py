@@ -7,7 +7,7 @@ bone alone does.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,11 +49,8 @@ _WHOLE = _wholes()
 
 def landmarks(base: Base) -> dict[str, Array]:
     """Joint centres (3,) in metres: the centres of MakeHuman's joint cubes, and some of our own."""
-    points = {
-        name: base.vertices[rows].mean(axis=0)
-        for name, rows in base.vertex_groups.items()
-        if name.startswith("joint-")
-    }
+    joints = {name: rows for name, rows in base.vertex_groups.items() if name.startswith("joint-")}
+    points = {name: base.vertices[rows].mean(axis=0) for name, rows in joints.items()}
     body = base.vertices[base.vertex_groups["body"]]
     points["skull-top"] = points["joint-head-2"].copy()
     points["skull-top"][1] = body[:, 1].max()
@@ -97,13 +94,8 @@ class Bones:
 
 
 def make_bones(points: Mapping[str, Array], moved: Mapping[str, Array], hinges: Mapping[str, Array]) -> Bones:
-    """Bones at the joint centres of this body.
-
-    Args:
-        points: See :func:`landmarks`.
-        moved: Transforms (4, 4) of finger bones, by name.
-        hinges: Axes (3,) of finger bones that are moved so, by name.
-    """
+    """Bones at the joint centres ``points`` of this body (see :func:`landmarks`). ``moved``, ``hinges``:
+    transforms (4, 4) and axes (3,) of finger bones, by name (see :func:`relaxed_fingers`)."""
     names = BONE_NAMES
     parents = np.array([-1 if bone["parent"] is None else names.index(bone["parent"]) for bone in _BONES])
     heads, tails = (np.array([points[bone[end]] for bone in _BONES]) for end in ("head", "tail"))
@@ -130,9 +122,8 @@ def bone_weights(source: MakeHumanData, vertex_count: int) -> Array:
         side = "l" if name.endswith(".L") else "r"
         rows = np.array(pairs)
         for bone, share in WEIGHT_SHARES[prefix].items():
-            np.add.at(
-                weights[:, BONE_NAMES.index(bone.format(side))], rows[:, 0].astype(int), share * rows[:, 1]
-            )
+            column = weights[:, BONE_NAMES.index(bone.format(side))]
+            np.add.at(column, rows[:, 0].astype(int), share * rows[:, 1])
     weights[weights.sum(axis=1) == 0, BONE_NAMES.index("vt3")] = 1.0
     return limit_weights(weights)
 
@@ -204,8 +195,8 @@ def edges_of(faces: VertexIndices) -> VertexIndices:
 
 
 def smooth_weights(weights: Array, vertices: Array, edges: VertexIndices, reach: float) -> Array:
-    """Smooth weights (N, B) along short edges, which a motion would otherwise stretch to many times their
-    length.
+    """Smooth weights along short edges, which a motion would otherwise stretch to many times their length.
+    The 22 bones share their weights among their details as before.
 
     The weights at the ends of an edge may differ so much that the edge stretches to about twice its length
     when bones move ``reach`` metres apart. Larger differences are reduced iteratively.
@@ -215,9 +206,6 @@ def smooth_weights(weights: Array, vertices: Array, edges: VertexIndices, reach:
         vertices: (N, 3) metres.
         edges: See :func:`edges_of`.
         reach: Distance in metres.
-
-    Returns:
-        Weights (N, B) of the 22 bones, each shared among its details as before.
     """
     details = weights
     weights = _sums(details)
@@ -273,11 +261,8 @@ def t_pose(bones: Bones) -> tuple[Array, Bones]:
     for bone, name in enumerate(bones.names):
         if name in DETAIL_BONES:
             turn[bone] = turn[bones.parents[bone]]
-    heads, tails, motion = (
-        bones.heads.copy(),
-        bones.tails.copy(),
-        np.tile(np.eye(4), (len(bones.names), 1, 1)),
-    )
+    heads, tails = bones.heads.copy(), bones.tails.copy()
+    motion = np.tile(np.eye(4), (len(bones.names), 1, 1))
     for b, parent in enumerate(bones.parents):
         if parent >= 0:
             heads[b] = motion[parent, :3, :3] @ bones.heads[b] + motion[parent, :3, 3]
@@ -332,16 +317,8 @@ def finger_shares(source: MakeHumanData, count: int) -> Array:
 
 
 def relax_hands(shares: Array, vertices: Array, transforms: Mapping[str, Array]) -> Array:
-    """Bend the fingers of both hands.
-
-    Args:
-        shares: See :func:`finger_shares`.
-        vertices: (N, 3) all vertices of the base mesh, metres, in the A pose.
-        transforms: See :func:`relaxed_fingers`, of the same body.
-
-    Returns:
-        (N, 3) vertices; only the vertices of the fingers differ.
-    """
+    """Bend the fingers of both hands: vertices (N, 3) of the base mesh, metres, in the A pose. ``shares``:
+    see :func:`finger_shares`. ``transforms``: see :func:`relaxed_fingers`, of the same body."""
     moved = np.flatnonzero(shares[:, 0] < 1.0)
     out = vertices.copy()
     shares = shares[moved] / shares[moved].sum(axis=1, keepdims=True)
@@ -372,25 +349,18 @@ def _finger(points: Mapping[str, Array], side: str, finger: int) -> tuple[list[A
     axis /= np.linalg.norm(axis)
     out, before = [], np.eye(4)
     for segment, degrees in enumerate(_FLEXION[finger - 1], 1):
+        step = np.eye(4)
         turn = Rotation.from_rotvec(np.radians(degrees) * axis).as_matrix()
-        if segment == 1:
-            turn = turn @ closing
-        before = before @ _about(joint(segment), turn)
+        step[:3, :3] = turn @ closing if segment == 1 else turn
+        step[:3, 3] = joint(segment) - step[:3, :3] @ joint(segment)
+        before = before @ step
         out.append(before)
     return out, axis
 
 
-def _closing(palm: Array, joint: object, finger: int) -> Array:
+def _closing(palm: Array, joint: Callable[..., Array], finger: int) -> Array:
     """Rotation (3, 3) about the normal of the palm that turns a finger towards the middle finger."""
-    assert callable(joint)
     direction, middle = (d - (d @ palm) * palm for d in (joint(3) - joint(1), joint(3, 3) - joint(1, 3)))
     angle = np.arctan2(np.cross(direction, middle) @ palm, direction @ middle)
     angle = np.sign(angle) * np.radians(_THUMB_CLOSING) if finger == 1 else _CLOSING * angle
     return Rotation.from_rotvec(angle * palm).as_matrix()
-
-
-def _about(centre: Array, turn: Array) -> Array:
-    out = np.eye(4)
-    out[:3, :3] = turn
-    out[:3, 3] = centre - turn @ centre
-    return out

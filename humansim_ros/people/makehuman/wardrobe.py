@@ -56,19 +56,13 @@ class Attire:
 
 @dataclass(frozen=True)
 class HairStyle:
-    """A hair style.
+    """A hair style. 0 stands for no parting, no ridge and no hanging hair.
 
-    Attributes:
-        base: Hair on the scalp: none, short, or draped to the chin.
-        thickness: Factor of the thickness of short hair on the scalp.
-        volume: Thickness of the hair above the scalp.
-        lumps: Strength of lumps, as a share of the volume.
-        curl: Size of lumps.
-        front: Distance by which the front edge is lower.
-        part: x of the parting. 0 for no parting.
-        ridge: Half width of a ridge that the volume is limited to. 0 for no ridge.
-        length: Length of hanging hair below the ears. 0 for no hanging hair.
-        tie: How hanging hair is tied.
+    ``base``: hair on the scalp: none, short, or draped to the chin. ``thickness``: factor of the thickness of
+    short hair on the scalp. ``volume``: thickness above the scalp. ``lumps``: strength of lumps, as a share
+    of the volume; ``curl``: their size. ``front``: distance by which the front edge is lower. ``part``: x of
+    the parting. ``ridge``: half width of a ridge that the volume is limited to. ``length``: of hanging hair
+    below the ears; ``tie``: how hanging hair is tied.
     """
 
     base: Literal["none", "short", "long"] = "short"
@@ -96,16 +90,10 @@ class Beard:
 class Top:
     """A garment of the upper body.
 
-    Attributes:
-        sleeves: Length of the sleeves. If None, the person's choice.
-        ease: Thickness in addition to that of a shirt.
-        drop: Distance of the lower edge below the belt.
-        collar: What lies around the neck.
-        front: How the front closes.
-        skirt: Length of the part that hangs from the waist. 0 for no such part.
-        flare: Increase of width per metre of the hanging part.
-        bands: Whether it has reflecting bands.
-        bottoms: Garments of the lower body that fit.
+    ``sleeves``: if None, the person's choice. ``ease``: thickness in addition to that of a shirt. ``drop``:
+    distance of the lower edge below the belt. ``skirt``: length of the part that hangs from the waist, 0 for
+    no such part. ``flare``: increase of width per metre of the hanging part. ``bands``: whether it has
+    reflecting bands. ``bottoms``: garments of the lower body that fit.
     """
 
     sleeves: Literal["none", "short", "long"] | None = None
@@ -123,11 +111,9 @@ class Top:
 class Bottom:
     """A garment of the lower body.
 
-    Attributes:
-        hem: Height of the lower edge of the legs, from 0 at the ankles over 1 at the knees to 2 at the hips.
-        loose: Whether the legs of the garment are tubes around the shins.
-        skirt: Length of a skirt. 0 for no skirt.
-        flare: Increase of width per metre of the skirt.
+    ``hem``: height of the lower edge of the legs, from 0 at the ankles over 1 at the knees to 2 at the hips.
+    ``loose``: whether the legs of the garment are tubes around the shins. ``skirt``: length of a skirt, 0 for
+    no skirt. ``flare``: increase of width per metre of the skirt.
     """
 
     hem: float = 0.0
@@ -138,13 +124,8 @@ class Bottom:
 
 @dataclass(frozen=True)
 class Footwear:
-    """Footwear.
-
-    Attributes:
-        covers: Whether it covers the foot.
-        shaft: Height of the upper edge above the ankle.
-        sole: Thickness of the sole of footwear that does not cover the foot; 0 for bare feet.
-    """
+    """Footwear. ``covers``: whether it covers the foot. ``shaft``: height of the upper edge above the ankle.
+    ``sole``: thickness of the sole of footwear that does not cover the foot; 0 for bare feet."""
 
     covers: bool = True
     shaft: float = 0.0
@@ -153,15 +134,10 @@ class Footwear:
 
 @dataclass(frozen=True)
 class Worn:
-    """A thing that is worn.
+    """A thing that is worn. Only one thing can be worn at each place.
 
-    Attributes:
-        place: Place of the body. Only one thing can be worn at each place.
-        shape: Shape of the thing.
-        color: Colour, if the outfit has none for this thing.
-        fabric: Fabric.
-        ease: Distance between the head and a thing around it.
-        brim: Width of the brim all around. For a cap, width in front.
+    ``color``: used if the outfit has no colour for this thing. ``ease``: distance between the head and a
+    thing around it. ``brim``: width of the brim all around; for a cap, in front.
     """
 
     place: Literal["eyes", "mouth", "head", "back", "side"]
@@ -174,12 +150,9 @@ class Worn:
 
 def _rows(kind: str, row: Callable[..., Row]) -> dict[Any, Row]:
     """Rows of a table by name."""
-    named = _TABLES[kind].items()
     return {
-        name: row(
-            **{key: tuple(value) if isinstance(value, list) else value for key, value in values.items()}
-        )
-        for name, values in named
+        name: row(**{key: tuple(each) if isinstance(each, list) else each for key, each in values.items()})
+        for name, values in _TABLES[kind].items()
     }
 
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -248,9 +248,9 @@ def _arrays(human: Human) -> dict[str, NDArray[Any]]:
     counts = np.diff(human.weights.indptr)
     width = int(counts.max())
     bones = np.zeros((len(counts), width), dtype=np.int16)
-    values = np.zeros((len(counts), width))
+    shares = np.zeros((len(counts), width))
     used = np.arange(width) < counts[:, None]
-    bones[used], values[used] = human.weights.indices, human.weights.data
+    bones[used], shares[used] = human.weights.indices, human.weights.data
     arrays: dict[str, NDArray[Any]] = {
         "vertices": mesh.vertices.astype(np.float32),
         "faces": mesh.faces.astype(np.int32),
@@ -260,7 +260,7 @@ def _arrays(human: Human) -> dict[str, NDArray[Any]]:
         "bone_tails": skeleton.tails,
         "bone_rolls": skeleton.rolls,
         "weight_bones": bones,
-        "weight_values": values.astype(np.float32),
+        "weight_values": shares.astype(np.float32),
     }
     if mesh.uv is not None and mesh.uv_faces is not None:
         arrays |= {"uv": mesh.uv.astype(np.float32), "uv_faces": mesh.uv_faces.astype(np.int32)}
@@ -269,14 +269,9 @@ def _arrays(human: Human) -> dict[str, NDArray[Any]]:
         arrays |= {f"{_OUTFIT_PREFIX}{name}": np.asarray(look) for name, look in human.looks.items()}
     elif mesh.colors is not None:
         arrays["colors"] = mesh.colors
-    if mesh.skin is not None:
-        arrays["skin"] = mesh.skin
-    if mesh.materials is not None:
-        arrays["materials"] = mesh.materials
-    if mesh.hair is not None:
-        arrays["hair"] = mesh.hair
-    if mesh.off_body is not None:
-        arrays["off_body"] = mesh.off_body
+    for name in ("skin", "materials", "hair", "off_body"):
+        if (values := getattr(mesh, name)) is not None:
+            arrays[name] = values
     if mesh.shading is not None:
         parts = (mesh.shading.data, mesh.shading.indices, mesh.shading.indptr)
         arrays |= dict(zip(_SHADING, parts, strict=True))
@@ -319,7 +314,7 @@ def human_from_arrays(arrays: dict[str, NDArray[Any]], name: str) -> Human:
         skin=_texels(arrays, "skin"),
         materials=_materials(arrays),
         hair=_texels(arrays, "hair"),
-        off_body=_off_body(arrays),
+        off_body=_of_faces(arrays, "off_body", np.bool_),
     )
     mesh = replace(mesh, shading=_shading(arrays, mesh))
     skeleton = Skeleton(
@@ -332,13 +327,8 @@ def human_from_arrays(arrays: dict[str, NDArray[Any]], name: str) -> Human:
     if len(skeleton) > MAX_BONES:
         raise MeshError(f"{len(skeleton)} bones; at most {MAX_BONES}", key="bone_names")
     bones, values = _indices(arrays, "weight_bones").astype(int), _numbers(arrays, "weight_values")
-    if (
-        bones.ndim != 2
-        or bones.shape != values.shape
-        or len(bones) != len(vertices)
-        or bones.min() < 0
-        or bones.max() >= len(skeleton)
-    ):
+    fits = bones.ndim == 2 and bones.shape == values.shape and len(bones) == len(vertices)
+    if not fits or bones.min() < 0 or bones.max() >= len(skeleton):
         raise MeshError("the weights do not fit the vertices and bones", key="weight_bones")
     used = values != 0
     starts = np.concatenate([[0], np.cumsum(used.sum(axis=1))])
@@ -347,20 +337,16 @@ def human_from_arrays(arrays: dict[str, NDArray[Any]], name: str) -> Human:
     looks = _looks(arrays, len(vertices))
     notes: dict[str, str] = {key: str(arrays[key]) for key in ("license", "source") if key in arrays}
     skinning = str(arrays.get("skinning", "linear"))
-    if skinning not in ("linear", "dual_quaternion"):
+    if skinning not in (methods := get_args(Skinning)):
         raise MeshError(
-            f"{skinning[:30]!r} is not a skinning method; use linear or dual_quaternion", key="skinning"
+            f"{skinning[:30]!r} is not a skinning method; use {' or '.join(methods)}", key="skinning"
         )
-    method: Skinning = "linear" if skinning == "linear" else "dual_quaternion"
-    shapes = read_shapes(arrays, len(vertices))
-    weights = normalise_weights(weights)
-    loose = read_loose(arrays, len(vertices))
     human = Human(
-        *(name, mesh, skeleton, weights, looks),
-        skinning=method,
+        *(name, mesh, skeleton, normalise_weights(weights), looks),
+        skinning=cast(Skinning, skinning),
         notes=notes,
-        shapes=shapes,
-        loose=loose,
+        shapes=read_shapes(arrays, len(vertices)),
+        loose=read_loose(arrays, len(vertices)),
         mouth=_mouth(arrays),
     )
     return human.wearing(human.outfits[0]) if looks else human
@@ -401,24 +387,20 @@ def _texels(arrays: dict[str, NDArray[Any]], key: str) -> NDArray[np.uint8] | No
     return share
 
 
+def _of_faces(arrays: dict[str, NDArray[Any]], key: str, dtype: type[Any]) -> NDArray[Any] | None:
+    """Values (F,) of the faces; None if the file has none."""
+    values, name = arrays.get(key), np.dtype(dtype).name
+    if values is not None and (values.dtype != dtype or values.shape != (len(arrays["faces"]),)):
+        raise MeshError(f"must be (F,) {name}, not {values.shape} {values.dtype}", key=key)
+    return values
+
+
 def _materials(arrays: dict[str, NDArray[Any]]) -> NDArray[np.uint8] | None:
     """Label of each face."""
-    labels = arrays.get("materials")
-    if labels is None:
-        return None
-    if labels.dtype != np.uint8 or labels.shape != (len(arrays["faces"]),):
-        raise MeshError(f"must be (F,) uint8, not {labels.shape} {labels.dtype}", key="materials")
-    if len(labels) and not 1 <= labels.min() <= labels.max() <= len(MATERIALS):
+    labels = _of_faces(arrays, "materials", np.uint8)
+    if labels is not None and len(labels) and not 1 <= labels.min() <= labels.max() <= len(MATERIALS):
         raise MeshError(f"labels are 1 to {len(MATERIALS)}", key="materials")
     return labels
-
-
-def _off_body(arrays: dict[str, NDArray[Any]]) -> NDArray[np.bool_] | None:
-    """Whether each face belongs to an off-body surface."""
-    beside = arrays.get("off_body")
-    if beside is not None and (beside.dtype != np.bool_ or beside.shape != (len(arrays["faces"]),)):
-        raise MeshError(f"must be (F,) bool, not {beside.shape} {beside.dtype}", key="off_body")
-    return beside
 
 
 def _looks(arrays: dict[str, NDArray[Any]], n_vertices: int) -> dict[str, NDArray[np.uint8]]:

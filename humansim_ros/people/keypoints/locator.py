@@ -44,17 +44,12 @@ _CROWN: Mapping[str, float] = {"vt3_end": 1.0}
 _NECK_BASE = _between(_SHOULDERS, _NECK, 0.5)
 
 
-def _of_side(side: str) -> dict[str, Mapping[str, float]]:
-    def joint(name: str) -> dict[str, float]:
-        return {f"{side}_{name}": 1.0}
-
-    return {
-        f"{side}_collar": _between(joint("sternoclavicular"), joint("shoulder"), 0.35),
-        f"{side}_palm": _between(joint("wrist"), joint("wrist_end"), 0.35),
-        f"{side}_foot_ball": _between(joint("ankle"), joint("ankle_end"), 0.6),
-    }
-
-
+#: Points on both sides: joints before and after the point, and its place between them.
+_ON_SIDES = {
+    "collar": ("sternoclavicular", "shoulder", 0.35),
+    "palm": ("wrist", "wrist_end", 0.35),
+    "foot_ball": ("ankle", "ankle_end", 0.6),
+}
 #: Shares of joints in each point between joints. SMPL's shares are measured on its mean body, between hips
 #: and neck. The middle of the skull is that of the skeleton of Human3.6M.
 MIXES: Mapping[str, Mapping[str, float]] = {
@@ -68,21 +63,19 @@ MIXES: Mapping[str, Mapping[str, float]] = {
     "spine_2": _between(_HIPS, _NECK, 0.55),
     "spine_3": _between(_HIPS, _NECK, 0.64),
     "head_joint": _between(_NECK, _CROWN, 0.3),
-    **_of_side("l"),
-    **_of_side("r"),
+    **{
+        f"{side}_{point}": _between({f"{side}_{first}": 1.0}, {f"{side}_{second}": 1.0}, share)
+        for side in "lr"
+        for point, (first, second, share) in _ON_SIDES.items()
+    },
 }
 
 
 @dataclass(frozen=True)
 class SkinPoint:
-    """A point of the skin.
-
-    Attributes:
-        uv: Texture coordinates (u, v), v up, on bodies that :mod:`humansim_ros.people.makehuman` makes.
-        vertices: Corners of its triangle in MakeHuman's base mesh. The vertices of eyes come after those of
-            the skin.
-        weights: Barycentric weights of the corners.
-    """
+    """A point of the skin. ``uv``: texture coordinates, v up, on bodies that
+    :mod:`humansim_ros.people.makehuman` makes. ``vertices``: corners of its triangle in MakeHuman's base
+    mesh, where eyes come after the skin. ``weights``: barycentric weights of the corners."""
 
     uv: tuple[float, float]
     vertices: tuple[int, int, int]
@@ -289,13 +282,10 @@ _JOINTS = {joint.name for joint in JOINT_NAMES}
 class KeypointLocator:
     """Computes the K keypoints of a set on one human, in any pose.
 
-    Attributes:
-        keypoints: The set.
-        on_surface: (K,) whether the keypoint is a point of the skin.
-        certain: (K,) whether its place is known exactly. On meshes from other programs, points of the skin
-            are found by fitting, and are not certain. Points that a human lacks, such as fingers, are not
-            certain either.
-        surfaces: Part labels (K, 256) that are skin around each keypoint.
+    ``on_surface``: (K,) whether the keypoint is a point of the skin. ``certain``: (K,) whether its place is
+    known exactly. On meshes from other programs, points of the skin are found by fitting, and are not
+    certain. Points that a human lacks, such as fingers, are not certain either. ``surfaces``: part labels
+    (K, 256) that are skin around each keypoint.
     """
 
     keypoints: KeypointSet
@@ -355,9 +345,8 @@ def _locate(human: Human, keypoints: KeypointSet) -> KeypointLocator:
         else:
             on_surface[number] = True
     places = place_on_skin(human, [keypoints.points[k] for k in np.flatnonzero(on_surface)])
-    surfaces = np.array(
-        [around[_joints_between(human.skeleton, row)].any(axis=0) for row in np.nan_to_num(shares)]
-    )
+    between = (_joints_between(human.skeleton, row) for row in np.nan_to_num(shares))
+    surfaces = np.array([around[joints].any(axis=0) for joints in between])
     bones = dominant_bones(human.weights)[places.corners]
     for number, own in zip(np.flatnonzero(on_surface).tolist(), bones, strict=True):
         surfaces[number, own + 1] = True
@@ -369,17 +358,12 @@ def _locate(human: Human, keypoints: KeypointSet) -> KeypointLocator:
 def _joints_between(skeleton: Skeleton, shares: Array) -> list[int]:
     """Joints with a share (J,), and the heads of the bones on the way between them."""
     joints = np.flatnonzero(shares).tolist()
-    ways = [_ancestors(skeleton, skeleton.joint_bones[joint]) for joint in joints]
+    ways = []
+    for bone in (skeleton.joint_bones[joint] for joint in joints):
+        ways.append([bone])
+        while (bone := int(skeleton.parents[bone])) >= 0:
+            ways[-1].append(bone)
     common = set.intersection(*map(set, ways)) if ways else set()
     # parents come before children, so the largest common ancestor is the nearest one
     nearest = max(common, default=-1)
     return sorted({*joints, *(bone for way in ways for bone in way if bone not in common or bone == nearest)})
-
-
-def _ancestors(skeleton: Skeleton, bone: int) -> list[int]:
-    """A bone, its parent, and so on to the root."""
-    way = []
-    while bone >= 0:
-        way.append(bone)
-        bone = int(skeleton.parents[bone])
-    return way

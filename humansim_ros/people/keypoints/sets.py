@@ -70,13 +70,9 @@ class KeypointSet:
         if partner != name or "-" not in name:
             return self.names.index(partner) if partner in self.names else number
         # numbered keypoints, such as face-16, have the side of their point
-        return self.names.index(
-            next(
-                other
-                for other, place in zip(self.names, self.points, strict=True)
-                if place == opposite and other.partition("-")[0] == name.partition("-")[0]
-            )
-        )
+        kind = name.partition("-")[0] + "-"
+        places = enumerate(zip(self.names, self.points, strict=True))
+        return next(n for n, (other, place) in places if place == opposite and other.startswith(kind))
 
     @cached_property
     def parts(self) -> Mapping[str, tuple[int, ...]]:
@@ -87,12 +83,8 @@ class KeypointSet:
             >>> min(keypoint_set("wholebody133").parts["left_hand"])
             91
         """
-        names = {part: keypoint_set(own).names for part, own in _PARTS.items()}
-        return {
-            part: tuple(map(self.names.index, own))
-            for part, own in names.items()
-            if set(own) <= set(self.names)
-        }
+        parts = ((part, keypoint_set(own).names) for part, own in _PARTS.items())
+        return {part: tuple(map(self.names.index, own)) for part, own in parts if set(own) <= {*self.names}}
 
     def subset(self, numbers: Sequence[int], sigmas: tuple[float, ...] | None = None) -> KeypointSet:
         """Set of some of the keypoints. ``sigmas``: OKS constants of the new set."""

@@ -396,8 +396,8 @@ class _Body:
         return tails
 
     def _goal(self, name: str, head: Array, children: list[int], joint_of: Mapping[str, int]) -> Array:
-        """Point (3,) that a bone leads to; its head (3,) if nothing shows the direction. ``children``: bones
-        below it."""
+        """Point (3,) that a bone leads to. If nothing shows the direction, the head (3,) of the bone.
+        ``children``: bones below it."""
         names, links = self.names, {**self.match.details, **self.match.parallel}
         if name == "vt3":
             return self._top_of_head(joint_of.get(name), head)

@@ -306,9 +306,8 @@ def _made(path: str | os.PathLike[str], options: MeshHuman) -> Human:
         source = read_mesh_or_figure(path)
     if isinstance(source, SkinnedMesh):
         if options.joints:
-            raise MeshError(
-                "this mesh has its own joints, which cannot be moved: leave them out", key="joints"
-            )
+            message = "this mesh has its own joints, which cannot be moved: leave them out"
+            raise MeshError(message, key="joints")
         mesh, skeleton, weights = to_body_space(source, options.unit, options.up, options.facing)
         if options.stature is not None:
             mesh, skeleton = _resized(mesh, skeleton, options.stature)
@@ -341,9 +340,8 @@ def _load(path: Path) -> Human:
     if suffix in _DESCRIPTIONS:
         return _described(path)
     if suffix not in SUFFIXES and not has_signature(read_bytes(path, MeshError, "mesh", MAX_BYTES)):
-        raise MeshError(
-            f"a human is one of {', '.join(SUFFIXES)}, not {suffix or 'a file without suffix'}", path=path
-        )
+        found = suffix or "a file without suffix"
+        raise MeshError(f"a human is one of {', '.join(SUFFIXES)}, not {found}", path=path)
     return _from_mesh(path, path, MeshHuman())
 
 
@@ -395,17 +393,12 @@ def _described(path: Path) -> Human:
         raise MeshError(f"a mesh is {known} or an SMPL model (.npz)", path=path, key="mesh")
     if not exists or not mesh.is_file():
         raise MeshError(missing_file(mesh), path=path, key="mesh")
-    options = description.model_copy(
-        update={
-            "outfits": {
-                name: clothes
-                if clothes.texture is None
-                else clothes.model_copy(update={"texture": str(resolve_relative(path, clothes.texture)[0])})
-                for name, clothes in description.outfits.items()
-            }
-        }
-    )
-    return _from_mesh(path, mesh, options)
+    outfits = dict(description.outfits)
+    for name, clothes in outfits.items():
+        if clothes.texture is not None:
+            texture = str(resolve_relative(path, clothes.texture)[0])
+            outfits[name] = clothes.model_copy(update={"texture": texture})
+    return _from_mesh(path, mesh, description.model_copy(update={"outfits": outfits}))
 
 
 def _from_mesh(path: Path, mesh: Path, options: MeshHuman) -> Human:
@@ -450,14 +443,8 @@ def fit_mesh(mesh: Mesh, options: MeshHuman) -> tuple[Mesh, Skeleton]:
     # imported here, since the import is slow
     from humansim_ros.people.rigging.fitting import fit_skeleton, joints_of, skeleton_at
 
-    fitted, skeleton = fit_skeleton(
-        mesh,
-        options.skeleton,
-        up=options.up,
-        facing=options.facing,
-        unit=options.unit,
-        stature=options.stature,
-    )
+    given = {name: getattr(options, name) for name in ("up", "facing", "unit", "stature")}
+    fitted, skeleton = fit_skeleton(mesh, options.skeleton, **given)
     if options.joints:
         joints = joints_of(skeleton)
         for name, place in options.joints.items():

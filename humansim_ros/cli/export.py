@@ -65,8 +65,8 @@ def export(
     A recipe is a YAML file with the key ``recipe`` (docs/datasets.md).
     """
     from humansim_ros.data import export_source, recipe_data_set
+    from humansim_ros.data.bags import is_bag
     from humansim_ros.data.engine import is_url
-    from humansim_ros.data.evaluation import is_bag
     from humansim_ros.data.formats import Export, ExportPlan, chosen_formats, parse_range
     from humansim_ros.files.reading import cores
     from humansim_ros.scene.core import Scene

@@ -147,11 +147,11 @@ def _boxes(truth: Path, estimate: Sequence[str], gate: float | None) -> Comparis
 
 def _navigation(truth: Path, estimate: Sequence[str], radius: float | None) -> Comparison:
     """Compare the path of a robot with the people of the truth."""
+    from humansim_ros.data.bags import is_bag
     from humansim_ros.data.evaluation.export_truth import is_export
     from humansim_ros.data.evaluation.html import table_html_report
     from humansim_ros.data.evaluation.navigation import DEFAULT_RADIUS, evaluate_navigation
     from humansim_ros.data.evaluation.nearby import bag_nearby, robot_size, scene_nearby
-    from humansim_ros.data.evaluation.readers.estimates import is_bag
     from humansim_ros.data.evaluation.readers.robot_paths import read_robot_path
     from humansim_ros.data.evaluation.report import (
         CLOSENESS_HEADER,
@@ -309,7 +309,7 @@ def export_source(
     source: Scene | str | os.PathLike[str] | None, formats: tuple[ExportFormat, ...], keypoints: str
 ) -> ExportSource:
     """The scene or bag to export."""
-    from humansim_ros.data.evaluation.readers.estimates import is_bag
+    from humansim_ros.data.bags import is_bag
     from humansim_ros.data.formats.source import SimulatedSource
     from humansim_ros.people.keypoints import keypoint_set
 

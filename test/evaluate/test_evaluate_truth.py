@@ -21,7 +21,6 @@ from humansim_ros.data.evaluation.pose_sequence import PoseSequence
 from humansim_ros.data.evaluation.readers.estimates import read_bag_topic
 from humansim_ros.data.evaluation.readers.pose_files import ReadOptions
 from humansim_ros.data.evaluation.truth import (
-    FIRST_STAMP,
     bag_truth,
     camera_counts,
     open_truth,
@@ -30,6 +29,7 @@ from humansim_ros.data.evaluation.truth import (
 )
 from humansim_ros.errors import BagError, EvaluationError, HumansimWarning
 from humansim_ros.people import KeypointLocator, keypoint_set
+from humansim_ros.scene.config import FIRST_STAMP
 
 SCENE = {
     "room": None,

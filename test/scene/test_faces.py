@@ -442,6 +442,14 @@ def test_a_human_is_pickled_without_those_that_it_looks_at() -> None:
         pickle.loads(alone).at(0.4)
 
 
+def test_former_names_of_settings_warn() -> None:
+    human = anna({"head": 1})
+    with pytest.warns(DeprecationWarning, match=r"use settings\('face'\)"):
+        assert human.face is human.settings("face")
+    with pytest.raises(AttributeError, match="'faces'"):
+        _ = human.faces
+
+
 def test_the_neck_stays_within_its_limits_and_never_jumps() -> None:
     actor = anna({"head": 1, "keys": [{"gaze": [1, 0, 1]}]})
     assert actor.settings("face") is not None and actor._eyes is not None

@@ -1,4 +1,4 @@
-"""A new feature is a folder and two lines: the umbrella of CONTRIBUTING.md, as a patch for a copy of the package."""
+"""A new feature is a folder and two lines: the umbrella of CONTRIBUTING.md, as a patch for a copy."""
 
 from __future__ import annotations
 

@@ -2,6 +2,7 @@ from humansim_ros.data.bags.bag_thread import BagThread as BagThread
 from humansim_ros.data.bags.chunks import BagMessage as BagMessage
 from humansim_ros.data.bags.chunks import Compression as Compression
 from humansim_ros.data.bags.metadata import Storage as Storage
+from humansim_ros.data.bags.metadata import is_bag as is_bag
 from humansim_ros.data.bags.reader import BagReader as BagReader
 from humansim_ros.data.bags.topics import BagTopic as BagTopic
 from humansim_ros.data.bags.topics import Qos as Qos

@@ -25,6 +25,11 @@ _Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _MAX_BYTES = 1 << 26
 
 
+def is_bag(path: Path) -> bool:
+    """Whether a path is a bag: a folder of rosbag2, or one of its files."""
+    return path.suffix.lower() in SUFFIXES.values() or (path / NAME).is_file()
+
+
 @dataclass
 class Content:
     """Numbers and times of messages. ``counts``: number of messages by topic index. Times are nanoseconds."""

@@ -19,7 +19,6 @@ from humansim_ros.data.evaluation.pose_sequence import SequenceBuilder as Sequen
 from humansim_ros.data.evaluation.readers.detections import is_of_images as is_of_images
 from humansim_ros.data.evaluation.readers.estimates import ESTIMATE_SUFFIXES as ESTIMATE_SUFFIXES
 from humansim_ros.data.evaluation.readers.estimates import in_world as in_world
-from humansim_ros.data.evaluation.readers.estimates import is_bag as is_bag
 from humansim_ros.data.evaluation.readers.estimates import read_estimates as read_estimates
 from humansim_ros.data.evaluation.readers.estimates import split_topic as split_topic
 from humansim_ros.data.evaluation.readers.estimates import topic_pattern as topic_pattern
@@ -27,6 +26,5 @@ from humansim_ros.data.evaluation.readers.estimates import topic_person as topic
 from humansim_ros.data.evaluation.readers.pose_files import ReadOptions as ReadOptions
 from humansim_ros.data.evaluation.report import show as show
 from humansim_ros.data.evaluation.stream import EstimateStream as EstimateStream
-from humansim_ros.data.evaluation.truth import FIRST_STAMP as FIRST_STAMP
 from humansim_ros.data.evaluation.truth import SceneTruth as SceneTruth
 from humansim_ros.data.evaluation.truth import truth_at as truth_at

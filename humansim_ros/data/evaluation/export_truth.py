@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 
 from humansim_ros.cameras.camera import Camera
+from humansim_ros.data.bags import is_bag
 from humansim_ros.data.evaluation.boxes import BoxTracks, scene_boxes
 from humansim_ros.data.evaluation.images import ImageTruth, image_table
 from humansim_ros.data.evaluation.pictures import ScenePictures
 from humansim_ros.data.evaluation.pose_sequence import PoseSequence
 from humansim_ros.data.evaluation.readers.box_files import read_box_file
-from humansim_ros.data.evaluation.readers.estimates import is_bag, read_estimates
+from humansim_ros.data.evaluation.readers.estimates import read_estimates
 from humansim_ros.data.evaluation.readers.pose_files import ReadOptions
-from humansim_ros.data.evaluation.truth import FIRST_STAMP
 from humansim_ros.data.formats.aicity import TRUTH_FILE
 from humansim_ros.data.formats.coco import CHANNELS, CocoWriter, coco_document, scene_categories
 from humansim_ros.data.formats.plan import INDEX, read_index
@@ -27,6 +27,7 @@ from humansim_ros.data.formats.writer import ExportFolder, ExportFrame, ExportSc
 from humansim_ros.errors import EvaluationError, located
 from humansim_ros.files.reading import MAX_IMAGE_BYTES, decode_image, read_bytes, read_json
 from humansim_ros.people.keypoints import KeypointSet, keypoint_set
+from humansim_ros.scene.config import FIRST_STAMP
 from humansim_ros.scene.core import Scene, Simulation
 from humansim_ros.types import Image
 

@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from humansim_ros.data.bags.reader import BagReader
 from humansim_ros.data.evaluation.readers.estimates import deserialised_message, topic_pattern, topic_person
-from humansim_ros.data.evaluation.truth import FIRST_STAMP, bag_truth, check_motions, frames_of
+from humansim_ros.data.evaluation.truth import bag_truth, check_motions, frames_of
 from humansim_ros.data.messages.headers import to_nanoseconds
 from humansim_ros.data.messages.humans import read_vertices
 from humansim_ros.errors import EvaluationError, located
+from humansim_ros.scene.config import FIRST_STAMP
 from humansim_ros.scene.core import HIPS, Scene, SceneStates
 from humansim_ros.scene.features import ROBOT
 from humansim_ros.types import Array

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.cameras.camera import Camera
-from humansim_ros.data.evaluation.truth import FIRST_STAMP
+from humansim_ros.scene.config import FIRST_STAMP
 from humansim_ros.scene.core import Frame, Scene, Simulation
 from humansim_ros.types import Array, Image
 

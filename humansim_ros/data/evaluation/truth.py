@@ -10,19 +10,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from humansim_ros.data.bags import is_bag
 from humansim_ros.data.evaluation.evaluation import CameraCountScore, Evaluation
 from humansim_ros.data.evaluation.metrics import mean_error
 from humansim_ros.data.evaluation.pose_sequence import PoseSequence
-from humansim_ros.data.evaluation.readers.estimates import is_bag, read_bag_topic
+from humansim_ros.data.evaluation.readers.estimates import read_bag_topic
 from humansim_ros.data.evaluation.readers.pose_files import ReadOptions
 from humansim_ros.errors import EvaluationError
 from humansim_ros.people.keypoints import KeypointLocator, KeypointSet
-from humansim_ros.scene.config import LIVE, frame_at
+from humansim_ros.scene.config import FIRST_STAMP, LIVE, frame_at
 from humansim_ros.scene.core import Scene
 from humansim_ros.types import Array, Indices
 
-#: Stamp of frame 0 of a scene in lockstep and in ``Simulation``, nanoseconds.
-FIRST_STAMP = 1
 #: Most frames of a scene for which truth is computed: nine hours at 30 Hz.
 MAX_TRUTH_FRAMES = 1_000_000
 #: From this frame on, stamps come from a wall clock.

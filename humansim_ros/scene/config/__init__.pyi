@@ -21,6 +21,7 @@ from humansim_ros.scene.config.config import frame_at as frame_at
 from humansim_ros.scene.config.config import load_config as load_config
 from humansim_ros.scene.config.config import map_files as map_files
 from humansim_ros.scene.config.config import schema_text as schema_text
+from humansim_ros.scene.config.timing import FIRST_STAMP as FIRST_STAMP
 from humansim_ros.scene.config.timing import CameraTiming as CameraTiming
 from humansim_ros.scene.config.timing import PictureTimer as PictureTimer
 from humansim_ros.scene.features.keyframes.keys import KeyframesConfig as KeyframesConfig

@@ -9,6 +9,8 @@ from math import ceil, floor, isclose
 from humansim_ros.errors import SceneError
 from humansim_ros.scene.config.config import frame_time
 
+#: Stamp of frame 0 of a scene in lockstep and in ``Simulation``, nanoseconds.
+FIRST_STAMP = 1
 #: Rounding of numbers in scene files: share by which a rate may be wrong, and frames by which an offset may.
 _RATE_ROUNDING, _OFFSET_ROUNDING = 5e-4, 0.01
 

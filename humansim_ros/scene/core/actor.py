@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections import defaultdict
 from collections.abc import Mapping, Set
 from dataclasses import dataclass, field, replace
@@ -49,6 +50,9 @@ from humansim_ros.scene.core.human_state import HumanState
 from humansim_ros.scene.core.layers import BodyPoses, Fitted, PoseLayer, layer_types, layers_of
 from humansim_ros.scene.core.source import STANDING, SceneSource
 from humansim_ros.types import Array
+
+#: Former names of settings of layers.
+_FORMER = {"face": "face", "hands": "hands", "reaches": "reach"}
 
 
 @dataclass(frozen=True)
@@ -213,6 +217,14 @@ class Actor:
     def settings(self, name: str) -> Any:
         """Settings of one of its layers; None for nothing."""
         return next((layer.settings for layer in self.layers if layer.name == name), None)
+
+    def __getattr__(self, name: str) -> Any:
+        """Former names of settings."""
+        if name not in _FORMER:
+            raise AttributeError(f"a human of a scene has no attribute {name!r}")
+        text = f"{name} is deprecated and goes in 0.4.0: use settings({_FORMER[name]!r})"
+        warnings.warn(text, DeprecationWarning, stacklevel=2)
+        return self.settings(_FORMER[name])
 
     @property
     def keyframes(self) -> KeyframeTrack | None:

@@ -10,7 +10,8 @@ from typing import Any
 
 from humansim_ros.cameras.camera import Camera, Rig
 from humansim_ros.cameras.formats import read_calibration
-from humansim_ros.data.evaluation import LiveOptions, is_bag, set_of_names, split_topic
+from humansim_ros.data.bags import is_bag
+from humansim_ros.data.evaluation import LiveOptions, set_of_names, split_topic
 from humansim_ros.errors import EvaluationError, HumansimError, SceneError, did_you_mean, some_of
 from humansim_ros.files.mesh import Mesh
 from humansim_ros.files.reading import built_in_names, exists, missing_file, resource_path

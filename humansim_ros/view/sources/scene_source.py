@@ -12,12 +12,13 @@ import numpy as np
 
 from humansim_ros.cameras.camera import Camera
 from humansim_ros.data.engine import Costs, FrameResult, WorkerDiedError, Workers
-from humansim_ros.data.evaluation import FIRST_STAMP, truth_at
+from humansim_ros.data.evaluation import truth_at
 from humansim_ros.errors import EvaluationError, HumansimError
 from humansim_ros.files.mesh import Mesh
 from humansim_ros.files.reading import cores
 from humansim_ros.geometry import quaternion_to_matrix
 from humansim_ros.people.humans import Human
+from humansim_ros.scene.config import FIRST_STAMP
 from humansim_ros.scene.core import Frame, Playback, Scene, SceneStates, Simulation
 from humansim_ros.scene.features import Sweep
 from humansim_ros.scene.pictures import channel_picture, draw_joints

@@ -11,9 +11,9 @@ import numpy as np
 
 from humansim_ros.cameras.camera import Camera
 from humansim_ros.data.engine import FrameJob
-from humansim_ros.data.evaluation import FIRST_STAMP
 from humansim_ros.files.mesh import Mesh
 from humansim_ros.people.humans import Human
+from humansim_ros.scene.config import FIRST_STAMP
 from humansim_ros.types import Array, Image
 from humansim_ros.view.sources.topic_people import Estimate
 from humansim_ros.view.sources.tracks import Tracks

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from humansim_ros.data.engine import Costs, FrameJob, FrameResult, WorkerDiedError, Workers
 from humansim_ros.data.evaluation import (
-    FIRST_STAMP,
     FramePairs,
     LiveOptions,
     PersonErrors,
@@ -32,6 +31,7 @@ from humansim_ros.data.evaluation import (
 from humansim_ros.errors import EvaluationError, HumansimError, printable, some_of
 from humansim_ros.motion.body import body_joints
 from humansim_ros.motion.files import KeyframeTrack
+from humansim_ros.scene.config import FIRST_STAMP
 from humansim_ros.scene.core import Playback, Scene, Simulation
 from humansim_ros.scene.truth import OCCLUDED, VISIBLE
 from humansim_ros.types import Float32Array, Indices

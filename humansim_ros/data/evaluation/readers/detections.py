@@ -13,10 +13,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from humansim_ros.data.bags import is_bag
 from humansim_ros.data.bags.reader import BagReader
 from humansim_ros.data.evaluation.images import KEYS, Detections2D
 from humansim_ros.data.evaluation.joint_names import set_with_names
-from humansim_ros.data.evaluation.readers.estimates import deserialised_message, is_bag, split_topic
+from humansim_ros.data.evaluation.readers.estimates import deserialised_message, split_topic
 from humansim_ros.data.evaluation.readers.image_files import (
     LAYOUTS,
     PERSON,
@@ -27,7 +28,7 @@ from humansim_ros.data.evaluation.readers.image_files import (
     is_2d,
 )
 from humansim_ros.data.evaluation.readers.pose_files import MAX_BYTES
-from humansim_ros.data.evaluation.truth import FIRST_STAMP, WALL_CLOCK_FRAME
+from humansim_ros.data.evaluation.truth import WALL_CLOCK_FRAME
 from humansim_ros.data.formats.aicity import COLUMNS
 from humansim_ros.data.formats.coco import encoded_mask, joined_keypoints
 from humansim_ros.data.messages.headers import to_nanoseconds
@@ -42,7 +43,7 @@ from humansim_ros.files.reading import (
     read_json,
 )
 from humansim_ros.people.keypoints import COUNTED_SETS, KeypointSet
-from humansim_ros.scene.config import frame_at
+from humansim_ros.scene.config import FIRST_STAMP, frame_at
 
 #: Most files that are read to find the kind of a folder.
 _LOOKED_AT = 200

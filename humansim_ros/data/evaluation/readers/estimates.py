@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from humansim_ros.data.bags import is_bag
 from humansim_ros.data.bags.chunks import BagMessage
 from humansim_ros.data.bags.reader import BagReader
 from humansim_ros.data.bags.topics import BagTopic, types_of
@@ -45,7 +46,6 @@ _READERS: dict[str, tuple[_Reader, str]] = {
 _ONE_PERSON = (".csv", ".trc", ".c3d")
 #: Suffixes of files of estimates. Bags have others.
 ESTIMATE_SUFFIXES = tuple(_READERS)
-_BAG_SUFFIXES = (".mcap", ".db3")
 #: If stamp and log time differ by more than this (nanoseconds), they come from different clocks.
 _SAME_CLOCK = 3600 * 10**9
 #: Message type for the poses of cameras and scanners.
@@ -97,11 +97,6 @@ def _read_estimate(text: str, options: ReadOptions) -> PoseSequence:
         )
     reader, axes = _READERS[suffix]
     return in_map(reader(path, options), axes, options)
-
-
-def is_bag(path: Path) -> bool:
-    """Whether a path is a bag: a folder of rosbag2, or one of its files."""
-    return path.suffix.lower() in _BAG_SUFFIXES or (path / "metadata.yaml").is_file()
 
 
 def _read_folder(path: Path, options: ReadOptions) -> PoseSequence:

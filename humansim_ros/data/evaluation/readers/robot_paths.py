@@ -10,21 +10,22 @@ from typing import Any
 
 import numpy as np
 
+from humansim_ros.data.bags import is_bag
 from humansim_ros.data.bags.reader import BagReader
 from humansim_ros.data.bags.topics import BagTopic
 from humansim_ros.data.evaluation.nearby import RobotPath
 from humansim_ros.data.evaluation.readers.estimates import (
     bag_transforms,
     deserialised_message,
-    is_bag,
     split_topic,
 )
-from humansim_ros.data.evaluation.truth import FIRST_STAMP, MAX_TRUTH_FRAMES
+from humansim_ros.data.evaluation.truth import MAX_TRUTH_FRAMES
 from humansim_ros.data.messages.cameras import rigid_pose
 from humansim_ros.data.messages.headers import WORLD_FRAME, to_nanoseconds
 from humansim_ros.data.messages.transforms import TF, read_links
 from humansim_ros.errors import EvaluationError, located, printable, unknown
 from humansim_ros.geometry import quaternion_to_matrix, transform
+from humansim_ros.scene.config import FIRST_STAMP
 from humansim_ros.scene.core import Scene
 from humansim_ros.types import Array
 

@@ -13,6 +13,7 @@ import math
 import warnings
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 import scipy
@@ -77,20 +78,16 @@ class Camera(Pictured):
         if not np.allclose([k[1, 0], k[2, 0], k[2, 1]], 0, atol=1e-9 * k[0, 0]):
             raise CameraError("K must be upper triangular: [[fx, s, cx], [0, fy, cy], [0, 0, 1]]", key="K")
         lens = _shared(Lens.of(self.distortion, self.model))
-        object.__setattr__(self, "size", (width, height))
-        object.__setattr__(self, "K", k)
-        object.__setattr__(self, "R", r)
-        object.__setattr__(self, "t", t)
-        object.__setattr__(self, "distortion", lens.coefficients)
-        object.__setattr__(self, "model", lens.model)
-        object.__setattr__(self, "lens", lens)
+        own: dict[str, Any] = {"size": (width, height), "K": k, "R": r, "t": t, "lens": lens}
+        own |= {"distortion": lens.coefficients, "model": lens.model}
         if self.rectification is not None:
-            object.__setattr__(self, "rectification", _rotation(self.rectification, "rectification"))
+            own["rectification"] = _rotation(self.rectification, "rectification")
         if self.rectified is not None:
-            rectified = _matrix(self.rectified, (3, 4), "rectified")
-            if min(rectified[0, 0], rectified[1, 1]) <= 0 or rectified[2, 2] <= 0:
+            own["rectified"] = _matrix(self.rectified, (3, 4), "rectified")
+            if min(own["rectified"][[0, 1, 2], [0, 1, 2]]) <= 0:
                 raise CameraError("the rectified P has a focal length that is not positive", key="rectified")
-            object.__setattr__(self, "rectified", rectified)
+        for name, value in own.items():
+            object.__setattr__(self, name, value)
 
     def at(self, R: Array, t: Array) -> Camera:
         """The same camera with another pose: ``R`` (3, 3) and ``t`` (3,) as in the arguments of the class.

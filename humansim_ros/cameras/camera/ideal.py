@@ -178,15 +178,10 @@ def _outline(camera: Camera, inner: bool) -> Array:
     # slightly inside, so that rounding does not move the point beyond the lens
     rim = camera.lens.valid_radius * (1 - 1e-9) * np.column_stack([np.cos(angles), np.sin(angles)])
     if inner:
-        pixels = _pixels(camera.K, camera.lens.distort(rim))
+        pixels = camera.lens.distort(rim) @ camera.K[:2, :2].T + camera.K[:2, 2]
         rim = rim[((pixels >= 0) & (pixels <= (width, height))).all(axis=1)]
     rays = np.concatenate([rays, rim])
     return np.asarray(rays[np.isfinite(rays).all(axis=1)])
-
-
-def _pixels(k: Array, plane: Array) -> Array:
-    """Pixels (N, 2) of points (N, 2) of the normalised image plane."""
-    return np.asarray(plane @ k[:2, :2].T + k[:2, 2])
 
 
 def _map(points: Callable[[Array], Array], size: tuple[int, int]) -> NDArray[np.float32]:

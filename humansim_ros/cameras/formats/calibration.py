@@ -160,8 +160,6 @@ def load_calibration(
         message = f"the image size must be 1 to {MAX_SIZE} pixels, not {size[0]}x{size[1]}"
         raise CameraError(message, key="size")
     file = _file_of(path)
-    if exists(file) and file.is_dir() and (file / CAMERAS).is_file():
-        file = file / (IMAGES if (file / IMAGES).is_file() else CAMERAS)
     if exists(file) and file.is_dir():
         if extrinsics is not None:
             raise CameraError("extrinsics go with a file, not with a folder", path=file)
@@ -191,7 +189,11 @@ def load_calibration(
 
 
 def _file_of(path: str | os.PathLike[str]) -> Path:
-    return resolve_url(path) if isinstance(path, str) and "://" in path else Path(path)
+    """File or folder of a path or URL. For the folder of a COLMAP model, its file of images or cameras."""
+    file = resolve_url(path) if isinstance(path, str) and "://" in path else Path(path)
+    if exists(file) and (file / CAMERAS).is_file():
+        return file / (IMAGES if (file / IMAGES).is_file() else CAMERAS)
+    return file
 
 
 def _parse(file: Path, size: ImageSize | None) -> CalibrationFile:

@@ -1,4 +1,4 @@
-"""Find what R and t of a file mean, if its keys do not say it. The views of the cameras decide.
+"""Find what a file leaves open: what R and t mean, the model of a lens, and the unit.
 
 Each reading of the poses gives a rig. Two facts support a rig: its optical axes meet in a point in front of
 all cameras, and its cameras are level or upright about one vertical. The evidence of a reading is the
@@ -6,6 +6,9 @@ logarithm of its likelihood. Misses and rolls are taken as normally distributed 
 measured number that the common point and the vertical do not use up is one degree of freedom. A reading is
 sure if its evidence exceeds that of each other reading by :data:`_MARGIN`. Otherwise the warning names both
 readings. ``benchmarks/conventions.py`` measures how many readings of random rigs are wrong or doubtful.
+
+``cv2.calibrateCamera`` returns five coefficients or more. Four coefficients are either those of
+``cv2.fisheye`` (k1 to k4), or plumb_bob without k3, as other programs write it (k1, k2, and small p1, p2).
 """
 
 from __future__ import annotations

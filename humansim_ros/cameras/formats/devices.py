@@ -19,7 +19,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -30,7 +30,6 @@ from humansim_ros.cameras.formats.base import (
     Keys,
     Place,
     RawCamera,
-    SourceLocation,
     camera_at,
     find_cameras,
     has_keys,
@@ -38,7 +37,7 @@ from humansim_ros.cameras.formats.base import (
 )
 from humansim_ros.cameras.formats.checks import IMAGE_SIZES
 from humansim_ros.cameras.formats.spellings import POSE, find_parameters, plain, role_of
-from humansim_ros.cameras.formats.syntax import TOML_HEAD, ZED_SECTION
+from humansim_ros.cameras.formats.syntax import TOML_HEAD, ZED_SECTION, text_document
 from humansim_ros.cameras.formats.table import Values, calibration_format, nested, number
 from humansim_ros.errors import CameraError, warn_about
 from humansim_ros.types import Array, ImageSize
@@ -48,49 +47,34 @@ from humansim_ros.types import Array, ImageSize
 #: Image size of each resolution of ZED cameras.
 _ZED_SIZES: dict[str, ImageSize] = {mode: (w, h) for mode, (w, h) in IMAGE_SIZES["zed"].items()}
 _ZED_CAMERA = re.compile(r"(LEFT|RIGHT)_CAM_([A-Z0-9]+)", re.IGNORECASE)
-_SECTION = re.compile(r"\[\s*([A-Za-z0-9_]{1,60})\s*\]")
 _ZED_LENS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-_MOST_LINES = 2000
-_Section = dict[str, tuple[int, str]]
 
 
-def _zed_sections(file: CalibrationFile) -> dict[str, tuple[int, _Section]]:
-    sections: dict[str, tuple[int, _Section]] = {}
-    section: _Section = {}
-    for line, text in file.lines():
-        if line > _MOST_LINES:
-            raise file.error("the file is too long for a calibration", line=line)
-        heading = _SECTION.fullmatch(text)
-        if heading:
-            section = {}
-            sections[heading[1].upper()] = line, section
-        elif "=" in text:
-            key, _, value = text.partition("=")
-            section[key.strip().lower()] = line, value.strip()
-    return sections
+def _zed_document(file: CalibrationFile) -> CalibrationFile:
+    """The file with its sections as a document. Sections are in upper case, keys in lower case."""
+    parsed = text_document(file, role_of)
+    document: dict[str, dict[str, Any]] = {}
+    for section, items in (parsed.document or {}).items():
+        own = items if isinstance(items, dict) else {}
+        document[section.upper()] = {str(key).lower(): value for key, value in own.items()}
+    lines = {(keys[0].upper(), *map(str.lower, keys[1:])): line for keys, line in parsed.key_lines.items()}
+    first: dict[tuple[str, ...], int] = {}
+    for keys, line in lines.items():
+        first.setdefault(keys[:1], line - 1)  # the line of the section
+    return replace(file, document=document, key_lines=lines | first)
 
 
-class _Zed(NamedTuple):
-    """A ZED file and its sections: first line, and line and value by key."""
-
-    file: CalibrationFile
-    sections: Mapping[str, tuple[int, _Section]]
-
-    def number(self, name: str, *keys: str, needed: bool = True) -> float:
-        """Number of the first of these keys in a section. An absent number that is not needed is 0."""
-        start, section = self.sections.get(name, (None, {}))
-        for key in keys:
-            if key.lower() in section:
-                line, word = section[key.lower()]
-                return self.file.row([word], line, f"{name}.{key}")[0]
-        if needed:
-            raise self.file.error("is missing", name, keys[0], line=start)
-        return 0.0
+def _zed_number(file: CalibrationFile, section: str, *keys: str, needed: bool = True) -> float:
+    """Number of the first of these keys in a section. An absent number that is not needed is 0."""
+    key = file.first((section,), *map(str.lower, keys))
+    if key is None and needed:
+        raise file.error("is missing", section, keys[0])
+    return 0.0 if key is None else file.number(section, key)
 
 
 def _read_zed(file: CalibrationFile) -> dict[str, RawCamera]:
-    zed = _Zed(file, _zed_sections(file))
-    found = (_ZED_CAMERA.fullmatch(name) for name in zed.sections)
+    file = _zed_document(file)
+    found = (_ZED_CAMERA.fullmatch(name) for name in file.document)
     modes = list(dict.fromkeys(match[2] for match in found if match))
     unknown = [mode for mode in modes if mode not in _ZED_SIZES]
     known = [mode for mode in modes if mode in _ZED_SIZES]
@@ -104,31 +88,31 @@ def _read_zed(file: CalibrationFile) -> dict[str, RawCamera]:
     for mode in fitting:
         for side in ("LEFT", "RIGHT"):
             name = f"{side}_CAM_{mode}"
-            if name in zed.sections:
-                file.add(cameras, name, _zed_camera(zed, name, mode, side), line=zed.sections[name][0])
+            if name in file.document:
+                file.add(cameras, name, _zed_camera(file, name, mode, side), name)
     return cameras
 
 
-def _zed_camera(zed: _Zed, name: str, mode: str, side: str) -> RawCamera:
-    k = pinhole(*(zed.number(name, key) for key in ("fx", "fy", "cx", "cy")))
+def _zed_camera(file: CalibrationFile, name: str, mode: str, side: str) -> RawCamera:
+    k = pinhole(*(_zed_number(file, name, key) for key in ("fx", "fy", "cx", "cy")))
     disto = f"{side}_DISTO"  # the distortion of all modes; the SDK uses this lens
-    if thin := [f"s{i}" for i in range(1, 5) if zed.number(disto, f"s{i}", needed=False)]:
-        if "k1" not in zed.sections[name][1]:
-            message = "thin prism models are not supported"
-            raise zed.file.error(message, disto, thin[0], line=zed.sections[disto][0])
-        warn_about(zed.file.path, f"{disto}: a thin prism is not supported; the lens of {name} is taken")
-    lens_at = disto if disto in zed.sections and not thin else name
-    lens = np.array([zed.number(lens_at, key, needed=key == "k1") for key in _ZED_LENS])
+    thin = [key for key in ("s1", "s2", "s3", "s4") if _zed_number(file, disto, key, needed=False)]
+    if thin and not file.has(name, "k1"):
+        raise file.error("thin prism models are not supported", disto, thin[0])
+    if thin:
+        warn_about(file.path, f"{disto}: a thin prism is not supported; the lens of {name} is taken")
+    lens_at = disto if disto in file.document and not thin else name
+    lens = np.array([_zed_number(file, lens_at, key, needed=key == "k1") for key in _ZED_LENS])
     fisheye = lens_at == disto and lens[5] and not lens[[2, 3, 6, 7]].any()
     lens, model = (lens, "rational_polynomial") if lens[5:].any() else (lens[:5], "plumb_bob")
     lens, model = (lens[[0, 1, 4, 5]], "equidistant") if fisheye else (lens, model)
     rotation, t = np.eye(3), np.zeros(3)
     if side == "RIGHT":
-        base = zed.number("STEREO", "Baseline")
-        t = np.array([-base, *(zed.number("STEREO", f"{k}_{mode}", k, needed=False) for k in ("TY", "TZ"))])
-        vector = [zed.number("STEREO", f"{k}_{mode}", k) for k in ("RX", "CV", "RZ")]
+        shift = (_zed_number(file, "STEREO", f"{k}_{mode}", k, needed=False) for k in ("TY", "TZ"))
+        t = np.array([-_zed_number(file, "STEREO", "Baseline"), *shift])
+        vector = [_zed_number(file, "STEREO", f"{k}_{mode}", k) for k in ("RX", "CV", "RZ")]
         rotation = np.asarray(Rotation.from_rotvec(vector).as_matrix())
-    where = dict.fromkeys(("", "K"), SourceLocation(name, zed.sections[name][0]))
+    where = dict.fromkeys(("", "K"), file.location(name))
     return RawCamera(k, rotation, t, None, _ZED_SIZES[mode], tuple(lens), model, locations=where)
 
 

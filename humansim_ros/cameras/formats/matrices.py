@@ -267,7 +267,12 @@ def _intrinsics(file: CalibrationFile, entries: Mapping[str, Entry]) -> RawCamer
         name = colmap_model(entries) or ""
         return replace(camera_of_model(name, params.numbers().tolist(), params.location), size=size)
     if "P" in entries and not {"K", "fx", "focal"} & entries.keys():
-        camera = _from_projection(entries["P"])
+        entry = entries["P"]
+        values = entry.numbers()
+        if len(values) not in (12, 16):
+            raise entry.error(f"needs 3 x 4 or 4 x 4 numbers, not {len(values)}")
+        camera = entry.file.projection(values.reshape(-1, 4)[:3], entry.location)
+        camera = replace(camera, locations=dict.fromkeys(("K", "R", "t"), entry.location))
     else:
         camera = RawCamera(_k(entries, size), locations=locations)
     distortion, model = _lens(file, entries, camera.K)
@@ -309,14 +314,6 @@ def _k(entries: Mapping[str, Entry], size: ImageSize | None) -> Array:
 def _is_transposed(k: Array) -> bool:
     """Whether 9 numbers are a K of MATLAB."""
     return len(k) == 9 and bool(k[6:8].any() and not k[[2, 5]].any())
-
-
-def _from_projection(entry: Entry) -> RawCamera:
-    values = entry.numbers()
-    if len(values) not in (12, 16):
-        raise entry.error(f"needs 3 x 4 or 4 x 4 numbers, not {len(values)}")
-    camera = entry.file.projection(values.reshape(-1, 4)[:3], entry.location)
-    return replace(camera, locations=dict.fromkeys(("K", "R", "t"), entry.location))
 
 
 def _lens(

@@ -30,6 +30,7 @@ from humansim_ros.cameras.formats.base import (
     Keys,
     RawCamera,
     SourceLocation,
+    camera_at,
     without_suffix,
 )
 from humansim_ros.cameras.formats.checks import size_of_named_image
@@ -317,22 +318,16 @@ def _read_openmvg(file: CalibrationFile) -> dict[str, RawCamera]:
 
 def _openmvg_lens(file: CalibrationFile, at: Keys) -> RawCamera:
     data = file.mapping(*at)
-    base: Keys = (*at, "value0") if isinstance(data.get("value0"), Mapping) else at
-    size = file.size((*base, "width"), (*base, "height"))
-    focal = file.number(*base, "focal_length")
-    cx, cy = file.numbers((2,), *base, "principal_point")
+    inner: Keys = ("value0",) if isinstance(data.get("value0"), Mapping) else ()
+    focal = file.number(*at, *inner, "focal_length")
+    k = pinhole(focal, focal, *file.numbers((2,), *at, *inner, "principal_point"))
+    places = {"K": (*inner, "focal_length"), "size": (*inner, "width height")}
     distortion: tuple[float, ...] = ()
     model = None
     for key, lens in _OPENMVG.items():
         if data.get(key) is not None:
             distortion, model = _coefficients(file, (*at, key), lens), lens[1]
-    return RawCamera(
-        pinhole(focal, focal, cx, cy),
-        size=size,
-        distortion=distortion,
-        model=model,
-        locations={"": file.location(*at), "K": file.location(*base, "focal_length")},
-    )
+    return camera_at(file, at, places, K=k, distortion=distortion, model=model)
 
 
 def _check_square(name: str, camera: Camera) -> None:
@@ -402,13 +397,10 @@ def _meshroom_lens(file: CalibrationFile, at: Keys) -> RawCamera:
         (k for k in ("distortionParams", "distortionParameters") if file.get(*at, k)), "distortionParams"
     )
     given = lens[1] is not None and len(file.optional_numbers(*at, key))
-    return RawCamera(
-        pinhole(fx, fy, point[0], point[1]),
-        size=(width, height),
-        distortion=_coefficients(file, (*at, key), lens) if given else (),
-        model=lens[1] if given else None,
-        locations=file.locations(at, K="focalLength", distortion=key, size="width"),
-    )
+    places = {"K": "focalLength", "distortion": key, "size": "width height"}
+    own = {"K": pinhole(fx, fy, point[0], point[1]), "size": (width, height)}
+    coefficients = _coefficients(file, (*at, key), lens) if given else ()
+    return camera_at(file, at, places, **own, distortion=coefficients, model=lens[1] if given else None)
 
 
 def _meshroom_values(own: Values, camera: Camera) -> Values:

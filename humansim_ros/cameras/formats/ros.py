@@ -274,16 +274,15 @@ def _write_kalibr(cameras: Mapping[str, Camera]) -> dict[str, str]:
         lines += [f"  intrinsics: [{row((k[0, 0], k[1, 1], k[0, 2], k[1, 2]), ', ')}]"]
         lines += [f"  distortion_model: {model}"]
         lines += [f"  distortion_coeffs: [{row(camera.distortion[:4] if model != 'none' else (), ', ')}]"]
-        lines += [f"  resolution: [{camera.size[0]}, {camera.size[1]}]", f"  rostopic: {_topic(name)}"]
+        lines += [
+            f"  resolution: [{camera.size[0]}, {camera.size[1]}]",
+            f"  rostopic: /{re.sub('[^A-Za-z0-9_]', '_', name)}/image_raw",
+        ]
         if index:
             lines += _matrix_lines_kalibr("T_cn_cnm1", poses[index] @ invert_rigid(poses[index - 1]))
         if not at_first:
             lines += _matrix_lines_kalibr("T_cam_imu", poses[index])
     return {"": "\n".join(lines) + "\n"}
-
-
-def _topic(name: str) -> str:
-    return f"/{re.sub('[^A-Za-z0-9_]', '_', name)}/image_raw"
 
 
 def _matrix_lines_kalibr(key: str, matrix: Array) -> list[str]:

@@ -285,7 +285,7 @@ def _value(element: Element, path: str, depth: int = 0) -> Any:
         raise CameraError("the elements are nested too deeply", path=path, key=element.tag[:40])
     children = list(element)
     if not children:
-        words = _words(element.text or "")
+        words = [word.strip('"') for word in re.findall(r'"[^"]*"|\S+', element.text or "")]
         return words[0] if len(words) == 1 else words
     if all(child.tag == "_" for child in children):
         return [_value(child, path, depth + 1) for child in children]
@@ -295,10 +295,6 @@ def _value(element: Element, path: str, depth: int = 0) -> Any:
             raise CameraError("this element is duplicate", path=path, key=child.tag)
         content[child.tag] = _value(child, path, depth + 1)
     return Matrix(content) if element.get("type_id") == "opencv-matrix" else content
-
-
-def _words(text: str) -> list[str]:
-    return [word.strip('"') for word in re.findall(r'"[^"]*"|\S+', text)]
 
 
 _MOST_LINES, _MOST_CHARACTERS, _MOST_NUMBERS = 20_000, 1 << 21, 1000

@@ -14,10 +14,10 @@ out if the camera has no value for it. ``names`` is ``words`` or ``printable``: 
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
-from string import Template
 from typing import Any
 from xml.etree.ElementTree import Element, indent, tostring
 
@@ -187,7 +187,7 @@ def _filled(template: Any, each: Sequence[Values], values: Values) -> Any:
             return template
         if template[1:].isidentifier():
             return values.get(template[1:])
-        return Template(template).substitute({key: text_of(value) for key, value in values.items()})
+        return re.sub(r"\$(\w+)|\$\{(\w+)\}", lambda m: text_of(values[m[1] or m[2]]), template)
     if isinstance(template, Mapping):
         if "$each" in template:
             return [_filled(template["$each"], each, one) for one in each]

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.cameras.camera.camera import Camera, look_at_pose, pinhole_of_fov
-from humansim_ros.cameras.formats.base import LARGEST, CalibrationFile, Keys, RawCamera
+from humansim_ros.cameras.formats.base import LARGEST, CalibrationFile, Keys, RawCamera, camera_at
 from humansim_ros.cameras.formats.conventions import find_model
 from humansim_ros.cameras.formats.table import calibration_format, row
 from humansim_ros.errors import CameraError, warn_about
@@ -281,12 +281,8 @@ def _camera(file: CalibrationFile, name: str) -> RawCamera:
     if word is not None:
         model = find_model(file, word, distortion, model_keys, (*at, "distortion"))
     k, r, t = _matrices(file, at, size)
-    rectification, rectified = (
-        file.numbers(shape, *at, key) if file.has(*at, key) else None
-        for key, shape in (("rectification", (3, 3)), ("rectified", (3, 4)))
-    )
-    locations = file.locations(at, **{part: part for part in _PARTS}, model="distortion_model")
-    return RawCamera(k, r, t, None, size, tuple(distortion), model, rectification, rectified, locations)
+    own = {"K": k, "R": r, "t": t, "size": size, "distortion": distortion, "model": model}
+    return camera_at(file, at, {part: part for part in _PARTS} | {"model": "distortion_model"}, **own)
 
 
 def _matrices(file: CalibrationFile, at: Keys, size: ImageSize) -> tuple[Array, Array, Array]:

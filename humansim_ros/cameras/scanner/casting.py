@@ -33,11 +33,9 @@ _CORNERS = np.array([[i & 1, i >> 1 & 1, i >> 2] for i in range(8)], dtype=float
 class MovingTriangles:
     """Triangles that move in straight lines from one moment to another.
 
-    Attributes:
-        number: Number of the surface, for :class:`Hits`.
-        triangles: (T, 3) indices of vertices.
-        start: Vertices (V, 3) in ``map`` at the first moment, metres.
-        end: Vertices at the second moment. If the surface does not move, the same array as ``start``.
+    ``number``: number of the surface, for :class:`Hits`. ``triangles``: (T, 3) indices of vertices.
+    ``start``, ``end``: vertices (V, 3) in ``map`` at both moments, metres; the same array if the surface does
+    not move.
     """
 
     number: int
@@ -54,12 +52,9 @@ class MovingTriangles:
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """Poses of a scanner in ``map`` when N rays are fired. If the scanner stands still, there is one pose for
-    all.
+    """Poses of a scanner in ``map`` when N rays are fired; one pose for all if the scanner stands still.
 
-    Attributes:
-        positions: (N, 3) or (1, 3) metres.
-        rotations: (N, 4) or (1, 4) unit quaternions xyzw.
+    ``positions``: (N, 3) or (1, 3) metres. ``rotations``: (N, 4) or (1, 4) unit quaternions xyzw.
     """
 
     positions: Array
@@ -89,12 +84,10 @@ class Poses:
 class Hits:
     """The first surface that each of N rays meets.
 
-    Attributes:
-        ranges: (N,) metres. Infinite if the ray meets no surface.
-        surfaces: (N,) number of the surface. -1 if the ray meets no surface.
-        triangles: (N,) index of the triangle in the surface.
-        weights: (N, 2) barycentric weights of the second and the third corner.
-        cosines: (N,) cosine of the angle between the ray and the normal of the triangle.
+    ``ranges``: (N,) metres; infinite if the ray meets no surface. ``surfaces``: (N,) number of the surface,
+    -1 for none. ``triangles``: (N,) index of the triangle in the surface. ``weights``: (N, 2) barycentric
+    weights of its second and third corner. ``cosines``: (N,) cosine of the angle between the ray and its
+    normal.
     """
 
     ranges: Array
@@ -133,13 +126,10 @@ class Hits:
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """Rays that are fired between two moments.
+    """Rays that are fired between two moments, with the pose of the scanner for each ray.
 
-    Attributes:
-        directions: (N, 3) unit vectors in the scanner's frame.
-        shares: (N,) time of each ray, as a share of the time from the first moment to the second; ascending.
-        poses: Pose of the scanner when each ray is fired.
-        index: The rays by direction.
+    ``directions``: (N, 3) unit vectors in the scanner's frame. ``shares``: (N,) time of each ray, as a share
+    of the time from the first moment to the second; ascending. ``index``: the rays by direction.
     """
 
     directions: Array
@@ -157,7 +147,8 @@ class Shot:
             return
         vectors = self.poses.to_map(self.directions)
         for surface, first, last in self._near(surfaces):
-            bounds = self._bounds(surface, first, last)
+            span = surface, first, last
+            bounds = Bounds.of(surface.triangles, self._seen(*span), self._margin(*span))
             order, near = self._by_distance(surface, first, last)
             for rays, triangles in self.index.pairs(bounds if order is None else bounds.take(order)):
                 if order is not None:
@@ -184,11 +175,6 @@ class Shot:
         for number in np.flatnonzero(last >= 0).tolist():
             yield surfaces[number], int(first[number]), int(last[number])
 
-    def _bounds(self, surface: MovingTriangles, first: int, last: int) -> Bounds:
-        """Bounds of all triangles, from the time of the first ray to that of the last."""
-        margin = self._margin(surface, first, last)
-        return Bounds.of(surface.triangles, self._seen(surface, first, last), margin)
-
     def _by_distance(self, surface: MovingTriangles, first: int, last: int) -> tuple[Indices | None, Array]:
         """Order of the triangles by distance, and a lower bound of each distance. Both hold from the first to
         the last ray. The order is None if the surface is not around the scanner. Around it, each triangle
@@ -210,13 +196,12 @@ class Shot:
         """Directions of the vertices when the first and the last ray are fired. One entry if nothing
         moves."""
         still = surface.end is surface.start and self.poses.still
-        return tuple(self._seen_by(surface, ray) for ray in ((first,) if still else (first, last)))
-
-    def _seen_by(self, surface: MovingTriangles, ray: int) -> Angles:
-        here = self.poses.take(slice(ray, ray + 1))
-        vertices = surface.at(self.shares[ray])
-        turn = quaternion_to_matrix(here.rotations[0]).astype(np.float32)
-        return Angles.of((vertices - here.positions).astype(np.float32) @ turn)
+        seen = []
+        for ray in (first,) if still else (first, last):
+            here = self.poses.take(slice(ray, ray + 1))
+            turn = quaternion_to_matrix(here.rotations[0]).astype(np.float32)
+            seen.append(Angles.of((surface.at(self.shares[ray]) - here.positions).astype(np.float32) @ turn))
+        return tuple(seen)
 
     def _margin(self, surface: MovingTriangles, first: int, last: int) -> float:
         """Radians by which directions deviate from straight paths in the scanner's frame while the scanner

@@ -93,11 +93,9 @@ class Rays:
 class Pattern:
     """Rays of all sweeps of a scanner.
 
-    Attributes:
-        period: Nanoseconds from the start of a sweep to the start of the next.
-        count: Number of rays of a sweep.
-        repeated: Rays of every sweep. None if no two sweeps are alike.
-        make: Function that makes the rays of a sweep by number, if they are not repeated. It can be pickled.
+    ``period``: nanoseconds from the start of a sweep to the start of the next. ``count``: number of rays of a
+    sweep. ``repeated``: rays of every sweep; None if no two sweeps are alike. Then ``make``, which can be
+    pickled, makes the rays of a sweep by number.
     """
 
     period: float
@@ -308,15 +306,11 @@ class Measuring:
 class Returns:
     """Returns of the rays of a sweep, ordered by ray.
 
-    Attributes:
-        rays: (P,) numbers of the rays.
-        kinds: (P,) uint8 kind of each return, such as :data:`SINGLE_STRONGEST`.
-        ranges: (P,) true distance, metres.
-        measured: (P,) measured distance, metres.
-        intensities: (P,) 0 to 1: reflected light as a share of that of a white surface at a right angle. Raw
-            intensity is divided by the squared distance, and has no upper bound.
-        surfaces: (P,) numbers of the surfaces.
-        triangles: (P,) indices of the triangles in their surfaces.
+    ``rays``: (P,) numbers of the rays. ``kinds``: (P,) uint8, such as :data:`SINGLE_STRONGEST`. ``ranges``,
+    ``measured``: (P,) true and measured distance, metres. ``surfaces``, ``triangles``: (P,) numbers of the
+    surfaces, and indices of the triangles in them. ``intensities``: (P,) 0 to 1, reflected light as a share
+    of that of a white surface at a right angle. Raw intensity is divided by the squared distance, and has no
+    upper bound.
     """
 
     rays: Indices
@@ -412,18 +406,12 @@ StampOf = Literal["start", "end"]
 
 @dataclass(frozen=True)
 class ScannerModel:
-    """One scanner.
+    """One scanner, with the figures of its manufacturer.
 
-    Attributes:
-        title: Name of the product.
-        source: Where the figures come from, then the file of the driver that numbers the rings.
-        rate: Sweeps per second.
-        pattern: Function that makes the scan pattern for a rate in sweeps per second.
-        range: Least and greatest distance, metres.
-        noise: Standard deviation of distances, metres.
-        divergence_mrad: Opening angle of a beam.
-        layout: Fields of the points that the driver publishes.
-        stamp: What the stamp of the driver means.
+    ``source``: where the figures come from, then the file of the driver that numbers the rings. ``rate``:
+    sweeps per second. ``pattern``: function that makes the scan pattern for such a rate. ``range``: least and
+    greatest distance, metres. ``noise``: standard deviation of distances, metres. ``divergence_mrad``:
+    opening angle of a beam. ``layout``, ``stamp``: what the driver publishes.
     """
 
     title: str

@@ -16,6 +16,7 @@ from humansim_ros.files.yaml import Section, ShortSection
 Encoding = Literal["rgb8", "bgr8", "mono8", "bayer_rggb8"]
 Factor = Annotated[float, Field(gt=0, le=100)]
 Pixels = Annotated[float, Field(ge=-100, le=100)]
+Share = Annotated[float, Field(ge=0, le=1)]
 Coefficient = Annotated[float, Field(ge=-10, le=10)]
 
 
@@ -37,11 +38,8 @@ class Vignetting(Section):
     """Loss of light towards the corners; several factors are multiplied."""
 
     cos4: bool = Field(default=False, description="natural falloff: cos^4 of the angle to the optical axis")
-    corner: float = Field(
-        default=0.0,
-        ge=0,
-        le=1,
-        description="fraction lost at the farthest corner; proportional to the squared distance",
+    corner: Share = Field(
+        default=0.0, description="fraction lost at the farthest corner; proportional to the squared distance"
     )
     polynomial: tuple[Coefficient, Coefficient, Coefficient] = Field(
         default=(0.0, 0.0, 0.0),
@@ -199,11 +197,8 @@ class DepthSensorConfig(ShortSection):
     disparity_noise: float | None = Field(
         default=None, ge=0, le=10, description="standard deviation of the disparity, pixels"
     )
-    sigma: float | None = Field(
-        default=None,
-        ge=0,
-        le=1,
-        description="standard deviation on a white surface at 1 m that faces the sensor, metres",
+    sigma: Share | None = Field(
+        default=None, description="standard deviation on a white surface at 1 m that faces the sensor, metres"
     )
     background: float | None = Field(
         default=None, ge=0, le=100, description="light that is not its own, relative to that surface"
@@ -211,10 +206,8 @@ class DepthSensorConfig(ShortSection):
     ambiguity: float | None = Field(
         default=None, ge=0.1, le=1000, description="distance at which distances begin again at 0, metres"
     )
-    dark: float | None = Field(
+    dark: Share | None = Field(
         default=None,
-        ge=0,
-        le=1,
         description="least light that it measures: reflectivity, or signal relative to that surface",
     )
     grazing_deg: float = Field(

@@ -43,13 +43,10 @@ _ROUNDING = np.float32(1e-3)
 class Surfaces:
     """Planes that the pixels of a depth image show.
 
-    Attributes:
-        depth: (H, W) metres along the optical axis, inf where nothing is.
-        inverse: (H, W) 1 / depth, 0 where nothing is.
-        slope_x: (H, W) change of the inverse per pixel to the right.
-        slope_y: (H, W) change of the inverse per pixel downward.
-        rays: (3, H, W) x and y of the rays of the pixels (z is 1), and the length of the rays.
-        cosine: (H, W) cosine of the angle between ray and normal.
+    ``depth``: (H, W) metres along the optical axis, inf where nothing is. ``inverse``: (H, W) 1 / depth, 0
+    where nothing is. ``slope_x``, ``slope_y``: (H, W) change of the inverse per pixel to the right and
+    downward. ``rays``: (3, H, W) x and y of the rays of the pixels (z is 1), and the length of the rays.
+    ``cosine``: (H, W) cosine of the angle between ray and normal.
     """
 
     depth: Float32Array
@@ -189,7 +186,7 @@ class DepthSensor:
         lateral = np.float32(self.config.noise) * (np.float32(0.8) + np.float32(0.035) * angle / away)
         depth = _moved(surfaces, lateral, random)
         axial = np.float32(self.config.noise) * axial_noise(depth, angle)
-        step = self._disparity_error(depth)
+        step = depth**2 * np.float32(cast(float, self.config.disparity_step) / self._focal_baseline)
         # the noise that Nguyen measured contains the rounding error
         variance = axial**2 - step**2 / 12
         depth += np.sqrt(np.maximum(variance, 0)) * normal_numbers(depth.shape, random)
@@ -245,10 +242,6 @@ class DepthSensor:
             return depth
         quantum = np.float32(self._focal_baseline / step)
         return quantum / np.rint(quantum / depth)
-
-    def _disparity_error(self, depth: Float32Array) -> Float32Array:
-        """Difference of depth (H, W) in metres between two steps of the disparity."""
-        return depth**2 * np.float32(cast(float, self.config.disparity_step) / self._focal_baseline)
 
     @property
     def _focal_baseline(self) -> float:

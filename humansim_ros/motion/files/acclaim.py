@@ -30,7 +30,9 @@ _LARGEST = 1e9
 _ROOT = "root"
 _AXES = ("x", "y", "z")
 _WORDS = tuple(f"{kind}{axis}" for kind in "tr" for axis in _AXES)
-_ANGLES = {"deg": 1.0, "degree": 1.0, "degrees": 1.0, "rad": 180 / np.pi, "radian": 180 / np.pi}
+#: Degrees of each unit of angles.
+_ANGLES = dict.fromkeys(("deg", "degree", "degrees"), 1.0)
+_ANGLES |= dict.fromkeys(("rad", "radian", "radians"), 180 / np.pi)
 _ANGLES["radians"] = _ANGLES["rad"]
 
 
@@ -107,14 +109,20 @@ class _Text:
 
     def numbers(self, words: list[str], count: int, what: str, line: int) -> Array:
         """Read ``count`` finite numbers."""
-        try:
-            values = np.array([float(word) for word in words])
-        except ValueError:
-            values = np.zeros(0)
-        if len(values) != count or not (np.abs(values) <= _LARGEST).all():
+        values = _finite(words)
+        if len(values) != count:
             shown = printable(" ".join(words), 60)
             raise self.error(f"{what} needs {count} finite numbers, not {shown!r}", line)
-        return values
+        return np.array(values)
+
+
+def _finite(words: list[str]) -> list[float]:
+    """Numbers of some words. Empty if a word is not a finite number."""
+    try:
+        values = [float(word) for word in words]
+    except ValueError:
+        return []
+    return values if all(abs(value) <= _LARGEST for value in values) else []
 
 
 class _Skeleton(_Text):
@@ -290,19 +298,13 @@ class _Amc(_Text):
         name, of = words[0], self.skeleton.path.name
         if name not in self.values:
             why = "has no degrees of freedom" if name in self.skeleton.bones else "does not exist"
-            message = (
-                f"bone '{printable(name, 40)}' {why} in {of}: this skeleton does not belong to the motion"
-            )
-            raise self.error(message, line)
+            what = f"bone '{printable(name, 40)}' {why} in {of}"
+            raise self.error(f"{what}: this skeleton does not belong to the motion", line)
         if name in seen:
             raise self.error(f"bone {name!r} is given twice in one frame", line)
         seen.add(name)
-        dof = self.skeleton.bones[name].dof
-        try:
-            values = [float(word) for word in words[1:]]
-        except ValueError:
-            values = []
-        if len(values) != len(dof) or not all(abs(value) <= _LARGEST for value in values):
+        dof, values = self.skeleton.bones[name].dof, _finite(words[1:])
+        if len(values) != len(dof):
             needed = f"the {len(dof)} values {' '.join(dof)} in {of}"
             shown = printable(" ".join(words[1:]), 60)
             raise self.error(f"bone {name!r} has {needed}, not '{shown}'", line)
@@ -327,7 +329,12 @@ class _Amc(_Text):
         for name, rows in self.values.items():
             joint, bone, table = number[name], bones[name], np.array(rows)
             axis = Rotation.from_euler(bone.axis_order, bone.axis, degrees=True)
-            turn = self._turn(bone, table)
+            columns = {word[1]: column for column, word in enumerate(bone.dof) if word[0] == "r"}
+            order = bone.axis_order if name == _ROOT else columns
+            turn = Rotation.identity(frames)
+            for letter in (letter for letter in order if letter in columns):
+                angles = self.degrees * table[:, [columns[letter]]]
+                turn = Rotation.from_euler(letter, angles, degrees=True) * turn
             rotations[:, joint] = (turn * axis if name == _ROOT else axis * turn * axis.inv()).as_matrix()
             shift = np.zeros((frames, 3))
             for column, word in enumerate(bone.dof):
@@ -357,13 +364,3 @@ class _Amc(_Text):
             # lengths of CMU are in inches times 0.45. For other scales, the unit is detected
             unit=_INCH / _CMU_LENGTH if skeleton.length == _CMU_LENGTH else None,
         )
-
-    def _turn(self, bone: _Bone, table: Array) -> Rotation:
-        """Rotations (F) of a bone: its degrees of freedom together."""
-        columns = {word[1]: column for column, word in enumerate(bone.dof) if word[0] == "r"}
-        order = bone.axis_order if bone.name == _ROOT else columns
-        turn = Rotation.identity(len(table))
-        for axis in (axis for axis in order if axis in columns):
-            angles = self.degrees * table[:, [columns[axis]]]
-            turn = Rotation.from_euler(axis, angles, degrees=True) * turn
-        return turn

@@ -317,8 +317,6 @@ def _lacks_words(statement: str) -> bool:
     return len(words) < needed.get(keyword.upper(), 0)
 
 
-__all__ = ["CHANNEL_NAMES", "Motion", "PositionChannels", "read_bvh", "write_bvh"]
-
 #: Whether position channels replace the OFFSET or are added to it; ``auto`` detects it.
 PositionChannels = Literal["auto", "replace", "add"]
 
@@ -474,9 +472,8 @@ def _check_writable(path: str | os.PathLike[str], motion: Motion) -> None:
             raise MotionError(f"a BVH file cannot have a joint named {name!r}", path=path)
         if count > 1:
             raise MotionError(f"two joints are named {name!r}", path=path)
-    for numbers in (motion.offsets, motion.values):
-        if not (np.abs(numbers) <= LARGEST).all():
-            raise MotionError(f"the motion has values that are not finite, or beyond {LARGEST:g}", path=path)
+    if not all((np.abs(numbers) <= LARGEST).all() for numbers in (motion.offsets, motion.values)):
+        raise MotionError(f"the motion has values that are not finite, or beyond {LARGEST:g}", path=path)
     if not FRAME_TIMES[0] <= motion.frame_time <= FRAME_TIMES[1]:
         raise MotionError(f"the frame time must be above zero, not {motion.frame_time:g}", path=path)
 

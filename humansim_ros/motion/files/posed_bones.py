@@ -6,7 +6,6 @@ import json
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -14,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from humansim_ros.errors import MotionError
 from humansim_ros.files.reading import atomic_path
 from humansim_ros.geometry import WORLD_FROM_BODY, matrix_to_quaternion
-from humansim_ros.motion.body.kinematics import Motion
+from humansim_ros.motion.body.kinematics import CHANNEL_NAMES, Motion
 from humansim_ros.motion.body.skeleton import Skeleton
 from humansim_ros.motion.files.bvh import write_bvh
 from humansim_ros.types import Array
@@ -74,41 +73,32 @@ class PosedBones:
         local = Rotation.from_matrix((np.swapaxes(above, -1, -2) @ rotations).reshape(-1, 3, 3))
         matrices = local.as_matrix().reshape(rotations.shape)
         orders = [_order(matrices[:, bone], along) for bone, along in enumerate(_directions(skeleton))]
-        angles = np.stack(
-            [
-                Rotation.from_matrix(matrices[:, bone]).as_euler(order, degrees=True)
-                for bone, order in enumerate(orders)
-            ],
-            axis=1,
-        )
-        angles = np.unwrap(angles, 360.0, axis=0)
+        turns = (Rotation.from_matrix(matrices[:, bone]) for bone in range(len(orders)))
+        of_bones = [turn.as_euler(order, degrees=True) for turn, order in zip(turns, orders, strict=True)]
+        angles = np.unwrap(np.stack(of_bones, axis=1), 360.0, axis=0)
         positions = self.heads @ WORLD_FROM_BODY * _CENTIMETRES
 
-        position_channels = ("Xposition", "Yposition", "Zposition")
-        names: list[str] = []
-        joint_parents: list[int] = []
-        offsets: list[Array] = []
-        channels: list[tuple[str, ...]] = []
+        joints: list[tuple[str, int, Array, tuple[str, ...]]] = []  # name, parent, OFFSET, channels
         values: list[Array] = []
         joint_of: dict[int, int] = {}
         for bone, parent in enumerate(parents.tolist()):
-            joint_of[bone] = len(names)
-            rotation_channels = tuple(f"{axis}rotation" for axis in orders[bone])
-            names.append(skeleton.names[bone])
-            joint_parents.append(joint_of[parent] if parent >= 0 else -1)
-            offsets.append(skeleton.heads[bone] - (skeleton.heads[parent] if parent >= 0 else 0.0))
-            channels.append(rotation_channels if parent >= 0 else position_channels + rotation_channels)
-            values += [angles[:, bone]] if parent >= 0 else [positions[:, bone], angles[:, bone]]
+            joint_of[bone] = len(joints)
+            name, head = skeleton.names[bone], skeleton.heads[bone]
+            channels = tuple(f"{axis}rotation" for axis in orders[bone])
+            if parent < 0:
+                channels = CHANNEL_NAMES[:3] + channels
+                values.append(positions[:, bone])
+            values.append(angles[:, bone])
+            origin = skeleton.heads[parent] if parent >= 0 else np.zeros(3)
+            joints.append((name, joint_of.get(parent, -1), head - origin, channels))
             if bone in skeleton.ends:
-                names.append(f"{skeleton.names[bone]}_end")
-                joint_parents.append(joint_of[bone])
-                offsets.append(skeleton.tails[bone] - skeleton.heads[bone])
-                channels.append(())
+                joints.append((f"{name}_end", joint_of[bone], skeleton.tails[bone] - head, ()))
+        names, joint_parents, offsets, all_channels = zip(*joints, strict=True)
         return Motion(
-            tuple(names),
+            names,
             np.array(joint_parents, dtype=np.intp),
             np.array(offsets) * _CENTIMETRES,
-            tuple(channels),
+            all_channels,
             np.concatenate(values, axis=1),
             self.frame_time,
         )
@@ -157,7 +147,15 @@ def write_bones(path: str | os.PathLike[str], bones: PosedBones) -> None:
         return
     with atomic_path(path) as temporary, temporary.open("wb") as file:
         if suffix == ".npz":
-            np.savez_compressed(file, **_arrays(bones))
+            np.savez_compressed(
+                file,
+                bones=np.array(bones.skeleton.names),
+                parents=bones.skeleton.parents,
+                times=np.arange(len(bones.posed)) * bones.frame_time,
+                heads=bones.heads,
+                tails=bones.tails,
+                rotations_xyzw=bones.rotations,
+            )
         else:
             data = {"frame_time": bones.frame_time, "frames": bones.to_dicts()}
             file.write(json.dumps(data, allow_nan=False).encode())
@@ -166,17 +164,5 @@ def write_bones(path: str | os.PathLike[str], bones: PosedBones) -> None:
 def check_suffix(path: str | os.PathLike[str]) -> None:
     """Raise MotionError if bones cannot be written to a file with this suffix."""
     if Path(path).suffix.lower() not in SUFFIXES:
-        raise MotionError(
-            "bones are written as .bvh, .npz or .json: give the file one of these names", path=path
-        )
-
-
-def _arrays(bones: PosedBones) -> dict[str, Any]:
-    return {
-        "bones": np.array(bones.skeleton.names),
-        "parents": bones.skeleton.parents,
-        "times": np.arange(len(bones.posed)) * bones.frame_time,
-        "heads": bones.heads,
-        "tails": bones.tails,
-        "rotations_xyzw": bones.rotations,
-    }
+        text = "bones are written as .bvh, .npz or .json: give the file one of these names"
+        raise MotionError(text, path=path)

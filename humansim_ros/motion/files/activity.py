@@ -176,8 +176,7 @@ class _Plan:
         self._turn(2 if self.coin() else -2)
 
     def _strides(self, gait: str) -> int:
-        """Number of whole strides between the first step and the last steps, so that the errand stays in
-        reach."""
+        """Number of whole strides of a walk, so that the errand stays in reach."""
         return int(int(_REACH / _TABLE["strides"][gait]) * self.random.random())
 
     def _walk(self, gait: str, strides: int, mirror: bool) -> None:
@@ -186,8 +185,7 @@ class _Plan:
         self.add(f"{gait}_stop", mirror=not mirror)
 
     def _turn(self, quarters: int) -> None:
-        """Turn on the spot by quarters of a circle: to the left, or to the right if ``quarters`` is
-        negative."""
+        """Turn on the spot by quarters of a circle: to the left, or to the right if negative."""
         self.add(*["turn_left"] * abs(quarters), mirror=quarters < 0)
 
 
@@ -301,8 +299,7 @@ def _mirrored(values: Array) -> Array:
 
 
 def _continued(last: Array, values: Array) -> Array:
-    """Move and turn frames (F, C) so that they go on from the frame ``last`` (C,), and fade from that
-    frame."""
+    """Move and turn frames (F, C) to go on from the frame ``last`` (C,), and fade from that frame."""
     motion = _clip("stand")
     both = replace(motion, values=np.stack([last, values[0]]))
     feet = both.world_positions()[:, [motion.joint("LeftAnkle"), motion.joint("RightAnkle")]]

@@ -41,8 +41,7 @@ _GOES_ON = {
     "ROOT": re.compile(r"(?!offset\b|channels\b|joint\b|end\b)[^{}]+", re.IGNORECASE),
 }
 _GOES_ON |= {"JOINT": _GOES_ON["ROOT"], "END": re.compile("site", re.IGNORECASE)}
-#: Most characters of the name of a joint. The limit matters since every end site repeats the name of its
-#: joint.
+#: Most characters of the name of a joint, since every end site repeats the name of its joint.
 LONGEST_NAME = 1000
 #: Most joints, end sites included. A person with face, fingers and hair has some hundreds.
 _MAX_JOINTS = 20_000
@@ -52,8 +51,7 @@ _ENDS = ("END", "ENDSITE", "END_SITE")
 
 @dataclass
 class _Joint:
-    """A joint or an end site: its statement in the hierarchy, and the number of its parent (-1 for a
-    root)."""
+    """A joint or an end site as the hierarchy states it, and the number of its parent (-1 for a root)."""
 
     name: str
     is_end: bool
@@ -68,8 +66,7 @@ class _Joint:
 
 
 class Parser:
-    """Parser of one file, which reads from the start to the end. The hierarchy is read statement by
-    statement. :mod:`.bvh_text` reads the rows."""
+    """Parser of one file: reads the hierarchy by statements; :mod:`.bvh_text` reads the rows."""
 
     def __init__(self, path: str | os.PathLike[str], file: TextIO, encoding: str = "latin-1") -> None:
         self.text = BvhText(path, file, encoding)
@@ -100,8 +97,7 @@ class Parser:
                     yield statement
 
     def _statements(self) -> Iterator[str]:
-        """Statements of the hierarchy. A statement that lacks words continues on the next line, if the words
-        are there."""
+        """Statements of the hierarchy. A statement that lacks words continues on the next line."""
         parts, ahead = self._parts(), ""
         while statement := ahead or next(parts, ""):
             ahead, line = "", self.text.line
@@ -320,8 +316,7 @@ def _lacks_words(statement: str) -> bool:
 #: Whether position channels replace the OFFSET or are added to it; ``auto`` detects it.
 PositionChannels = Literal["auto", "replace", "add"]
 
-#: Largest file, bytes: an hour of 60 joints at 120 frames per second. The first bytes, from which the
-#: encoding is detected.
+#: Largest file, bytes: an hour of 60 joints at 120 frames/s. First bytes, which show the encoding.
 _MAX_BYTES, _HEAD = 1 << 30, 1 << 16
 #: Positions count as added to OFFSETs if they contain less than this share of the OFFSET.
 _ADDED_SHARE = 0.1

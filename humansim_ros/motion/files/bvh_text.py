@@ -16,8 +16,7 @@ from humansim_ros.errors import MotionError, some_of, warn_about
 from humansim_ros.files.reading import ENCODINGS
 from humansim_ros.types import Array, Indices
 
-#: Smallest and largest number of characters of a block of rows. Larger blocks are faster and need more
-#: memory.
+#: Smallest and largest block of rows, characters. Larger blocks are faster and need more memory.
 _BLOCK_SIZES = 1 << 12, 1 << 16
 #: Most characters of a line of the hierarchy, or of a number.
 _MAX_CHARACTERS = 1 << 20
@@ -29,8 +28,7 @@ _GLUED_MINUS = re.compile(r"(?<=[0-9.])-")
 #: A comma that certainly separates numbers: it is next to white space, or it is the second comma of a word.
 _SEPARATOR = re.compile(r",(?:\s|$)|,[^\s,]+,")
 _DECIMAL = re.compile(r"(?<=\d),(?=\d)")
-#: A comment: a line that starts with one of these marks, or the end of a line from a mark between white
-#: space.
+#: A comment: a line that starts with such a mark, or the end of a line from a mark between white space.
 _COMMENT = re.compile(r"^[ \t]*(?://|/?\*|[#;%]).*|(?<=[ \t])(?://|[#;][ \t]).*", re.MULTILINE)
 
 
@@ -117,8 +115,7 @@ class BvhText:
         self.line -= 1
 
     def blocks(self) -> Iterator[str]:
-        """Return the rest of the file in blocks of whole lines. A line that is too long is split between
-        words. Blocks do not change ``line``."""
+        """Return the rest of the file in blocks of whole lines, or of words of a line that is too long."""
         rest, self._unread, n_read = self._unread, "", 0
         while text := self._file.read(min(max(_BLOCK_SIZES[0], n_read // 16), _BLOCK_SIZES[1])):
             n_read += len(text)
@@ -270,8 +267,7 @@ def _header_number(text: BvhText, key: str, line: int, value: str) -> float:
 _BAD_SHARE, _MAX_BAD = 0.01, 10_000
 #: The share counts only from this number of bad rows on.
 _FIRST_BAD = 10
-#: An angle that changes by less (degrees) between two frames is interpolated. Otherwise the pose before is
-#: held.
+#: An angle that changes by less (degrees) in a frame is interpolated. Else the pose before is held.
 _STEADY = 45.0
 
 
@@ -361,8 +357,7 @@ class _Rows:
         self.is_broken |= not (is_part | is_whole).all()
 
     def _is_over(self, n_values: int) -> bool:
-        """Whether there are already as many values as ``Frames:`` says, so that only other text can
-        follow."""
+        """Whether there are as many values as ``Frames:`` says, so that only other text can follow."""
         is_text = len(self.bad) == 1 and self.bad[0].word and self.bad[0].start == n_values
         return bool(is_text and n_values and n_values == self.n_frames * self.n_channels)
 
@@ -436,8 +431,7 @@ class _Rows:
         return block.replace(",", mark)
 
     def _slow_values(self, block: str) -> tuple[Array, Indices]:
-        """Do the same as :func:`_fast_values` for any white space. Notes bad lines, and ends if only text
-        follows."""
+        """Do the same for any white space. Notes bad lines, and ends if only text follows."""
         values: list[float] = []
         ends: list[int] = []
         for number, line in enumerate(block.split("\n"), self.text.line + 1):

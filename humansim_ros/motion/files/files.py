@@ -107,8 +107,7 @@ def read_motion(path: str | os.PathLike[str], positions: PositionChannels = "aut
 
 
 def _one_person(motion: Motion, root: str | None) -> Motion:
-    """Keep the joints below a root of a motion. If ``root`` is None and there are several people, keep the
-    first person."""
+    """Keep the joints below a root of a motion. If ``root`` is None, those of the first person of several."""
     trees: dict[str, list[int]] = {}
     tree_of: list[list[int]] = []
     for joint, parent in enumerate(motion.parents.tolist()):
@@ -169,16 +168,12 @@ def _choose(path: Path, archive: zipfile.ZipFile, member: str | None) -> zipfile
         raise MotionError(f"no motion in the archive ({MOTION_TITLES}); {there}", path=path)
     if member is None:
         if len(motions) > 1:
-            raise MotionError(
-                f"the archive has {len(motions)} motions: name one, such as {path.name}/{names[0]}; "
-                f"they are {some_of(names)}",
-                path=path,
-            )
+            text = f"the archive has {len(motions)} motions: name one, such as {path.name}/{names[0]}"
+            raise MotionError(f"{text}; they are {some_of(names)}", path=path)
         return motions[0]
-    found = next((entry for entry in motions if entry.filename == member), None)
-    if found is None:
+    if member not in names:
         raise MotionError(unknown("motion", member, names, "the archive"), path=path)
-    return found
+    return motions[names.index(member)]
 
 
 def _is_motion(name: str) -> bool:
@@ -197,8 +192,7 @@ def _skeletons(archive: zipfile.ZipFile, motion: zipfile.ZipInfo) -> list[zipfil
 
 
 def _unpack(path: Path, archive: zipfile.ZipFile, entry: zipfile.ZipInfo, folder: Path) -> Path:
-    """Unpack a file into a folder of its own, under the last part of its name, so that no name can lead
-    elsewhere."""
+    """Unpack a file into ``folder`` under the last part of its name, so that no name leads elsewhere."""
     with archive.open(entry) as member:
         content = member.read(_MAX_MEMBER + 1)
     if len(content) > _MAX_MEMBER:

@@ -151,8 +151,7 @@ def _motion(gltf: Gltf, skeleton: GltfSkeleton, animation: Animation) -> Motion:
 def _to_motion(
     gltf: Gltf, skeleton: GltfSkeleton, rotations: Array, positions: Array, frame_time: float
 ) -> Motion:
-    """Motion of J joints from world rotations (F, J, 3, 3) relative to the bind pose, and positions (F, J,
-    3)."""
+    """Motion from rotations (F, J, 3, 3) relative to the bind pose, and positions (F, J, 3), of the world."""
     parents, bound = skeleton.parents, skeleton.bind[:, :3, 3]
     roots = parents < 0
     back = np.where(roots[:, None, None], np.eye(3), np.swapaxes(rotations[:, parents], -1, -2))

@@ -24,9 +24,8 @@ from humansim_ros.types import Array
 
 KeyframeLoop = Literal["none", "repeat"]
 
-#: Names of two joints at the end of a message that show the keyframed space of a motion. The first joint is
-#: at the origin of the space. The second is at the end of its unit vector along x, so their distance is the
-#: size of the person.
+#: Joints at the end of a message that show the keyframed space of a motion: at its origin, and at the end of
+#: its unit vector along x, so that their distance is the size of the person.
 SPACE_JOINTS = ("keyframes", "keyframes_end")
 #: Frames per second of an animation that does not state its rate.
 DEFAULT_RATE = 30.0
@@ -115,8 +114,7 @@ class KeyframeTrack:
             raise MotionError("a size must be above 0")
 
     def at(self, seconds: ArrayLike) -> KeyframePose:
-        """Pose at times (...), seconds of the scene. It is constant before the first key and after the last
-        one."""
+        """Pose at times (...), seconds of the scene; constant before the first key and after the last one."""
         times = np.asarray(seconds, dtype=float)
         return self._interpolate(self.timeline.frames(times, self.timeline.cycles(times)))
 
@@ -177,8 +175,7 @@ class KeyframeSpace:
     size: Array
 
     def to_map(self, frames: Array) -> Array:
-        """Frames (N, J, 4, 4) of that space, moved and rotated into ``map``. Their positions are also
-        scaled."""
+        """Frames (N, J, 4, 4) of that space, moved and rotated into ``map``, with scaled positions."""
         moved = np.array(frames)
         moved[..., :3, :3] = self.rotation[:, None] @ frames[..., :3, :3]
         positions = self.size[:, None, None] * frames[..., :3, 3]
@@ -244,8 +241,7 @@ class Keyframes:
     path: str = ""
 
     def track(self, name: str) -> KeyframeTrack:
-        """Return the track of an object. Raises MotionError, which lists the known names, if the object has
-        no track."""
+        """Track of an object. If it has none, MotionError lists the known names."""
         if name not in self.tracks:
             raise MotionError(unknown("object", name, self.tracks, "the file"), path=self.path)
         return self.tracks[name]

@@ -50,8 +50,7 @@ class _C3dFile:
         self._parameters = self._read_parameters(self._data[: at + _MAX_PARAMETERS], at + 4)
 
     def _read_parameters(self, data: bytes, at: int) -> dict[str, tuple[int, int, bytes]]:
-        """Type, first dimension and bytes of each parameter, by ``GROUP:NAME``. Of equal names the first
-        counts."""
+        """Type, first dimension and bytes of each parameter: the first of a name ``GROUP:NAME`` counts."""
         groups: dict[int, str] = {}
         found: dict[tuple[int, str], tuple[int, int, bytes]] = {}
         while at + 4 < len(data) and data[at] and data[at + 1]:
@@ -88,8 +87,7 @@ class _C3dFile:
         return sum(int(word) << (16 * place) for place, word in enumerate(words[:2]))
 
     def texts(self, key: str) -> list[str]:
-        """Texts of a parameter, without blanks and zero bytes at their ends. Empty if the parameter is
-        missing."""
+        """Texts of a parameter, without blanks and zeros at their ends. Empty if it is missing."""
         kind, width, raw = self._parameters.get(key, (0, 0, b""))
         return [_text(raw[n : n + width]) for n in range(0, len(raw) if kind == -1 else 0, max(width, 1))]
 
@@ -142,8 +140,7 @@ class _C3dFile:
         return min(layouts, key=misfit)
 
     def places(self) -> tuple[Array, Array]:
-        """Points (F, P, 3), and origins (F, S, 3) of the segments of the group ROTATION, in units of the
-        file. A point that was not seen is NaN."""
+        """Points (F, P, 3), and origins (F, S, 3) of segments, in units of the file; NaN where not seen."""
         data, used = self._data, int(self._number("ROTATION:USED"))
         start = self._block(self._header[8], self._number("POINT:DATA_START"))
         rotations = self._block(self._number("ROTATION:DATA_START")) if used else len(data)
@@ -367,11 +364,9 @@ def likely_scale(points: Array, scales: Sequence[float]) -> float:
 SIDES = ("Left", "Right")
 #: A point that is farther from the origin (metres) was not seen.
 _MAX_DISTANCE = 1e4
-#: Shortest and longest distance between the acromions, and from their middle to the middle of both ASIS;
-#: metres.
+#: Limits of the distance of the acromions, and of their middle from that of both ASIS, metres.
 _SHOULDER_WIDTH, _TRUNK_LENGTH = (0.2, 0.55), (0.25, 0.75)
-#: Kind of points -> names of hip, knee, shoulder, elbow and ankle. A person needs the first four of both
-#: sides.
+#: Kind of points -> hip, knee, shoulder, elbow and ankle. A person needs the first four of both sides.
 KINDS = {
     "joints": ("Hip", "Knee", "Shoulder", "Elbow", "Ankle"),
     "markers": ("ASIS", "KneeLateral", "Acromion", "ElbowLateral", "AnkleLateral"),
@@ -402,8 +397,7 @@ class Marks:
 
 
 def people_of(file: MarkerFile) -> dict[str, Marks]:
-    """Find the points of each person in a file, by the name before the labels. Points that are never seen are
-    left out."""
+    """Find the points of each person by the name before the labels. Points never seen are left out."""
     groups: dict[str, list[int]] = {}
     seen = is_seen(file.points).any(axis=0)
     for number in np.flatnonzero(seen | ~seen.any()).tolist():

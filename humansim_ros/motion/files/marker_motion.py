@@ -123,32 +123,24 @@ def motion_of_points(path: str | os.PathLike[str], found: MarkerFile, person: st
     if person is not None and person not in people:
         raise MotionError(unknown("person", person, people), path=path)
     if person is None and len(complete) > 1:
-        raise MotionError(
-            f"the file has {len(complete)} people: name one, such as {file.name}#{next(iter(complete))}; "
-            f"they are {some_of(complete)}",
-            path=path,
-        )
+        text = f"the file has {len(complete)} people: name one, such as {file.name}#{next(iter(complete))}"
+        raise MotionError(f"{text}; they are {some_of(complete)}", path=path)
     fewest = min(people, key=lambda name: len(people[name].missing))
     chosen = people[fewest if person is None else person]
     if chosen.missing:
         unseen = np.array(found.labels)[~is_seen(found.points).any(axis=0)]
-        raise MotionError(
-            f"the points do not make up a person: {', '.join(chosen.missing)} are missing for a set of "
-            f"{chosen.kind}; found {some_of(chosen.labels, 8)}"
-            + (f". No frame has {some_of(unseen)}" if 0 < len(unseen) < len(found.labels) else ""),
-            path=path,
-        )
+        text = f"the points do not make up a person: {', '.join(chosen.missing)} are missing"
+        text += f" for a set of {chosen.kind}; found {some_of(chosen.labels, 8)}"
+        text += f". No frame has {some_of(unseen)}" if 0 < len(unseen) < len(found.labels) else ""
+        raise MotionError(text, path=path)
     points, frames = _filled(file, found, chosen)
     if (scale := likely_scale(np.stack([*points.values()], axis=1), _UNIT_ERRORS)) != 1:
         text = f"no person has this size in the unit of the file: lengths are multiplied by {scale:g}"
         warn_about(path, text)
         points = {landmark: scale * place for landmark, place in points.items()}
     if (axis := _mirrored_axis(points, chosen.kind)) is not None:
-        warn_about(
-            path,
-            "the person is mirrored: the axes of the file are left-handed, or left and right are exchanged "
-            f"in the names of the points. {'xyz'[axis]} is negated",
-        )
+        text = "the person is mirrored: the axes of the file are left-handed, or left and right are exchanged"
+        warn_about(path, f"{text} in the names of the points. {'xyz'[axis]} is negated")
         signs = np.where(np.arange(3) == axis, -1.0, 1.0)
         points = {landmark: place * signs for landmark, place in points.items()}
     joints, pelvis = _joint_centres(points) if chosen.kind == "markers" else (_known_joints(points), None)
@@ -181,8 +173,7 @@ def _mirrored_axis(points: Points, kind: str) -> int | None:
 
 
 def _filled(path: Path, file: MarkerFile, marks: Marks) -> tuple[dict[str, Array], Indices]:
-    """Fill the gaps of the landmarks. Returns points (F, 3) by landmark, and the numbers (F) of their
-    frames."""
+    """Fill gaps. Returns points (F, 3) by landmark, and the numbers (F) of their frames."""
     count = len(file.points)
     known = {landmark: is_seen(file.points[:, number]) for landmark, number in marks.numbers.items()}
     present = np.flatnonzero(np.mean([*known.values()], axis=0) >= _LEAST_SEEN)

@@ -56,8 +56,7 @@ def motion_format(file: str | os.PathLike[str]) -> MotionFormat | None:
 
 
 def split_motion_name(name: str | os.PathLike[str]) -> tuple[str, str | None]:
-    """File and part of a name such as ``figure.glb#Walk`` or ``all.zip/walk.bvh``. The part is None if the
-    name has none."""
+    """File and part (None if there is none) of a name: ``figure.glb#Walk``, ``all.zip/walk.bvh``."""
     text = os.fspath(name)
     file, mark, part = text.rpartition("#")
     known = motion_format(file) if mark else None

@@ -20,8 +20,7 @@ from humansim_ros.types import Array
 
 SUFFIXES = (".bvh", ".npz", ".json")
 _CENTIMETRES = 100.0
-#: Order of the rotation channels. The other orders are for joints that come near the gimbal lock of the
-#: first.
+#: Orders of the rotation channels: the first, and others for joints near its gimbal lock.
 _ORDERS = ("ZXY", "XZY", "XYZ")
 #: Least cosine of the middle angle. Below it, programs that compute with float32 lose digits.
 _MIN_COSINE = 0.2

@@ -27,8 +27,7 @@ from humansim_ros.motion.files.marker_files import MarkerFile
 from humansim_ros.types import Array
 
 Arrays = dict[str, NDArray[Any]]
-#: Largest change of the length of a thigh, as a share of the length, for which an array holds points. The
-#: values of rotations change more.
+#: An array holds points if the length of a thigh changes by at most this share. Rotations change more.
 _THIGH_CHANGE = 0.1
 
 
@@ -93,8 +92,7 @@ def _tracks(tree: Any) -> Any:
 
 
 def _named(array: NDArray[Any]) -> Arrays:
-    """Name a plain array by its content: ``joints`` (F, J, 3) or features (F, 263) of HumanML3D, or
-    ``poses``."""
+    """Name a plain array: ``joints`` (F, J, 3), also from features (F, 263) of HumanML3D, or ``poses``."""
     array = array[0] if array.ndim > 3 and len(array) == 1 else array
     if array.shape[1:] == (263,):
         return {"joints": _joints(array.astype(float))}
@@ -253,8 +251,7 @@ def _first(arrays: Mapping[str, NDArray[Any]], names: Iterable[str]) -> str | No
 def _without_gaps(
     path: str | os.PathLike[str], poses: Array, places: Array, arrays: Mapping[str, NDArray[Any]]
 ) -> tuple[Array, Array]:
-    """Poses (F, J, 3) and places (F, 3) of all frames. If a track lacks a frame, the frame before is
-    repeated."""
+    """Poses (F, J, 3) and places (F, 3) of all frames: a missing frame repeats the one before."""
     ids = arrays.get("frame_ids", arrays.get("frame", np.empty(0))).ravel()
     if len(ids) != len(poses) or ids.dtype.kind not in "iu" or (np.diff(ids.astype(float)) < 1).any():
         return poses, places
@@ -262,9 +259,8 @@ def _without_gaps(
     if not 0 < missing < _MOST_MISSING * len(ids):
         return poses, places
     held = np.searchsorted(ids, np.arange(ids[0], int(ids[-1]) + 1), side="right") - 1
-    warn_about(
-        path, f"the track lacks {missing} frames, the first is {ids[np.argmax(np.diff(ids) > 1)] + 1}: held"
-    )
+    first = ids[np.argmax(np.diff(ids) > 1)] + 1
+    warn_about(path, f"the track lacks {missing} frames, the first is {first}: held")
     return poses[held], places[held]
 
 
@@ -301,8 +297,7 @@ def _size_of_steps(motion: Motion) -> float | None:
 
 
 def _poses(path: Path, arrays: Mapping[str, NDArray[Any]]) -> tuple[Array, str]:
-    """Rotation vectors (F, J, 3), and the name of the array. If there are several arrays, the name of the
-    first."""
+    """Rotation vectors (F, J, 3), and the name of the array, or of the first of several."""
     name = _first(arrays, _POSES)
     if name is not None:
         found = _numbers(path, name, arrays[name])
@@ -310,11 +305,10 @@ def _poses(path: Path, arrays: Mapping[str, NDArray[Any]]) -> tuple[Array, str]:
         parts = [_first(arrays, names) for names in _NAMES["parts"]]
         if parts[0] is None or parts[1] is None:
             there = some_of(arrays) if arrays else "none of the arrays of AMASS"
-            raise MotionError(
-                "not a motion of SMPL: it needs 'poses', or 'root_orient' and 'pose_body' "
-                f"(rotation vectors); it has {there}",
-                path=path,
+            text = (
+                "not a motion of SMPL: it needs 'poses', or 'root_orient' and 'pose_body' (rotation vectors)"
             )
+            raise MotionError(f"{text}; it has {there}", path=path)
         name = parts[0]
         tables = {part: _numbers(path, part, arrays[part]) for part in parts if part is not None}
         if len({len(table) for table in tables.values()}) > 1:
@@ -326,11 +320,8 @@ def _poses(path: Path, arrays: Mapping[str, NDArray[Any]]) -> tuple[Array, str]:
         found, width = np.pad(found, ((0, 0), (0, 6))), 24
     if not len(found) or found.shape[1] % 3 or width not in SMPL_MODELS:
         counts = ", ".join(f"{3 * count} ({count} joints)" for count in (22, *SMPL_MODELS))
-        raise MotionError(
-            f"poses of {len(found)} frames with {found.shape[1]} numbers each; a frame has {counts}",
-            path=path,
-            key=name,
-        )
+        text = f"poses of {len(found)} frames with {found.shape[1]} numbers each; a frame has {counts}"
+        raise MotionError(text, path=path, key=name)
     if found.size > 3 * _MAX_ROTATIONS:
         raise MotionError(f"{len(found)} frames are too many", path=path, key=name)
     return _finite(path, found, name).reshape(len(found), -1, 3), name
@@ -363,9 +354,8 @@ def _all_parts(path: Path, tables: Mapping[str, Array]) -> list[Array]:
 
 def _numbers(path: str | os.PathLike[str], name: str, array: NDArray[Any]) -> Array:
     if array.dtype.kind not in "fiu" or array.ndim < 2:
-        raise MotionError(
-            f"must be numbers for each frame, not {array.shape} {str(array.dtype)[:40]}", path=path, key=name
-        )
+        text = f"must be numbers for each frame, not {array.shape} {str(array.dtype)[:40]}"
+        raise MotionError(text, path=path, key=name)
     if array.ndim > 2 and array.shape[-2:] == (3, 3):
         try:
             if not np.isfinite(array).all():

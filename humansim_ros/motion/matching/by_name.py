@@ -55,8 +55,7 @@ _FUSED = re.compile(rf"(left|right|l|r)?(?:hand)?({'|'.join([*_WORDS['fingers'],
 _NUB = re.compile("nub", re.IGNORECASE)
 _MMD = re.compile(r"([左右])(?:([親人中薬小])差?指([0-3０-３])|(目))$")
 _MMD_FINGERS = dict(zip("親人中薬小", FINGERS, strict=True))
-#: Joints of H-Anim 2 by the finger and its number, and the segments of H-Anim 2 that rotate with these
-#: joints.
+#: Joints of H-Anim 2 by finger and number, and the segments of H-Anim 2 that rotate with them.
 _HANIM = {row.hanim2: row.name for row in JOINT_NAMES if row.hanim2 and row.name in DETAIL_BONES} | {
     f"{side}_{segment}_{number}": f"{side}_{finger}{joint}"
     for side in "lr"
@@ -227,9 +226,8 @@ _LEFT = (
 
 @lru_cache(4)
 def loose_keys(names: tuple[str, ...]) -> list[str]:
-    """Keys of joint names: ``L_UpLeg_x``, ``lUpLeg`` and ``upleg.L`` all become ``left upleg``. A beginning
-    or an end that all names share is left out. A letter counts as a side only if the name of the other side
-    also exists."""
+    """Keys of joint names: ``L_UpLeg_x``, ``lUpLeg`` and ``upleg.L`` become ``left upleg``. What all names
+    begin or end with is left out. A letter is a side only if the name of the other side exists."""
     keys = [comparison_key(name) for name in _without_common_parts(names)]
     present = set(keys)
     return [_with_side(key, present) for key in keys]
@@ -314,8 +312,7 @@ def match_names_in_motion(motion: Motion, table: str | os.PathLike[str] | None) 
 
 
 def _is_limb(frames: Array) -> bool:
-    """Whether the third of three joints (F, 3, 4, 4) stays at the end of the second, as a foot does on a
-    shin."""
+    """Whether the third of three joints (F, 3, 4, 4) stays at the end of the second, as a foot on a shin."""
     upper, lower, end = (frames[:, joint, :3, 3] for joint in range(3))
     inside = rotate(np.swapaxes(frames[:, 1, :3, :3], -1, -2), end - lower)
     middle = np.median(inside, axis=0)
@@ -393,8 +390,7 @@ def _may_have_arms(match: JointMatch, names: Sequence[str], parents: Indices | N
 def _best_match(
     tables: Sequence[JointTable], joint_names: Sequence[str], parents: Indices | None, loose: bool = False
 ) -> JointMatch:
-    """Match by the table that fits best. If several tables are complete, the table of common names has the
-    lowest rank."""
+    """Match by the table that fits best. Of complete tables, the table of common names comes last."""
     matches = [match_table(candidate, joint_names, parents, loose) for candidate in tables]
     present = {comparison_key(name) for name in joint_names}
 
@@ -458,8 +454,7 @@ def _named_roles(table: JointTable, joint_names: Sequence[str]) -> dict[str, int
 
 
 def _loose_roles(table: JointTable, joint_names: Sequence[str]) -> dict[str, int]:
-    """Do the same as :func:`_named_roles`, in any spelling of the sides. Right sides are spelt as the left
-    ones are."""
+    """Do the same in any spelling of the sides. Right sides are spelt as the left ones are."""
     joint_of = {key: number for number, key in reversed(list(enumerate(loose_keys(tuple(joint_names)))))}
     roles: dict[str, int] = {}
     for role, names in table.joints.items():
@@ -473,8 +468,7 @@ def _loose_roles(table: JointTable, joint_names: Sequence[str]) -> dict[str, int
 
 
 def _consistent_roles(roles: Mapping[str, int], parents: Indices) -> dict[str, int]:
-    """Return the roles, without those that have a joint which does not descend from the joint before it in a
-    chain."""
+    """Return the roles without joints that do not descend from the joint before them in a chain."""
     consistent = dict(roles)
     legs = [roles[role] for role in ("LeftHip", "RightHip") if role in roles]
     pelvis = roles.get("Hips", -1)

@@ -27,8 +27,7 @@ from humansim_ros.types import Array
 
 #: Two branches are a pair if their lengths differ by this share at most.
 _PAIR_TOLERANCE = 0.12
-#: Most branches of a joint (the longest ones), and most pairs of branches that are compared with those of a
-#: person.
+#: Most branches of a joint (the longest), and most pairs that are compared with those of a person.
 _MAX_BRANCHES, _MAX_PAIRS = 30, 60
 #: Standard deviation of the measured length of a bone, as a share of the length.
 _BONE_VARIATION = 0.01
@@ -70,8 +69,7 @@ class JointTree:
         self.size = float(self.reach.max(initial=0.0))
 
     def stiffness(self, a: int, b: int) -> float:
-        """1 if the distance between two joints is constant, as along a bone. Less if a joint between them
-        bends."""
+        """1 if the distance of two joints is constant, as along a bone. Less if a joint between bends."""
         if int(self.parents[b]) == a:
             return 1.0
         distance = np.linalg.norm(self.points[:, a] - self.points[:, b], axis=-1)
@@ -92,8 +90,7 @@ class JointTree:
         return out
 
     def pairs(self) -> list[BranchPair]:
-        """All pairs of similar long branches of one joint. Joints with no distance between them count as
-        one."""
+        """All pairs of similar long branches of one joint. Joints at one place count as one."""
         pairs = []
         for joint in range(len(self.parents)):
             branches = [child for child in self._branches(joint) if self.reach[child] > 0.15 * self.size]
@@ -107,8 +104,7 @@ class JointTree:
         return pairs
 
     def _branches(self, joint: int) -> Iterator[int]:
-        """Children of a joint. If a child has no length, also the children of the child, since they start at
-        the same place."""
+        """Children of a joint, and the children of a child without length: they start at the same place."""
         for child in self.children[joint]:
             yield child
             if self.links[child] < 1e-3 * self.size and len(self.children[child]) > 1:
@@ -124,8 +120,7 @@ _LEG_PARTS, _ARM_PARTS = (
 )
 #: Length of an arm, and of neck and head, as shares of the length of a leg.
 _ARM_BY_LEG, _HEAD_BY_LEG = 0.72, 0.28
-#: A joint with at least this number of children is a hand, a foot or a head, with fingers, toes or parts of a
-#: face.
+#: A hand, a foot or a head has at least this number of children: fingers, toes or parts of a face.
 _MANY_CHILDREN = 3
 #: The likelihood of a limb is multiplied by this value if the limb does not end at its hand or foot.
 _WRONG_END = 0.2
@@ -190,8 +185,7 @@ def _limb_pairs(tree: JointTree) -> Iterator[tuple[BranchPair, BranchPair]]:
 
 
 def _person(tree: JointTree, legs: BranchPair, arms: BranchPair) -> tuple[float, dict[str, int]] | None:
-    """Likelihood of a person with these legs and arms, and the roles of the joints. Left and right are not
-    decided yet."""
+    """Likelihood of a person with these legs and arms, and the roles. Sides are not decided yet."""
     leg_limbs, arm_limbs = _limbs(tree, legs, _LEG, 1.05, _FOOT), _limbs(tree, arms, _ARM, 1.2, _HAND)
     trunk = _path_between(tree, legs.joint, arms.joint)
     if leg_limbs is None or arm_limbs is None or trunk is None:
@@ -228,14 +222,12 @@ def _person(tree: JointTree, legs: BranchPair, arms: BranchPair) -> tuple[float,
 
 
 def _similarity(ratio: float, typical: float, spread: float) -> float:
-    """Similarity of a ratio to a typical one. It is 1 if both are equal, and falls with the logarithm of the
-    deviation."""
+    """Similarity of a ratio to a typical one: 1 if equal, less by the logarithm of the deviation."""
     return float(np.exp(-0.5 * (np.log(max(ratio, 1e-9) / typical) / spread) ** 2))
 
 
 def _end_of_chain(tree: JointTree, chain: list[int], called: re.Pattern[str], from_place: int) -> int | None:
-    """Place of the hand, foot or head in a chain, from ``from_place`` on, by its name or its children. None
-    if not found."""
+    """Place of hand, foot or head in a chain, by its name or its children. None if not found."""
     places = range(from_place, len(chain))
     for place in places:
         if tree.children[chain[place]] and called.search(tree.names[chain[place]]):
@@ -341,8 +333,7 @@ def _head(tree: JointTree, legs: BranchPair, arms: BranchPair, trunk: list[int])
 
 
 def _assign_sides(motion: Motion, roles: dict[str, int]) -> tuple[dict[str, int], float]:
-    """Give the roles left and right, by names or else by the direction of the feet. Also returns the
-    confidence."""
+    """Decide left and right by names, else by the direction of the feet. Also returns the confidence."""
 
     def named_side(part: str) -> int:
         """1 if the names agree with left and right, -1 if they are swapped, 0 if they do not tell."""

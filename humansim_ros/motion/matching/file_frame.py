@@ -28,8 +28,7 @@ _ARM_WEIGHT = 0.05
 
 
 def highest(roles: Mapping[str, int]) -> str:
-    """Role of the joint that shows where the trunk ends: the neck if known, else head, chest, spine or
-    hips."""
+    """Role of the joint where the trunk ends: the neck if known, else head, chest, spine or hips."""
     return next(role for role in ("Neck", "Head", "Chest", "Spine", "Hips") if role in roles)
 
 
@@ -122,32 +121,25 @@ class BodyLines:
 
 #: Metres for each unit that motion files use ("cmu" is 1/0.45 inch).
 UNITS = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "foot": 0.3048, "cmu": 0.0254 / 0.45}
-#: Height of the ankle above the sole, as a share of the ankle-to-head height. No link between joints measures
-#: it.
+#: Height of the ankle above the sole, which no link measures, as a share of the ankle-to-head height.
 _ANKLE_SHARE = 0.06
-#: Length of a leg from hip to ankle, as a share of the stature [Winter 2009]. Thigh and shin have the same
-#: length.
+#: Leg from hip to ankle as a share of the stature [Winter 2009]. Thigh and shin are equally long.
 _LEG_SHARE = 0.491
 _PLAUSIBLE_STATURE = (1.2, 2.1)
 _TYPICAL_STATURE = 1.7
 #: The unit that a file format defines is accepted if the stature is between these values, metres.
 _ACCEPTED_STATURE = (0.4, 2.6)
-#: An axis of the file counts as the left or right of the person if the hips differ by at most this angle
-#: (degrees).
+#: An axis of the file is the left or right of the person if the hips are this near, degrees.
 _SNAP_ANGLE = 3.0
 #: Most frames from which the person is measured.
 _MAX_FRAMES = 400
-#: A person stands along an axis if the angle between both is at most the first one, degrees. In a rest pose,
-#: the second angle counts.
+#: Angle of a person who stands along an axis, at most: in frames, and in a rest pose; degrees.
 _UPRIGHT_ANGLE, _EXACT_ANGLE = 45.0, 10.0
-#: A person must stand along the up axis in this share of the frames: if the rest pose contradicts, and if
-#: frame 0 does.
+#: Least share of frames along the up axis: if the rest pose contradicts, and if frame 0 does.
 _MOSTLY, _HALF = 0.8, 0.5
-#: The floor is at the origin of the file if the height of the lowest joint is between these shares of the
-#: height of the person.
+#: The floor is at the origin if the lowest joint is between these shares of the person's height.
 _FLOOR_AT_ORIGIN = (-0.06, 0.1)
-#: A person leaves the floor if the height of the lowest joint changes by more than this share of the person's
-#: height.
+#: Change of the lowest joint of a person who leaves the floor, as a share of the height.
 _LEAVES_FLOOR = 0.15
 #: A person walks about if the way is longer than the first share of the height. A person lies if the body is
 #: thinner than the second share. A person who falls stands in at least the third share of the frames.
@@ -429,8 +421,7 @@ class _UpEvidence:
         return bool(spread > max(_LEAVES_FLOOR, 2 * others))
 
     def _least_moved(self, mean: Array) -> Array:
-        """Return the mean direction. If the person moves along it above a floor at the origin, y or z
-        instead."""
+        """The mean direction. If the person moves along it above a floor at the origin, y or z."""
         others = [axis for axis in np.eye(3)[1:] if axis @ mean == 0]
         floors = [axis for axis in others if self._is_on_floor(axis) and self._moves_off(mean, axis)]
         return floors[0] if floors and not self._is_on_floor(mean) else mean
@@ -473,8 +464,7 @@ def axis_name(direction: Array) -> str:
 
 
 def ankle_to_head(positions: Array, parents: Indices, match: JointMatch) -> float:
-    """Ankle-to-head height of a skeleton [thesis §7.2]. Measured along the links, so any pose (J, 3) gives
-    the same height."""
+    """Ankle-to-head height [thesis §7.2], along the links, so that any pose (J, 3) gives the same height."""
     roles = match.roles
 
     def length(a: int, b: int) -> float:

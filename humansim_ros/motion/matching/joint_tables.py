@@ -17,7 +17,7 @@ import yaml
 from pydantic import model_validator
 
 from humansim_ros.errors import MotionError, unknown
-from humansim_ros.files.reading import atomic_path, read_bytes, resource_path
+from humansim_ros.files.reading import atomic_path, read_bytes, read_table, resource_path
 from humansim_ros.files.yaml import MAX_BYTES, Section, read_yaml, validated
 from humansim_ros.motion.body.kinematics import Motion
 from humansim_ros.motion.body.skeleton import hanim_skeleton
@@ -25,30 +25,9 @@ from humansim_ros.types import Indices
 
 #: Required roles. Without them, height, facing and place of a person are unknown.
 REQUIRED_ROLES = ("Hips", "LeftHip", "LeftKnee", "RightHip", "RightKnee")
-#: Role -> roles that replace it if the file has no joint for it, best first.
-FALLBACK_ROLES = {"Spine": ("Chest", "Hips"), "Chest": ("Spine", "Hips"), "Head": ("Neck", "Chest", "Spine")}
-#: Default links of the bones: roles of the joints at the start and the end of a link, without the side.
-_LINKS = {
-    "sternoclavicular": ("Collar", "Shoulder"),
-    "shoulder": ("Shoulder", "Elbow"),
-    "elbow": ("Elbow", "Wrist"),
-    "wrist": ("Wrist", "Fingers"),
-    "hip": ("Hip", "Knee"),
-    "knee": ("Knee", "Ankle"),
-}
-#: Bone -> role of the joint with the rotation that the bone takes by default.
-_DRIVERS = {
-    "HumanoidRoot": "Hips",
-    "HumanoidRoot_to_l_hip": "Hips",
-    "HumanoidRoot_to_r_hip": "Hips",
-    "sacroiliac": "Spine",
-    "vl5": "Chest",
-    "vl5_to_l_sternoclavicular": "Chest",
-    "vl5_to_r_sternoclavicular": "Chest",
-    "vt3": "Head",
-    "l_ankle": "LeftAnkle",
-    "r_ankle": "RightAnkle",
-}
+#: Default drivers of the bones: roles at the start and the end of a link, or the role of the joint with the
+#: rotation that the bone takes. ``instead``: role -> roles that replace it, best first.
+_USUAL = read_table("usual_drivers")
 #: Prefixes that programs put before the joint names of a character.
 _PREFIX = re.compile(r"^(.*:|mixamorig\d*|character\d*_|robot_|bip\d+[ _]?)", re.IGNORECASE)
 #: Left and right as a word, or as a letter of its own, in joint names.
@@ -130,8 +109,7 @@ _MAX_KEYS = 1 << 13
 
 @functools.cache
 def built_in_tables() -> tuple[JointTable, ...]:
-    """Tables of the package (config/joint_names). They are not checked here: a test checks their keys as
-    :func:`load_table` does."""
+    """Tables of the package (config/joint_names). A test checks their keys, not this function."""
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # seven times faster than the loader that checks
     files = sorted(resource_path("config/joint_names").glob("*.yaml"))
     contents = (read_bytes(file, MotionError, "joint table", MAX_BYTES) for file in files)
@@ -164,20 +142,18 @@ def right_name(joint: str) -> str | None:
 def _default_drivers(joints: Mapping[str, Any]) -> tuple[dict[str, tuple[str, str]], dict[str, str]]:
     """Default links and drivers of the bones, for the roles of a table."""
     links = {}
-    for side, prefix in (("Left", "l"), ("Right", "r")):
-        for part, (start, end) in _LINKS.items():
-            start, end = side + start, side + end
-            if end not in joints and part == "wrist":
-                end = f"{start}_end"
-            if start in joints and (end in joints or end.endswith("_end")):
-                links[f"{prefix}_{part}"] = (start, end)
-    drivers = {bone: known_role(role, joints) for bone, role in _DRIVERS.items()}
+    for bone, (start, end) in _USUAL["links"].items():
+        if bone.endswith("wrist") and end not in joints:
+            end = f"{start}_end"
+        if start in joints and (end in joints or end.endswith("_end")):
+            links[bone] = (start, end)
+    drivers = {bone: known_role(role, joints) for bone, role in _USUAL["drivers"].items()}
     return links, {bone: role for bone, role in drivers.items() if role is not None}
 
 
 def known_role(role: str, known: Collection[str]) -> str | None:
     """A role, or the first role that replaces it, among the known roles."""
-    return next((each for each in (role, *FALLBACK_ROLES.get(role, ())) if each in known), None)
+    return next((each for each in (role, *_USUAL["instead"].get(role, ())) if each in known), None)
 
 
 #: Bones that may lack a driver, if the motion has no joints for them.
@@ -240,8 +216,7 @@ class JointMatch:
 
     @property
     def warning(self) -> str | None:
-        """Message about joints that the person lacks, or about a low confidence and its reasons. None if all
-        is well."""
+        """Message about missing joints, or a low confidence with its reasons. None if all is well."""
         if self.held:
             trunk = () if self.roles.keys() & {"Spine", "Chest", "Neck", "Head"} else ("trunk", "head")
             lacking, where = ", ".join((*trunk, *self.held)), " from an upright trunk" if trunk else ""
@@ -281,8 +256,7 @@ def match_roles(table: JointTable, roles: Mapping[str, int], joint_names: Sequen
 
 
 def opposite_joints(names: Sequence[str], roles: Mapping[str, int]) -> Indices:
-    """Index (J,) of the joint on the other side, by name and by role. A joint without an opposite joint has
-    its own index."""
+    """Index (J,) of the joint on the other side, by name and by role; its own index if there is none."""
     pairs = np.arange(len(names))
     lower = {name.lower(): number for number, name in enumerate(names)}
     for number, name in enumerate(names):

@@ -35,8 +35,7 @@ _SHORT_LEGS, _LONG_ARMS = 1.0, 0.8
 #: A body with one sign is an animal if it is on all fours in this share of the frames. A body with two signs
 #: is an animal if the trunk is opposite to the legs in less than the second share.
 _FOURS, _UPRIGHT = 0.9, 0.5
-#: The confidence is multiplied by the first value for an animal, and by the second for a body that may be an
-#: animal.
+#: Factors of the confidence for an animal, and for a body that may be an animal.
 _ANIMAL, _DOUBTFUL = 0.05, 0.5
 #: Parts that a body must have on a side to be examined.
 _PARTS = ("Hip", "Knee", "Shoulder", "Elbow")
@@ -77,8 +76,7 @@ class BodySigns:
 
     @property
     def plausibility(self) -> float:
-        """Factor of the confidence that this is a person. It is 1, or less if there are signs of an
-        animal."""
+        """Factor of the confidence that this is a person: 1, or less for signs of an animal."""
         if self.is_animal:
             return _ANIMAL
         crawls = self.fours >= _FOURS and not self.stands_in_offsets
@@ -103,8 +101,7 @@ class BodySigns:
 
 
 def look_at_body(motion: Motion, roles: Mapping[str, int]) -> BodySigns | None:
-    """Look for signs of an animal in a motion with these joints (role -> joint). None if shoulders or elbows
-    are unknown."""
+    """Signs of an animal in a motion with the joints ``roles``. None without shoulders or elbows."""
     if not all(side + part in roles for side in ("Left", "Right") for part in _PARTS):
         return None
     points = motion.world_positions(np.unique(np.linspace(0, motion.n_frames - 1, _MAX_SAMPLES).astype(int)))
@@ -150,8 +147,7 @@ def _cosine(a: Array, b: Array) -> Array:
 
 
 def _tail(motion: Motion, roles: Mapping[str, int]) -> tuple[str, ...]:
-    """Names of joints of a tail. Names that mean hair (a ponytail) or a coat above the shoulders do not
-    count."""
+    """Names of joints of a tail. Hair (a ponytail) and coats above the shoulders do not count."""
     upper = {roles[role] for role in ("Neck", "Head", "LeftShoulder", "RightShoulder") if role in roles}
     names = []
     for joint, name in enumerate(motion.joint_names):

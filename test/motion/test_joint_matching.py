@@ -15,7 +15,7 @@ from stand_ins import ALL, motion_path
 from humansim_ros.errors import MotionError
 from humansim_ros.files.reading.assets import resource_path
 from humansim_ros.motion import hanim_skeleton, read_bvh
-from humansim_ros.motion.matching.by_name import _is_descendant, loose_keys, match_names, match_table
+from humansim_ros.motion.matching.by_name import ancestors, loose_keys, match_names, match_table
 from humansim_ros.motion.matching.joint_tables import (
     JointTable,
     built_in_tables,
@@ -342,7 +342,7 @@ def test_a_cycle_of_parents_is_refused_with_its_joints() -> None:
     names, parents = skeleton_of("lafan1")
     hips, chest, head = (names.index(name) for name in ("Hips", "Spine", "Head"))
     parents[hips] = head  # the whole body is in or below the cycle
-    assert not _is_descendant(chest, names.index("LeftFoot"), parents)
+    assert names.index("LeftFoot") not in ancestors(chest, parents)
     with pytest.raises(
         MotionError, match=r"the joints Hips, Head, Neck, Spine2, Spine1 and 1 more are their own ancestors"
     ):

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.errors import HumansimError, MotionError, some_of, unknown, warn_about
+from humansim_ros.errors import HumansimError, MotionError, located, some_of, unknown, warn_about
 from humansim_ros.files.reading import read_npz, read_pickle, read_table
 from humansim_ros.geometry import rotate, rotation_vector_to_matrix
 from humansim_ros.motion.body.kinematics import Motion, motion_of_rotations
@@ -174,32 +174,43 @@ def read_smpl_motion(path: str | os.PathLike[str], person: str | None = None) ->
     Raises:
         MotionError: The file has no poses, or arrays of the wrong size. The error names file and array.
     """
+    with located(MotionError, path):
+        person, arrays = _arrays(path, person)
+        if "joints" in arrays and _first(arrays, _POSES) is None:
+            return _motion_of_joints(path, arrays["joints"])
+        return _motion(path, person, arrays)
+
+
+def _arrays(path: str | os.PathLike[str], person: str | None) -> tuple[str | None, Arrays]:
+    """Read the arrays of a person. Without a name, the person with the longest track is named and read."""
     what = "SMPL motion"
     is_archive = Path(path).suffix.lower() == ".npz"
     tree = read_npz(path, MotionError, what, _KNOWN) if is_archive else read_pickle(path, MotionError, what)
     try:
         people = _people_of(tree, (*_POSES, *_NAMES["parts"][0], *_NAMES["parts"][1], "joints"))
     except (ValueError, IndexError, KeyError, TypeError, AttributeError):
-        raise MotionError("the arrays of its people do not fit together", path=path) from None
+        raise MotionError("the arrays of its people do not fit together") from None
     if person is not None and person not in people:
-        raise MotionError(unknown("person", person, people, "the file"), path=path)
+        raise MotionError(unknown("person", person, people, "the file"))
     if person is None:
         by_size = sorted(people, key=lambda name: -max(map(np.size, people[name].values())))
         person = by_size[0] if by_size else None
         if by_size[1:]:
             found = f"{len(by_size)} people, {some_of(by_size)}: the first, which has most frames, is read"
             warn_about(path, f"{found}; the others are read by name, such as {Path(path).name}#{by_size[1]}")
-    arrays = {} if person is None else people[person]
-    if "joints" in arrays and _first(arrays, _POSES) is None:
-        return _motion_of_joints(path, arrays["joints"])
-    poses, name = _poses(Path(path), arrays)
+    return person, {} if person is None else people[person]
+
+
+def _motion(path: str | os.PathLike[str], person: str | None, arrays: Arrays) -> Motion:
+    """Make the motion of a person from rotations, and find its size."""
+    poses, name = _poses(path, arrays)
     place = _first(arrays, _NAMES["places"].get(name, _NAMES["usual_places"]))
     if place is None:
         warn_about(path, "no 'trans': the person stays in place")
     found_places = np.zeros((len(poses), 3)) if place is None else arrays[place]
-    places = _finite(path, _numbers(path, "trans", found_places), "trans")
+    places = _finite(path, _numbers("trans", found_places), "trans")
     if places.shape != (len(poses), 3):
-        raise MotionError(f"{places.shape} numbers for {len(poses)} frames", path=path, key="trans")
+        raise MotionError(f"{places.shape} numbers for {len(poses)} frames", key="trans")
     if is_of_camera := name in _NAMES["camera_poses"] or "incam" in str(person):
         warn_about(path, "these are axes of a camera: the person leans, and moves, as the camera does")
     poses, places = _without_gaps(path, poses, places, arrays)
@@ -237,7 +248,7 @@ def _motion_of_joints(path: str | os.PathLike[str], joints: NDArray[Any]) -> Mot
     from humansim_ros.motion.files.marker_motion import motion_of_points
 
     warn_about(path, f"joints without a frame rate: {_JOINTS_RATE:g} frames per second, as HumanML3D has")
-    points = _finite(path, _numbers(path, "joints", joints), "joints").reshape(len(joints), -1, 3)
+    points = _finite(path, _numbers("joints", joints), "joints").reshape(len(joints), -1, 3)
     names = SMPL[: min(22, points.shape[1])]
     times = np.arange(len(points)) / _JOINTS_RATE
     return motion_of_points(path, MarkerFile(names, points[:, : len(names)], times, (), _JOINTS_RATE))
@@ -296,11 +307,11 @@ def _size_of_steps(motion: Motion) -> float | None:
     return size if sliding <= _MOST_SLIDING and _SIZES[0] <= size <= _SIZES[1] else None
 
 
-def _poses(path: Path, arrays: Mapping[str, NDArray[Any]]) -> tuple[Array, str]:
+def _poses(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]]) -> tuple[Array, str]:
     """Rotation vectors (F, J, 3), and the name of the array, or of the first of several."""
     name = _first(arrays, _POSES)
     if name is not None:
-        found = _numbers(path, name, arrays[name])
+        found = _numbers(name, arrays[name])
     else:
         parts = [_first(arrays, names) for names in _NAMES["parts"]]
         if parts[0] is None or parts[1] is None:
@@ -308,12 +319,12 @@ def _poses(path: Path, arrays: Mapping[str, NDArray[Any]]) -> tuple[Array, str]:
             text = (
                 "not a motion of SMPL: it needs 'poses', or 'root_orient' and 'pose_body' (rotation vectors)"
             )
-            raise MotionError(f"{text}; it has {there}", path=path)
+            raise MotionError(f"{text}; it has {there}")
         name = parts[0]
-        tables = {part: _numbers(path, part, arrays[part]) for part in parts if part is not None}
+        tables = {part: _numbers(part, arrays[part]) for part in parts if part is not None}
         if len({len(table) for table in tables.values()}) > 1:
-            raise MotionError("parts of different lengths", path=path, key=name)
-        found = np.concatenate(_all_parts(path, tables), axis=1)
+            raise MotionError("parts of different lengths", key=name)
+        found = np.concatenate(_all_parts(tables), axis=1)
     width = found.shape[1] // 3
     # the body alone has 22 joints: those of SMPL without the hands
     if found.shape[1] % 3 == 0 and width == 22:
@@ -321,13 +332,13 @@ def _poses(path: Path, arrays: Mapping[str, NDArray[Any]]) -> tuple[Array, str]:
     if not len(found) or found.shape[1] % 3 or width not in SMPL_MODELS:
         counts = ", ".join(f"{3 * count} ({count} joints)" for count in (22, *SMPL_MODELS))
         text = f"poses of {len(found)} frames with {found.shape[1]} numbers each; a frame has {counts}"
-        raise MotionError(text, path=path, key=name)
+        raise MotionError(text, key=name)
     if found.size > 3 * _MAX_ROTATIONS:
-        raise MotionError(f"{len(found)} frames are too many", path=path, key=name)
+        raise MotionError(f"{len(found)} frames are too many", key=name)
     return _finite(path, found, name).reshape(len(found), -1, 3), name
 
 
-def _all_parts(path: Path, tables: Mapping[str, Array]) -> list[Array]:
+def _all_parts(tables: Mapping[str, Array]) -> list[Array]:
     """Root, body, face and hands (F, 3 J) in the order of the models. A missing limb is zero. ``tables``:
     rotations (F, N) of the parts of a file by name: root, body, and others."""
     if len(tables) < 3:
@@ -339,7 +350,7 @@ def _all_parts(path: Path, tables: Mapping[str, Array]) -> list[Array]:
             hint = ". Components of hands (use_pca) need the model: write rotations of 15 joints a hand"
             hint = hint if "hand" in part and found < sum(widths) else ""
             message = f"{found} numbers a frame in place of {sum(widths)}{hint}"
-            raise MotionError(message, path=path, key=part)
+            raise MotionError(message, key=part)
         limbs |= zip(_LIMBS[part], np.split(table, len(widths), axis=1), strict=True)
     face = ("jaw", "left_eye", "right_eye")
     order = (
@@ -352,17 +363,17 @@ def _all_parts(path: Path, tables: Mapping[str, Array]) -> list[Array]:
     return [limbs.get(limb, np.zeros((len(table), _NAMES["widths"][limb]))) for limb in order]
 
 
-def _numbers(path: str | os.PathLike[str], name: str, array: NDArray[Any]) -> Array:
+def _numbers(name: str, array: NDArray[Any]) -> Array:
     if array.dtype.kind not in "fiu" or array.ndim < 2:
         text = f"must be numbers for each frame, not {array.shape} {str(array.dtype)[:40]}"
-        raise MotionError(text, path=path, key=name)
+        raise MotionError(text, key=name)
     if array.ndim > 2 and array.shape[-2:] == (3, 3):
         try:
             if not np.isfinite(array).all():
                 raise ValueError
             vectors = Rotation.from_matrix(array.reshape(-1, 3, 3)).as_rotvec()
         except ValueError:
-            raise MotionError("these matrices are no rotations", path=path, key=name) from None
+            raise MotionError("these matrices are no rotations", key=name) from None
         return vectors.reshape(len(array), -1)
     # a copy, since SciPy refuses arrays that are read-only
     return np.array(array, dtype=float).reshape(len(array), int(np.prod(array.shape[1:])))
@@ -376,7 +387,7 @@ def _finite(path: str | os.PathLike[str], table: Array, name: str) -> Array:
     first = int(np.argmax(wrong))
     if wrong.mean() > _MOST_WRONG:
         message = f"{int(wrong.sum())} of {len(table)} frames are not finite, the first is {first}"
-        raise MotionError(message, path=path, key=name)
+        raise MotionError(message, key=name)
     warn_about(path, f"{name}: {int(wrong.sum())} frames are not finite, such as {first}: filled")
     good = np.flatnonzero(~wrong)
     return np.stack([np.interp(np.arange(len(table)), good, column[good]) for column in table.T], axis=1)
@@ -392,7 +403,7 @@ def _rate(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]]) -> f
     rate = _number(arrays[name])
     if not 1e-3 <= rate <= 1e6:
         text = f"frames per second must be a number above 0, not {arrays[name].tolist()!r:.40}"
-        raise MotionError(text, path=path, key=name)
+        raise MotionError(text, key=name)
     return rate
 
 

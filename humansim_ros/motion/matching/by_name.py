@@ -209,7 +209,7 @@ def _tip(joint: int, joint_names: Sequence[str], parents: Indices | None) -> int
 
 def _is_chain(joints: Sequence[int], parents: Indices) -> bool:
     """Whether each of the joints descends from the joint before it."""
-    return all(_is_descendant(joint, above, parents) for above, joint in itertools.pairwise(joints))
+    return all(above in ancestors(joint, parents) for above, joint in itertools.pairwise(joints))
 
 
 #: Spellings of the sides, at the start or the end of a name.
@@ -217,11 +217,7 @@ _SIDES = (("left", "right"), ("l", "r"))
 _SEPARATORS = " _.-|:"
 #: Patterns for left in names of a joint table, the most certain first: as a word or letter of its own, as a
 #: letter before a capital, as the first letter.
-_LEFT = (
-    LEFT,
-    re.compile(r"^l(?=[A-Z])"),
-    re.compile(r"^l"),
-)
+_LEFT = (LEFT, re.compile(r"^l(?=[A-Z])"), re.compile(r"^l"))
 
 
 @lru_cache(4)
@@ -304,7 +300,7 @@ def match_names_in_motion(motion: Motion, table: str | os.PathLike[str] | None) 
         frames = motion.world_transforms(np.unique(np.linspace(0, motion.n_frames - 1, 2000).astype(int)))
         for joints in ([roles.get(role, -1) for role in limb] for limb in limbs):
             _, lower, end = joints
-            related = _is_descendant(end, lower, parents) or _is_descendant(lower, end, parents)
+            related = lower in ancestors(end, parents) or end in ancestors(lower, parents)
             if min(joints) >= 0 and not related and _is_limb(frames[:, joints]):
                 parents[end] = lower
                 found = None
@@ -376,9 +372,7 @@ def _may_have_arms(match: JointMatch, names: Sequence[str], parents: Indices | N
     known: set[int] = set()
     inner: set[int] = set()
     for role, joint in match.roles.items():
-        path = [joint]
-        while parents[path[-1]] >= 0:
-            path.append(int(parents[path[-1]]))
+        path = [joint, *ancestors(joint, parents)]
         known.update(path)
         if role.removeprefix("Left").removeprefix("Right") in _ABOVE_ARMS:
             inner.update(path[role == "Head" :])
@@ -472,7 +466,7 @@ def _consistent_roles(roles: Mapping[str, int], parents: Indices) -> dict[str, i
     consistent = dict(roles)
     legs = [roles[role] for role in ("LeftHip", "RightHip") if role in roles]
     pelvis = roles.get("Hips", -1)
-    while pelvis >= 0 and not all(_is_descendant(leg, pelvis, parents) for leg in legs):
+    while pelvis >= 0 and not all(pelvis in ancestors(leg, parents) for leg in legs):
         pelvis = int(parents[pelvis])
     if pelvis >= 0 and len(legs) == 2:
         consistent["Hips"] = pelvis  # the joint called hips may carry only the trunk
@@ -481,20 +475,19 @@ def _consistent_roles(roles: Mapping[str, int], parents: Indices) -> dict[str, i
         for role in [role for role in chain if role in consistent]:
             joint = consistent[role]
             is_same = role == "Chest" and joint == above
-            if above < 0 or is_same or _is_descendant(joint, above, parents):
+            if above < 0 or is_same or above in ancestors(joint, parents):
                 above = joint
             else:
                 del consistent[role]
     return consistent
 
 
-def _is_descendant(joint: int, ancestor: int, parents: Indices) -> bool:
-    above = joint
-    for _ in parents:  # no path is longer than the number of joints, and a cycle would not end
-        above = int(parents[above])
-        if above < 0 or above == ancestor:
-            return above == ancestor
-    return False
+def ancestors(joint: int, parents: Indices) -> list[int]:
+    """Ancestors of a joint, upwards."""
+    found: list[int] = []
+    while (joint := int(parents[joint])) >= 0 and len(found) < len(parents):  # a cycle would not end
+        found.append(joint)
+    return found
 
 
 def _candidates(

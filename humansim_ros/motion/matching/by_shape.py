@@ -15,6 +15,7 @@ import numpy as np
 
 from humansim_ros.geometry import unit_vectors
 from humansim_ros.motion.body.kinematics import Motion
+from humansim_ros.motion.matching.by_name import ancestors
 from humansim_ros.motion.matching.joint_tables import (
     LEFT,
     MIN_CONFIDENCE,
@@ -84,10 +85,7 @@ class JointTree:
 
     def path(self, joint: int) -> list[int]:
         """A joint and its ancestors, upwards."""
-        out = [joint]
-        while self.parents[out[-1]] >= 0:
-            out.append(int(self.parents[out[-1]]))
-        return out
+        return [joint, *ancestors(joint, self.parents)]
 
     def pairs(self) -> list[BranchPair]:
         """All pairs of similar long branches of one joint. Joints at one place count as one."""

@@ -15,7 +15,7 @@ import numpy as np
 from humansim_ros.errors import MotionError
 from humansim_ros.geometry import unit_vectors
 from humansim_ros.motion.body.kinematics import Motion
-from humansim_ros.motion.matching.by_name import LIMBS, detail_joints, match_names_in_motion
+from humansim_ros.motion.matching.by_name import LIMBS, ancestors, detail_joints, match_names_in_motion
 from humansim_ros.motion.matching.by_shape import match_shape
 from humansim_ros.motion.matching.joint_tables import MIN_CONFIDENCE, JointMatch
 from humansim_ros.types import Array
@@ -149,20 +149,12 @@ def _cosine(a: Array, b: Array) -> Array:
 def _tail(motion: Motion, roles: Mapping[str, int]) -> tuple[str, ...]:
     """Names of joints of a tail. Hair (a ponytail) and coats above the shoulders do not count."""
     upper = {roles[role] for role in ("Neck", "Head", "LeftShoulder", "RightShoulder") if role in roles}
-    names = []
-    for joint, name in enumerate(motion.joint_names):
-        above = joint
-        while above >= 0 and above not in upper:
-            above = int(motion.parents[above])
-        if above < 0 and _TAIL.search(name):
-            names.append(name)
-    return tuple(names)
+    tails = ((joint, name) for joint, name in enumerate(motion.joint_names) if _TAIL.search(name))
+    return tuple(n for joint, n in tails if upper.isdisjoint((joint, *ancestors(joint, motion.parents))))
 
 
 def match_motion(
-    motion: Motion,
-    table: str | os.PathLike[str] | None = None,
-    min_confidence: float | None = None,
+    motion: Motion, table: str | os.PathLike[str] | None = None, min_confidence: float | None = None
 ) -> JointMatch:
     """Match the joints of a motion to bones.
 

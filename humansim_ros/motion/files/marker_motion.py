@@ -41,6 +41,7 @@ from humansim_ros.motion.files.marker_files import (
     read_c3d_points,
     read_trc_points,
 )
+from humansim_ros.motion.matching.file_frame import axes_of
 from humansim_ros.types import Array, Indices
 
 #: Largest file (bytes), and most labels and points of a file.
@@ -399,11 +400,11 @@ def _motion(path: Path, joints: dict[str, Array], pelvis: Array | None, frame_ti
     joints = {**joints, "Chest": (joints["Hips"] + joints["Neck"]) / 2}
     trunk = joints["Neck"] - joints["Hips"]
     across = joints["LeftShoulder"] - joints["RightShoulder"]
-    own = {"Hips": _axes(joints["LeftHip"] - joints["RightHip"], trunk), "Chest": _axes(across, trunk)}
+    own = {"Hips": axes_of(joints["LeftHip"] - joints["RightHip"], trunk), "Chest": axes_of(across, trunk)}
     if pelvis is not None:
         own["Hips"] = pelvis @ _standing_tilt(joints, pelvis)
     if "Head" in joints:
-        own["Neck"] = own["Head"] = _axes(across, joints["Head"] - joints["Neck"])
+        own["Neck"] = own["Head"] = axes_of(across, joints["Head"] - joints["Neck"])
     turns: dict[str, Array] = {}
     offsets: dict[str, Array] = {}
     for name, (parent, direction) in _TREE.items():
@@ -455,10 +456,3 @@ def _standing_tilt(joints: Points, pelvis: Array) -> Array:
     local = rotate(np.swapaxes(pelvis, -1, -2), trunk)[straight >= np.quantile(straight, 0.75)]
     angle = float(np.median(np.arctan2(local[:, 2], local[:, 1])))
     return rotation_vector_to_matrix(np.array([angle, 0.0, 0.0]))
-
-
-def _axes(left: Array, up: Array) -> Array:
-    """Rotations (F, 3, 3) from the rest pose: x along ``left`` (F, 3), and y nearly along ``up`` (F, 3)."""
-    x = unit_vectors(left)
-    z = unit_vectors(np.cross(x, up))
-    return np.stack([x, np.cross(z, x), z], axis=-1)

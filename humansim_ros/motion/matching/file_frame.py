@@ -32,6 +32,13 @@ def highest(roles: Mapping[str, int]) -> str:
     return next(role for role in ("Neck", "Head", "Chest", "Spine", "Hips") if role in roles)
 
 
+def axes_of(left: Array, up: Array) -> Array:
+    """Axes (N, 3, 3) as columns: ``left`` (N, 3), nearly ``up`` (N, 3), forward."""
+    x = unit_vectors(left)
+    z = unit_vectors(np.cross(x, up))
+    return np.stack([x, np.cross(z, x), z], axis=-1)
+
+
 @dataclass(frozen=True)
 class BodyLines:
     """Lines of a person in N poses, as vectors (N, 3) in the frame and unit of the joints.
@@ -91,9 +98,7 @@ class BodyLines:
 
     def axes(self, left: Array) -> Array:
         """Body axes (N, 3, 3) as columns: ``left`` (N, 3), up (nearly along the trunk), forward."""
-        x = unit_vectors(left)
-        z = unit_vectors(np.cross(x, self.trunk))
-        return np.stack([x, np.cross(z, x), z], axis=-1)
+        return axes_of(left, self.trunk)
 
     def bend(self, up: Array) -> Array:
         """Sum of angles (N,) in radians by which a pose differs from standing upright. The angles are between

@@ -256,7 +256,7 @@ def match_roles(table: JointTable, roles: Mapping[str, int], joint_names: Sequen
 
 
 def opposite_joints(names: Sequence[str], roles: Mapping[str, int]) -> Indices:
-    """Index (J,) of the joint on the other side, by name and by role; its own index if there is none."""
+    """Index (J,) of the joint on the other side, by name and by role, else of the joint itself."""
     pairs = np.arange(len(names))
     lower = {name.lower(): number for number, name in enumerate(names)}
     for number, name in enumerate(names):

@@ -11,12 +11,11 @@ import numpy as np
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from humansim_ros.files.reading import read_table
-from humansim_ros.files.yaml import Section, ShortSection
+from humansim_ros.files.yaml import Section, Share, ShortSection
 
 Encoding = Literal["rgb8", "bgr8", "mono8", "bayer_rggb8"]
 Factor = Annotated[float, Field(gt=0, le=100)]
 Pixels = Annotated[float, Field(ge=-100, le=100)]
-Share = Annotated[float, Field(ge=0, le=1)]
 Coefficient = Annotated[float, Field(ge=-10, le=10)]
 
 

@@ -115,9 +115,8 @@ def _solve(seen: Array, weights: Array) -> tuple[Array, Array]:
         # first the true colours, then for each view a line through its samples, with a gain near its guess
         robust = weights
         for _ in range(2):
-            true = (robust * gains[:, None] * (seen - biases[:, None])).sum(0) / np.maximum(
-                (robust * gains[:, None] ** 2).sum(0), 1e-9
-            )
+            total = np.maximum((robust * gains[:, None] ** 2).sum(0), 1e-9)
+            true = (robust * gains[:, None] * (seen - biases[:, None])).sum(0) / total
             errors = (seen - gains[:, None] * true - biases[:, None]) / _NOISE
             robust = weights / (1 + errors**2)
         # errors of neighbouring samples are alike, so a view counts as _SAMPLES independent samples at most
@@ -358,12 +357,8 @@ def _blend_texels(
 ) -> tuple[Float32Array, Float32Array]:
     """Colours (M, 3) and certainty (M,) of texels. ``bands``: images (H, W, 3) by view and band."""
     pixels, weights = zip(*(sight.texel_weights(surface, texels) for sight in sights), strict=True)
-    shares = np.stack(
-        [
-            own * (1 - _DOUBT * lookup(_clipped(sight), at))
-            for sight, at, own in zip(sights, pixels, weights, strict=True)
-        ]
-    )
+    rows = zip(sights, pixels, weights, strict=True)
+    shares = np.stack([own * (1 - _DOUBT * lookup(_clipped(sight), at)) for sight, at, own in rows])
     shares /= np.maximum(shares.max(axis=0), 1e-12)
     colours = np.zeros((len(texels.row), 3), np.float32)
     for band, (_, sharpness) in enumerate(_BANDS):
@@ -384,7 +379,7 @@ def _filled_image(
     hidden = blended.certainty < 1
     fill = texels.mix(places.astype(np.float32), surface.triangles)
     if symmetry and hidden.any():
-        fill[hidden] += _mirrored_details(surface, texels, blended, places, hidden, side)
+        fill[hidden] += _mirrored_details(surface, texels, blended, fill, side)
     colours = np.clip(certainty * blended.colours + (1 - certainty) * fill, 0, 255)
     empty = np.ones((side, side), np.uint8)
     empty[texels.row, texels.column] = 0
@@ -395,18 +390,12 @@ def _filled_image(
 
 
 def _mirrored_details(
-    surface: Surface,
-    texels: SurfaceTexels,
-    blended: _Blended,
-    places: Array,
-    hidden: NDArray[np.bool_],
-    side: int,
+    surface: Surface, texels: SurfaceTexels, blended: _Blended, smooth: Float32Array, side: int
 ) -> Float32Array:
     """Details (M', 3) of hidden texels, taken from the other side of the body: its colours minus its smooth
-    colours."""
-    mesh = surface.mesh
+    colours (M, 3)."""
+    mesh, hidden = surface.mesh, blended.certainty < 1
     assert mesh.uv is not None and mesh.uv_triangles is not None
-    smooth = texels.mix(places.astype(np.float32), surface.triangles)
     details = np.zeros((side, side, 3), np.float32)
     known = np.zeros((side, side), np.float32)
     details[texels.row, texels.column] = (blended.colours - smooth) * blended.certainty[:, None]

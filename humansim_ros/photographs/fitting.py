@@ -19,7 +19,6 @@ from humansim_ros.photographs.person_fit import (
     can_be_shaped,
     fit_shape,
     shaped_human,
-    with_proportions,
 )
 from humansim_ros.photographs.pose_fitting import (
     GIRTH_LIMIT,
@@ -27,11 +26,11 @@ from humansim_ros.photographs.pose_fitting import (
     LENGTH_LIMIT,
     Settings,
     Sight,
+    fields_of_states,
     first_state,
     fit_places,
     fit_poses,
     fitted_states,
-    point_errors,
     relative_size,
     unwound,
     with_possible_hinges,
@@ -161,12 +160,8 @@ def _fit(
         return _result(photos, name, body, model, states, found, noise)
 
     shape_frames = _spread(np.array([(sight.weights > 0).sum() for sight in sights]), SHAPE_FRAMES)
-    chosen = fit_poses(
-        model,
-        [states[number] for number in shape_frames],
-        [sights[number] for number in shape_frames],
-        Settings(noise),
-    )
+    begun, seen = [states[number] for number in shape_frames], [sights[number] for number in shape_frames]
+    chosen = fit_poses(model, begun, seen, Settings(noise))
     progress("shape", len(states), len(states))
     for number, state in zip(shape_frames, chosen, strict=True):
         states[number] = state
@@ -231,16 +226,14 @@ def _initial(
     model: PoseModel, found: Sequence[Triangulation], start: PersonFit | None, progress: FitProgress
 ) -> list[BodyState]:
     """A first guess of all frames, from the triangulated points."""
-    states: list[BodyState] = []
     if start is not None and len(start.root) == len(found):
         return fitted_states(model, start)
-    last: BodyState | None = None
+    states, last = list[BodyState](), None
     for number, each in enumerate(found):
         state = first_state(model, each.positions)
         if last is not None:  # limbs move little between frames
             state = replace(state, vectors=last.vectors, stature=last.stature, lengths=last.lengths)
-        known = np.isfinite(each.positions[:, 0]).sum()
-        if known >= 3:
+        if np.isfinite(each.positions[:, 0]).sum() >= 3:
             state = last = with_possible_hinges(model, unwound(fit_places(model, state, each.positions)))
         elif last is not None:
             state = last
@@ -267,29 +260,20 @@ def _result(
 ) -> PersonFit:
     """Fit of a human before its proportions are applied. ``noise``: standard deviation of the points,
     pixels."""
-    proportions = model.proportions(states[0])
-    skeleton = with_proportions(human, proportions).skeleton
-    residuals = np.array(
-        [
-            point_errors(model, state, photos.cameras, each.points)
-            for state, each in zip(states, found, strict=True)
-        ]
-    )
+    posed = fields_of_states(model, human, states, photos.cameras, [each.points for each in found])
+    residuals: Array = posed["residuals"]
     given = np.isfinite(residuals)
     if not given.any():
         raise PhotographError("no view has points: there is nothing to fit", path=photos.path, key="views")
     farthest = max(_FARTHEST * noise, _LEAST_FARTHEST)
     wrong = np.array([~each.inliers & np.isfinite(each.positions[:, 0]) for each in found])
     return PersonFit(
-        name,
-        proportions,
-        human.skeleton.names,
-        np.array([model.root(state, skeleton) for state in states]),
-        np.array([model.rotations(state) for state in states]),
-        photos.period,
-        photos.keypoints.name,
-        photos.names,
-        residuals,
-        given & (wrong | (np.nan_to_num(residuals) > 5 * farthest)),
-        np.array([each.swapped for each in found]),
+        human=name,
+        bones=human.skeleton.names,
+        period=photos.period,
+        keypoints=photos.keypoints.name,
+        views=photos.names,
+        outliers=given & (wrong | (np.nan_to_num(residuals) > 5 * farthest)),
+        swapped=np.array([each.swapped for each in found]),
+        **posed,
     )

@@ -102,20 +102,14 @@ def with_proportions(human: Human, proportions: Proportions) -> Human:
             heads[bone] = heads[parent] + stretch[parent] @ (skeleton.heads[bone] - skeleton.heads[parent])
         tails[bone] = heads[bone] + stretch[bone] @ (skeleton.tails[bone] - skeleton.heads[bone])
     shift = heads - np.einsum("bij,bj->bi", stretch, skeleton.heads)
-    vertices = np.einsum(
-        "vij,vj->vi",
-        (human.weights @ stretch.reshape(-1, 9)).reshape(-1, 3, 3),
-        human.mesh.vertices,
-    )
+    stretches = (human.weights @ stretch.reshape(-1, 9)).reshape(-1, 3, 3)
+    vertices = np.einsum("vij,vj->vi", stretches, human.mesh.vertices)
     vertices += human.weights @ shift
     lift = human.mesh.vertices[:, 1].min() - vertices[:, 1].min()
     for points in (vertices, heads, tails):
         points[:, 1] += lift
-    return replace(
-        human,
-        mesh=replace(human.mesh, vertices=vertices),
-        skeleton=replace(skeleton, heads=heads, tails=tails),
-    )
+    mesh, skeleton = replace(human.mesh, vertices=vertices), replace(skeleton, heads=heads, tails=tails)
+    return replace(human, mesh=mesh, skeleton=skeleton)
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,8 +151,8 @@ class SurfaceOffsets:
         return cls(controls, factor, np.concatenate(shares), normals)
 
     def moved(self, human: Human, offsets: Sequence[float] | Array) -> Human:
-        """Move the surface of a human by offsets. Raises MeshError if there is not one offset for each
-        control."""
+        """Move the surface of a human by offsets. Raises MeshError unless each control has one
+        offset."""
         if len(offsets) != len(self.controls):
             raise MeshError(
                 f"{len(offsets)} offsets of the surface do not fit {human.name}, which has "
@@ -342,8 +336,11 @@ class _FitSection(Section):
 
 def write_fit(path: str | os.PathLike[str], fit: PersonFit) -> None:
     """Write a fit atomically. Lengths are metres and pixels, rotations quaternions xyzw."""
-    names = keypoint_set(fit.keypoints).names
-    shape = fit.proportions
+    names, shape = keypoint_set(fit.keypoints).names, fit.proportions
+    lengths, girths = (
+        {name: round(float(value), 6) for name, value in factors.items()}
+        for factors in (shape.lengths, shape.girths)
+    )
     content: dict[str, Any] = {
         "human": fit.human,
         "keypoints": fit.keypoints,
@@ -352,8 +349,8 @@ def write_fit(path: str | os.PathLike[str], fit: PersonFit) -> None:
         "bones": list(fit.bones),
         "proportions": {
             "stature": round(float(shape.stature), 6),
-            "lengths": {name: round(float(value), 6) for name, value in shape.lengths.items()},
-            "girths": {name: round(float(value), 6) for name, value in shape.girths.items()},
+            "lengths": lengths,
+            "girths": girths,
             "shape": list(shape.shape),
             "offsets": list(shape.offsets),
         },
@@ -436,17 +433,8 @@ def read_fit(path: str | os.PathLike[str]) -> PersonFit:
                     outliers[number, row, column] = part == "outliers"
         for view in frame.swapped:
             swapped[number, place(views, view, f"{key}.swapped")] = True
-    own = section.proportions
+    period, proportions = round(section.period * 1e9), Proportions(**section.proportions.model_dump())
     return PersonFit(
-        section.human,
-        Proportions(own.stature, own.lengths, own.girths, own.shape, own.offsets),
-        section.bones,
-        root,
-        rotations,
-        round(section.period * 1e9),
-        section.keypoints,
-        views,
-        residuals,
-        outliers,
-        swapped,
+        *(section.human, proportions, section.bones, root, rotations),
+        *(period, section.keypoints, views, residuals, outliers, swapped),
     )

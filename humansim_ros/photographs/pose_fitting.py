@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,8 @@ from scipy.spatial.transform import Rotation
 
 from humansim_ros.cameras.camera import Camera
 from humansim_ros.geometry import fit_similarity, from_y_axis, quaternion_to_matrix, unit_vectors
-from humansim_ros.photographs.person_fit import PersonFit
+from humansim_ros.people.humans import Human
+from humansim_ros.photographs.person_fit import PersonFit, with_proportions
 from humansim_ros.photographs.pose_model import Attachments, BodyState, PoseModel, plain_name
 from humansim_ros.types import Array, Indices
 
@@ -140,17 +142,12 @@ def first_state(model: PoseModel, places: Array) -> BodyState:
     known = np.isfinite(places[:, 0])
     weights = np.where(model.on_trunk, 1.0, 0.05) * known
     if known.sum() < 3:
-        return replace(model.neutral(), position=_mean(np.nan_to_num(places), known))
+        return replace(model.neutral(), position=places[known].mean(axis=0) if known.any() else np.zeros(3))
     target = np.where(known[:, None], places, 0.0)
     scale = float(np.clip(relative_size(model, places), 0.4, 2.0))
     _, turn, shift = fit_similarity(rest, target, weights, scale)
-    neutral = model.neutral()
-    return replace(
-        neutral,
-        root=turn,
-        position=scale * turn @ model.skeleton.heads[0] + shift,
-        stature=float(np.log(scale)),
-    )
+    position = scale * turn @ model.skeleton.heads[0] + shift
+    return replace(model.neutral(), root=turn, position=position, stature=float(np.log(scale)))
 
 
 def relative_size(model: PoseModel, places: Array) -> float:
@@ -226,19 +223,14 @@ class _Problem:
         self.model, self.sights, self.settings = model, sights, settings
         self.slack = 1.0  # factor of the standard deviations of accelerations
         spreads = np.array([_STIFFNESS.get(plain_name(name), _USUAL) for name in model.skeleton.names])
-        turned, lengthened = model.shown(np.any([_used(sight) for sight in sights], axis=0))
+        used = [np.isfinite(sight.places[:, 0]) | (sight.weights > 0).any(axis=0) for sight in sights]
+        turned, lengthened = model.shown(np.any(used, axis=0))
         spreads = np.where(turned, spreads, np.minimum(spreads, _HELD_TURN))[1:]
         self._has_edges = any(sight.edges is not None for sight in sights)
-        self._shape_spreads = np.r_[
-            _STATURE_SPREAD,
-            np.where(lengthened, _LENGTH_SPREAD, _HELD_LENGTH),
-            np.full(len(model.girths), _GIRTH_SPREAD),
-        ]
-        self._shape_limits = np.r_[
-            STATURE_LIMIT,
-            np.full(len(model.groups), LENGTH_LIMIT),
-            np.full(len(model.girths), GIRTH_LIMIT),
-        ]
+        groups, girths = len(model.groups), len(model.girths)
+        lengths = np.where(lengthened, _LENGTH_SPREAD, _HELD_LENGTH)
+        self._shape_spreads = np.r_[_STATURE_SPREAD, lengths, np.full(girths, _GIRTH_SPREAD)]
+        self._shape_limits = np.repeat([STATURE_LIMIT, LENGTH_LIMIT, GIRTH_LIMIT], [1, groups, girths])
         # the cost of the rotation vectors v of a frame and bone is v^T P v - 2 h^T v + c, with P, h, c:
         frames, bones = len(sights), len(spreads)
         self._pulls = np.tile(np.eye(3) / spreads[:, None, None] ** 2, (frames, 1, 1, 1))
@@ -331,10 +323,10 @@ class _Problem:
         for number, (state, sight) in enumerate(zip(states, self.sights, strict=True)):
             residuals, weights = self._points(sight, self.model.keypoints(state))
             squares = (residuals**2).sum(axis=1)
-            cost += float(weights @ (2 * _ROBUST**2 * (np.sqrt(1 + squares / _ROBUST**2) - 1)))
+            cost += float(weights @ _robust_cost(squares))
             if sight.edges is not None:
                 squares = self._edge_distances(sight, self.model.positions(state, sight.edges.points))[0] ** 2
-                cost += float((2 * _ROBUST**2 * (np.sqrt(1 + squares / _ROBUST**2) - 1)).sum())
+                cost += float(_robust_cost(squares).sum())
             vectors = state.vectors[1:]
             cost += float(np.einsum("bi,bij,bj->", vectors, self._pulls[number], vectors))
             cost += float(self._constants[number] - 2 * (self._heads[number] * vectors).sum())
@@ -429,9 +421,9 @@ class _Problem:
         return equations
 
 
-def _used(sight: Sight) -> NDArray[np.bool_]:
-    """Keypoints (K,) that some point of a frame shows."""
-    return np.isfinite(sight.places[:, 0]) | (sight.weights > 0).any(axis=0)
+def _robust_cost(squares: Array) -> Array:
+    """Costs of squared residuals, which grow linearly with large residuals."""
+    return np.asarray(2 * _ROBUST**2 * (np.sqrt(1 + squares / _ROBUST**2) - 1))
 
 
 class _Equations:
@@ -503,10 +495,6 @@ def _nearest(vector: Array, other: Array) -> Array:
     return turned if np.linalg.norm(turned - other) < np.linalg.norm(vector - other) else vector
 
 
-def _mean(places: Array, known: NDArray[np.bool_]) -> Array:
-    return np.asarray(places[known].mean(axis=0)) if known.any() else np.zeros(3)
-
-
 def fitted_states(model: PoseModel, fit: PersonFit) -> list[BodyState]:
     """States of all frames of a fit of the human of the model."""
     skeleton = fit.body.skeleton
@@ -516,21 +504,39 @@ def fitted_states(model: PoseModel, fit: PersonFit) -> list[BodyState]:
     ]
 
 
-def point_errors(model: PoseModel, state: BodyState, cameras: Sequence[Camera], points: Array) -> Array:
-    """Distances (V, K) in pixels between given points and the keypoints of a body.
-
-    The distance is NaN where no point is given, and very large where the keypoint has no image.
-
-    Args:
-        model: The body.
-        state: State of the body.
-        cameras: V cameras.
-        points: (V, K, 3) x, y and confidence.
-    """
+def _point_errors(model: PoseModel, state: BodyState, cameras: Sequence[Camera], points: Array) -> Array:
+    """Distances (V, K) in pixels between given points (V, K, 3) and the keypoints of a body. NaN where no
+    point is given, and very large where the keypoint has no image."""
     positions = model.keypoints(state)
     seen = np.stack([camera.project(positions)[0] for camera in cameras])
     errors = np.nan_to_num(np.linalg.norm(seen - points[..., :2], axis=-1), nan=1e4)
     return np.where(points[..., 2] > 0, errors, np.nan)
+
+
+def fields_of_states(
+    model: PoseModel,
+    human: Human,
+    states: Sequence[BodyState],
+    cameras: Sequence[Camera],
+    points: Sequence[Array],
+) -> dict[str, Any]:
+    """Fields of a :class:`PersonFit` that follow from the states of its frames.
+
+    Args:
+        model, human: The body before its proportions are applied.
+        states: State of each frame.
+        cameras: V cameras.
+        points: (V, K, 3) x, y and confidence of each frame.
+    """
+    proportions = model.proportions(states[0])
+    skeleton = with_proportions(human, proportions).skeleton
+    frames = zip(states, points, strict=True)
+    return {
+        "proportions": proportions,
+        "root": np.array([model.root(state, skeleton) for state in states]),
+        "rotations": np.array([model.rotations(state) for state in states]),
+        "residuals": np.array([_point_errors(model, state, cameras, own) for state, own in frames]),
+    }
 
 
 def unwound(state: BodyState) -> BodyState:

@@ -149,15 +149,8 @@ class PoseModel:
 
     def neutral(self) -> BodyState:
         """The rest pose at the origin of ``map``."""
-        bones = len(self.skeleton)
-        return BodyState(
-            np.zeros(3),
-            np.eye(3),
-            np.zeros((bones, 3)),
-            0.0,
-            np.zeros(len(self.groups)),
-            np.zeros(len(self.girths)),
-        )
+        shape = 0.0, np.zeros(len(self.groups)), np.zeros(len(self.girths))
+        return BodyState(np.zeros(3), np.eye(3), np.zeros((len(self.skeleton), 3)), *shape)
 
     def moved(self, state: BodyState, step: Array) -> BodyState:
         """State after a step of the numbers (size,)."""
@@ -165,14 +158,10 @@ class PoseModel:
         vectors = state.vectors.copy()
         vectors[1:] += step[6 : 3 + bones].reshape(-1, 3)
         lengths, girths = np.split(step[self.pose_size + 1 :], [len(self.groups)])
-        return BodyState(
-            state.position + step[:3],
-            state.root @ rotation_vector_to_matrix(step[3:6]),
-            vectors,
-            state.stature + float(step[self.pose_size]),
-            state.lengths + lengths,
-            state.girths + girths,
-        )
+        stature = state.stature + float(step[self.pose_size])
+        root = state.root @ rotation_vector_to_matrix(step[3:6])
+        shape = stature, state.lengths + lengths, state.girths + girths
+        return BodyState(state.position + step[:3], root, vectors, *shape)
 
     def keypoints(self, state: BodyState) -> Array:
         """Positions (K, 3) of the keypoints in ``map``."""
@@ -297,7 +286,7 @@ class _Body:
 
     @cached_property
     def positions(self) -> Array:
-        """(K, 3)."""
+        """Positions (K, 3) of the keypoints."""
         return np.asarray(self.parts.sum(axis=1))
 
 
@@ -319,13 +308,9 @@ def _attachments(human: Human, keypoints: KeypointSet) -> Attachments:
     rest = skeleton.rest_inverse
     mass, local = np.zeros((len(keypoints), bones)), np.zeros((len(keypoints), bones, 3))
     # positions depend linearly on joints and vertices, so the shares follow from unit vectors
-    joint_shares = np.stack(
-        [
-            locator.positions(np.tile(unit[:, None], 3), np.zeros((vertices, 3)))[:, 0]
-            for unit in np.eye(joints)
-        ],
-        axis=1,
-    )
+    nothing, units = np.zeros((vertices, 3)), np.eye(joints)
+    shares = [locator.positions(np.tile(unit[:, None], 3), nothing)[:, 0] for unit in units]
+    joint_shares = np.stack(shares, axis=1)
     ends = skeleton.joint_transforms(skeleton.rest)[:, :3, 3]
     for joint, bone in enumerate(skeleton.joint_bones):
         at = rest[bone, :3, :3] @ ends[joint] + rest[bone, :3, 3]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -84,16 +83,21 @@ def draw_report(fit: PersonFit, photos: PhotoSet, before: PersonFit | None = Non
     width = max(rows[0].shape[1], _LEAST_WIDTH)
     bars = _residual_bars(fit, before, photos, width)
     parts = [title_bar(_title(fit, overlaps, before is not None), width), _legend(width, before is not None)]
-    parts += [_note(text, width) for text in _notes(fit, before)]
-    parts += [*rows, title_bar("Distance of the given from the fitted keypoints, pixels (median)", width)]
-    parts.append(bars)
-    return np.concatenate([_widened(part, width) for part in parts])
+    parts += [_bar(text, width, (12, 19), 0.5, _WRONG, (255, 255, 255)) for text in _notes(fit, before)]
+    parts += [
+        *rows,
+        title_bar("Distance of the given from the fitted keypoints, pixels (median)", width),
+        bars,
+    ]
+    wide = (((0, 0), (0, max(width - part.shape[1], 0)), (0, 0)) for part in parts)
+    return np.concatenate(
+        [np.pad(part, more, constant_values=PAPER[0]) for part, more in zip(parts, wide, strict=True)]
+    )
 
 
 @dataclass(frozen=True, eq=False)
 class _Tile:
-    """Cut of a photograph around the person. ``pixels(points)`` returns the places (N, 2) of points in the
-    cut."""
+    """Cut of a photograph around the person."""
 
     image: Image
     corner: Array
@@ -128,7 +132,7 @@ def _frame_tiles(
             own = [intersection_over_union(mask, face > 0) for face in faces]
             overlaps.append((own[0], own[-1]))
             caption += "   IoU " + " -> ".join(f"{value:.2f}" for value in own)
-        tiles.append(np.concatenate([_caption(caption), tile.image]))
+        tiles.append(np.concatenate([_bar(caption, _TILE[0], (8, 19), 0.48), tile.image]))
     return tiles, overlaps
 
 
@@ -239,15 +243,18 @@ def _legend(width: int, compared: bool) -> Image:
     return bar
 
 
-def _note(text: str, width: int) -> Image:
-    bar = np.full((_CAPTION, width, 3), 255, np.uint8)
-    draw_text(bar, text, (12, 19), 0.5, _WRONG)
-    return bar
-
-
-def _caption(text: str) -> Image:
-    bar = np.full((_CAPTION, _TILE[0], 3), PAPER, np.uint8)
-    draw_text(bar, text, (8, 19), 0.48)
+def _bar(
+    text: str,
+    width: int,
+    position: tuple[int, int],
+    scale: float,
+    color: Color = INK,
+    background: Color = PAPER,
+    height: int = _CAPTION,
+) -> Image:
+    """Bar with a line of text."""
+    bar = np.full((height, width, 3), background, np.uint8)
+    draw_text(bar, text, position, scale, color)
     return bar
 
 
@@ -261,12 +268,6 @@ def _join(tiles: list[Image], columns: int) -> Image:
         parts += [gap, tiles[number] if number < len(tiles) else empty]
     below = np.full((_GAP, sum(part.shape[1] for part in parts), 3), PAPER, np.uint8)
     return np.concatenate([np.concatenate(parts, axis=1), below])
-
-
-def _widened(image: Image, width: int) -> Image:
-    """Extend an image on its right side by paper."""
-    missing = width - image.shape[1]
-    return image if missing <= 0 else np.pad(image, ((0, 0), (0, missing), (0, 0)), constant_values=PAPER[0])
 
 
 def _residual_bars(fit: PersonFit, before: PersonFit | None, photos: PhotoSet, width: int) -> Image:
@@ -309,12 +310,8 @@ def _residual_bars(fit: PersonFit, before: PersonFit | None, photos: PhotoSet, w
 
 def _medians(fit: PersonFit) -> Array:
     """Median distance (K,) of the points that are not left out. NaN where there is no such point."""
-    medians = np.full(fit.residuals.shape[2], np.nan)
-    for keypoint in range(len(medians)):
-        own = fit.residuals[:, :, keypoint][~fit.outliers[:, :, keypoint]]
-        if np.isfinite(own).any():
-            medians[keypoint] = np.nanmedian(own)
-    return medians
+    used = np.where(fit.outliers, np.nan, fit.residuals).reshape(-1, fit.residuals.shape[2]).T
+    return np.array([np.nanmedian(own) if np.isfinite(own).any() else np.nan for own in used])
 
 
 def draw_sheet(person: TexturedPerson) -> Image:
@@ -337,10 +334,13 @@ def draw_sheet(person: TexturedPerson) -> Image:
     factor = min(_TEXTURE / texture.shape[0], 0.6 * width / texture.shape[1])
     size = max(1, round(texture.shape[1] * factor)), max(1, round(texture.shape[0] * factor))
     small = np.asarray(cv2.resize(texture, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-    rows.append(_side_by_side(small, _view_legend(person, width - size[0])))
+    sides = small, _view_legend(person, width - size[0])
+    height = max(side.shape[0] for side in sides)
+    rows.append(np.full((height, sum(side.shape[1] for side in sides), 3), PAPER, np.uint8))
+    rows[-1][: size[1], : size[0]], rows[-1][: sides[1].shape[0], size[0] :] = sides
     seen = float(person.seen.mean())
     title = f"{human.name}: {seen:.0%} of {len(person.seen)} triangles are seen by a camera"
-    rows.extend(_text_line(text, width) for text in person.notes.values())
+    rows += [_bar(text, width, (12, 18), 0.45, height=_LINE) for text in person.notes.values()]
     return titled_rows(title, rows)
 
 
@@ -383,19 +383,3 @@ def _view_legend(person: TexturedPerson, width: int) -> Image:
             text += "; " + ", ".join(f"{gain:.2f}" for gain in person.gains[number])
         draw_text(legend, text, (12 + _PATCH + 8, top + 17), 0.45)
     return legend
-
-
-def _side_by_side(left: Image, right: Image) -> Image:
-    """Two images next to each other, aligned at the top."""
-    height = max(left.shape[0], right.shape[0])
-    images: Sequence[Image] = (left, right)
-    padded = [np.full((height, image.shape[1], 3), PAPER, np.uint8) for image in images]
-    for whole, image in zip(padded, images, strict=True):
-        whole[: image.shape[0]] = image
-    return np.concatenate(padded, axis=1)
-
-
-def _text_line(text: str, width: int) -> Image:
-    line = np.full((_LINE, width, 3), PAPER, np.uint8)
-    draw_text(line, text, (12, 18), 0.45)
-    return line

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
+from scipy.spatial import cKDTree
 
 from humansim_ros.cameras.camera import Camera
 from humansim_ros.errors import HumansimWarning
@@ -29,9 +30,9 @@ from humansim_ros.photographs.pose_fitting import (
     EdgePoints,
     Settings,
     Sight,
+    fields_of_states,
     fit_poses,
     fitted_states,
-    point_errors,
 )
 from humansim_ros.photographs.pose_model import Attachments, BodyState, PoseModel
 from humansim_ros.photographs.views import EmptyMaskError, PhotoSet
@@ -149,7 +150,7 @@ def find_edges(
     own, other, size = rendered.pixels(count) + corner, given.pixels(count), float(np.sqrt(given.mask.sum()))
     if not len(own) or not len(other):
         return Edges(np.zeros(0, np.intp), np.zeros((0, 2)), np.zeros(0), size)
-    nearest, there = _nearest(own, other), _at(other - corner)
+    nearest, there = cKDTree(own).query(other)[1], _at(other - corner)
     rows = [
         # the middle of a pixel on the outline of a mask is half a pixel inside of the outline
         (own, given.slopes[_at(own)], -given.distances[_at(own)] - 0.5),
@@ -199,13 +200,6 @@ def _cut_around(
 
 def _at(pixels: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     return pixels[:, 1], pixels[:, 0]
-
-
-def _nearest(points: NDArray[np.intp], targets: NDArray[np.intp]) -> Indices:
-    """For each target (M, 2), the number of the nearest point (N, 2)."""
-    from scipy.spatial import cKDTree
-
-    return np.asarray(cKDTree(points).query(targets)[1], dtype=np.intp)
 
 
 def fit_silhouettes(fit: PersonFit, photos: PhotoSet, frames: Sequence[int] = (0,)) -> PersonFit:
@@ -262,9 +256,8 @@ def fit_silhouettes(fit: PersonFit, photos: PhotoSet, frames: Sequence[int] = (0
                 outlines[number][view] = MaskOutline(own_parts(outline.mask, face > 0))
         for step in range(_ROUNDS + _SURFACE_ROUNDS):
             if step >= _ROUNDS:
-                found = [
-                    edges(number, state, _SURFACE_COUNT) for number, state in zip(chosen, states, strict=True)
-                ]
+                pairs = zip(chosen, states, strict=True)
+                found = [edges(number, state, _SURFACE_COUNT) for number, state in pairs]
                 base = replace(model.base, offsets=_fit_offsets(fit.human, model, photos, states, found))
                 human = shaped_human(fit.human, base)
                 model = PoseModel(human, model.keypoint_set, base)
@@ -277,12 +270,10 @@ def fit_silhouettes(fit: PersonFit, photos: PhotoSet, frames: Sequence[int] = (0
         renderer.close()
     for number, state in zip(chosen, states, strict=True):
         all_states[number] = state
-    first = states[0]
-    all_states = [
-        replace(each, stature=first.stature, lengths=first.lengths, girths=first.girths)
-        for each in all_states
-    ]
-    return _with_states(fit, photos, human, model, all_states)
+    shape = {name: getattr(states[0], name) for name in ("stature", "lengths", "girths")}
+    all_states = [replace(each, **shape) for each in all_states]
+    points = [_corrected(fit, photos, number) for number in range(len(all_states))]
+    return replace(fit, **fields_of_states(model, human, all_states, photos.cameras, points))
 
 
 def _posed(human: Human, model: PoseModel, state: BodyState) -> Float32Array:
@@ -391,7 +382,7 @@ def _points(
 
 
 def _sight(fit: PersonFit, photos: PhotoSet, model: PoseModel, number: int) -> Sight:
-    """Keypoints of a frame without the wrong ones, with left and right exchanged back."""
+    """Keypoints of a frame without wrong keypoints, with left and right exchanged back."""
     points = _corrected(fit, photos, number)
     weights = np.where(fit.outliers[number], 0.0, points[..., 2] * np.where(model.trust < 1, _SKIN, 1.0))
     nowhere = np.full((points.shape[1], 3), np.nan)
@@ -410,22 +401,3 @@ def _noise(fit: PersonFit) -> float:
     Rayleigh distribution."""
     right = fit.residuals[np.isfinite(fit.residuals) & ~fit.outliers]
     return float(max(np.median(right) / np.sqrt(2 * np.log(2)), LEAST_NOISE)) if len(right) else LEAST_NOISE
-
-
-def _with_states(
-    fit: PersonFit, photos: PhotoSet, human: Human, model: PoseModel, states: Sequence[BodyState]
-) -> PersonFit:
-    """The fit with other states, and with the residuals of its points in these states."""
-    proportions = model.proportions(states[0])
-    skeleton = with_proportions(human, proportions).skeleton
-    residuals = [
-        point_errors(model, state, photos.cameras, _corrected(fit, photos, number))
-        for number, state in enumerate(states)
-    ]
-    return replace(
-        fit,
-        proportions=proportions,
-        root=np.array([model.root(state, skeleton) for state in states]),
-        rotations=np.array([model.rotations(state) for state in states]),
-        residuals=np.array(residuals),
-    )

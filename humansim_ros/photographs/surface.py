@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import cv2
 import numpy as np
@@ -52,16 +53,13 @@ class TextureView:
 
     def __post_init__(self) -> None:
         width, height = self.camera.size
-        if self.image.shape != (height, width, 3):
-            raise PhotographError(
-                f"an image of shape {self.image.shape} does not fit a camera of {width} x {height} pixels",
-                key=f"views.{self.name}",
-            )
-        if self.mask is not None and self.mask.shape != (height, width):
-            raise PhotographError(
-                f"a mask of shape {self.mask.shape} does not fit a camera of {width} x {height} pixels",
-                key=f"views.{self.name}",
-            )
+        for noun, image, needed in (
+            ("an image", self.image, (height, width, 3)),
+            ("a mask", self.mask, (height, width)),
+        ):
+            if image is not None and image.shape != needed:
+                text = f"{noun} of shape {image.shape} does not fit a camera of {width} x {height} pixels"
+                raise PhotographError(text, key=f"views.{self.name}")
 
     def __repr__(self) -> str:
         return f"TextureView({self.name!r}, {self.camera!r})"
@@ -227,9 +225,7 @@ def fill_colours(surface: Surface, colours: Array, seen: NDArray[np.bool_], symm
     if free.any():
         graph = surface.graph
         laplacian = csr_matrix(diags(np.asarray(graph.sum(axis=1)).ravel()) - graph)
-        guide = np.zeros_like(out)
-        if symmetry:
-            guide = _guide(surface, out, seen, free)
+        guide = _guide(surface, out, seen, free) if symmetry else np.zeros_like(out)
         rows = laplacian[free]
         right = guide[free] - rows[:, seen] @ out[seen]
         matrix = rows[:, free].tocsc()
@@ -248,7 +244,7 @@ def _guide(surface: Surface, colours: Array, seen: NDArray[np.bool_], free: NDAr
     image = np.where(known[:, None], colours[np.maximum(other, 0)], 0.0)
     edges = surface.graph.tocoo()
     both = known[edges.row] & known[edges.col] & (free[edges.row] | free[edges.col])
-    row, column, weight = edges.row[both], edges.col[both], edges.data[both]
+    row, column, weight = (each[both] for each in (edges.row, edges.col, edges.data))
     guide = np.zeros_like(colours, dtype=float)
     np.add.at(guide, row, weight[:, None] * (image[row] - image[column]))
     return guide
@@ -318,15 +314,9 @@ def lookup(
     flat = np.full((rows * _COLUMNS, 2), -1e6, np.float32)
     flat[:count] = pixels
     table = flat.reshape(rows, _COLUMNS, 2)
+    beyond: dict[str, Any] = {"borderMode": cv2.BORDER_CONSTANT, "borderValue": (outside,) * 4}
     found = [
-        cv2.remap(
-            np.asarray(image, np.float32),
-            part[..., 0],
-            part[..., 1],
-            how,
-            borderMode=cv2.BORDER_CONSTANT,
-            borderValue=(outside,) * 4,
-        )
+        cv2.remap(np.asarray(image, np.float32), part[..., 0], part[..., 1], how, **beyond)
         for part in np.array_split(table, max(1, rows // 16384 + 1))
     ]
     whole = np.concatenate(found).reshape(rows * _COLUMNS, *image.shape[2:])
@@ -339,8 +329,7 @@ def see_surface(
     """Find what the views show of the surface of a person.
 
     Args:
-        human: The person.
-        surface: Surface of the person.
+        human, surface: The person, and its surface.
         views: Photographs, each with the positions (P, 3) of the places of the surface in ``map``.
         renderer: Renderer of an empty scene.
     """
@@ -355,7 +344,11 @@ def _sight(
     depth = np.array(renderer.render([body], camera, ("depth",)).depth, np.float32)
     if view.mask is not None:
         depth[~view.mask] = np.inf
-    normals = _normals(points, surface)
+    a, b, c = (points[surface.triangles[:, corner]] for corner in range(3))
+    normals = np.zeros_like(points)  # of the places, weighted by area
+    for corner in range(3):
+        np.add.at(normals, surface.triangles[:, corner], np.cross(b - a, c - a))
+    normals = unit_vectors(normals)
     pixels, depths = camera.project(points)
     toward = unit_vectors(camera.center - points)
     cosine = np.einsum("ij,ij->i", normals, toward)
@@ -370,15 +363,8 @@ def _sight(
     faded = np.clip(2 * surface.smoothed(visible.astype(float), _FADE) - 1, 0, 1)
     density = np.where(visible, focal / np.maximum(depths, 1e-3), 0.0) / 100  # about 1 for usual images
     weights = visible * lookup(inside, at) * faded * np.maximum(cosine, 0) ** 2 * density**2
-    return SurfaceSight(
-        view,
-        pixels.astype(np.float32),
-        depths.astype(np.float32),
-        tolerance.astype(np.float32),
-        weights.astype(np.float32),
-        depth,
-        inside,
-    )
+    floats = (values.astype(np.float32) for values in (pixels, depths, tolerance, weights))
+    return SurfaceSight(view, *floats, depth, inside)
 
 
 def _border_distance(depth: Float32Array) -> Float32Array:
@@ -411,21 +397,13 @@ def step_distance(depth: Float32Array) -> Float32Array:
     return np.where(far >= at[labels], distance, 1e6).astype(np.float32)
 
 
-def _normals(points: Array, surface: Surface) -> Array:
-    """Unit normals (P, 3) of the places, weighted by area."""
-    a, b, c = (points[surface.triangles[:, corner]] for corner in range(3))
-    normals = np.cross(b - a, c - a)
-    out = np.zeros_like(points)
-    for corner in range(3):
-        np.add.at(out, surface.triangles[:, corner], normals)
-    return unit_vectors(out)
-
-
 #: Name of the outfit of textured people.
 OUTFIT = "photographs"
 #: The texture includes this number of pixels around the person, so that coarser levels of the texture keep
 #: their colours.
 _MARGIN = 8
+#: Most rounds in which triangles without a view take the view of their neighbours.
+_ROUNDS = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -486,10 +464,6 @@ def triangle_neighbours(mesh: Mesh) -> Indices:
         step += 1
     both = np.unique(np.sort(np.concatenate(pairs), axis=1), axis=0)
     return np.asarray(both[both[:, 0] != both[:, 1]])
-
-
-#: Most rounds in which triangles without a view take the view of their neighbours.
-_ROUNDS = 10
 
 
 def choose_cameras(counts: FaceCounts, neighbours: Indices, threshold: float = 0.5) -> NDArray[np.int32]:

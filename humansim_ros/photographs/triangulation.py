@@ -137,14 +137,8 @@ def edge_lengths(keypoints: KeypointSet) -> EdgeLengths:
     edges = np.array(keypoints.edges, np.intp).reshape(-1, 2)
     lengths = np.linalg.norm(at_rest[edges[:, 0]] - at_rest[edges[:, 1]], axis=1)
     parent_of = dict(zip(skeleton.joint_names, skeleton.joint_parents, strict=True))
-    rigid = np.array(
-        [
-            keypoints.points[a] == parent_of.get(keypoints.points[b])
-            or keypoints.points[b] == parent_of.get(keypoints.points[a])
-            for a, b in edges
-        ],
-        bool,
-    )
+    ends = [(keypoints.points[a], keypoints.points[b]) for a, b in edges]
+    rigid = np.array([a == parent_of.get(b) or b == parent_of.get(a) for a, b in ends], bool)
     least = np.where(rigid, _BONE[0] * lengths, 0.0)
     return EdgeLengths(edges, lengths, least, np.where(rigid, _BONE[1], _BENT) * lengths)
 
@@ -180,13 +174,8 @@ class Sightlines:
         for view in np.flatnonzero(reached.any(axis=1)):
             own = pixels[view, reached[view]]
             radii[view] = np.median(np.linalg.norm(own - np.median(own, axis=0), axis=1))
-        return cls(
-            tuple(cameras),
-            np.where(reached[..., None], pixels, np.nan),
-            np.where(reached, points[..., 2], 0.0),
-            directions,
-            radii,
-        )
+        pixels, weights = np.where(reached[..., None], pixels, np.nan), np.where(reached, points[..., 2], 0.0)
+        return cls(tuple(cameras), pixels, weights, directions, radii)
 
     def exchanged(self, views: NDArray[np.bool_], partners: Sequence[int]) -> Sightlines:
         """The lines with left and right exchanged in some views. ``views``: (V,). ``partners``: (K,), as
@@ -333,11 +322,8 @@ def front_distance(positions: Array, keypoints: KeypointSet) -> float:
     """Metres by which the front of the body is in front of its back, by the names of left and right.
     ``positions``: (K, 3), NaN where unknown. Returns the sum of all distances. It is negative if left and
     right are exchanged, and 0 if the points do not show it, or contradict each other."""
-    by_point = {
-        point: position
-        for point, position in zip(keypoints.points, positions, strict=True)
-        if np.isfinite(position).all()
-    }
+    pairs = zip(keypoints.points, positions, strict=True)
+    by_point = {point: position for point, position in pairs if np.isfinite(position).all()}
     shoulders, hips = (
         next(((by_point[a], by_point[b]) for a, b in options if a in by_point and b in by_point), None)
         for options in (_SHOULDERS, _HIPS)
@@ -453,11 +439,9 @@ def triangulate_photos(photos: PhotoSet) -> tuple[Triangulation, ...]:
         for view in np.flatnonzero(each.swapped):
             frames[photos.names[view]].append(number)
     for name, numbers in frames.items():
-        _warn(
-            photos,
-            f"left and right of the person are exchanged in view {name}, {_frames(numbers, len(found))}: "
-            "they are exchanged back",
-        )
+        shown = _frames(numbers, len(found))
+        text = f"left and right of the person are exchanged in view {name}, {shown}: they are exchanged back"
+        _warn(photos, text)
     if absent := [photos.keypoints.names[k] for k in np.flatnonzero(~known.any(axis=0))]:
         _warn(
             photos,

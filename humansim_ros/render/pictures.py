@@ -41,8 +41,7 @@ def draw_line(image: Image, pixels: ArrayLike, color: Color, width: int = 1) -> 
     Args:
         image: Image that is drawn on.
         pixels: Points of the polyline, (N, 2).
-        color: Colour of the line.
-        width: Width of the line in pixels.
+        color, width: Colour of the line, and its width in pixels.
     """
     cv2.polylines(image, [_fixed_point(pixels)], False, color, width, cv2.LINE_AA, _SHIFT)
 
@@ -52,8 +51,7 @@ def draw_disc(image: Image, pixel: ArrayLike, radius: float, color: Color, width
 
     Args:
         image: Image that is drawn on.
-        pixel: Centre, (2,).
-        radius: Radius in pixels.
+        pixel, radius: Centre, (2,), and radius in pixels.
         color: Colour of the disc or circle.
         width: Width of the circle in pixels. -1 draws a disc.
     """
@@ -67,8 +65,7 @@ def fill_polygon(image: Image, pixels: ArrayLike, color: Color, opacity: float) 
     Args:
         image: Image that is drawn on.
         pixels: Corners of the polygon, (N, 2).
-        color: Colour of the polygon.
-        opacity: Opacity between 0 and 1.
+        color, opacity: Colour of the polygon, and its opacity between 0 and 1.
     """
     over = image.copy()
     cv2.fillPoly(over, [_fixed_point(pixels)], color, cv2.LINE_AA, _SHIFT)
@@ -139,17 +136,8 @@ def write_mp4(path: str | os.PathLike[str], frames: Iterable[Image], rate: float
 def write_gif(path: str | os.PathLike[str], frames: Iterable[Image], rate: float) -> None:
     """Write RGB frames of one size atomically, as a GIF with a palette per frame."""
     palette = "split[a][b];[a]palettegen=stats_mode=single[p];[b][p]paletteuse=new=1:dither=none"
-    filters = ["-filter_complex", palette]
-    _write_video(
-        path,
-        frames,
-        rate,
-        codec="gif",
-        pix_fmt_out="pal8",
-        macro_block_size=1,
-        quality=None,
-        output_params=filters,
-    )
+    form = {"codec": "gif", "pix_fmt_out": "pal8", "macro_block_size": 1, "quality": None}
+    _write_video(path, frames, rate, output_params=["-filter_complex", palette], **form)
 
 
 def _write_video(

@@ -47,7 +47,7 @@ class LruCache(Generic[_Key, _Value]):
             return value
 
     def put(self, key: _Key, value: _Value) -> _Value:
-        """Cache a value, and release the values for which there is no room."""
+        """Cache a value, and release the least recently used values beyond the limits."""
         with self._lock:
             self._values.pop(key, None)
             self._values[key] = value

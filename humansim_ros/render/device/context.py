@@ -79,9 +79,8 @@ class OpenGLContext:
 
     def _check_thread(self) -> None:
         if threading.get_ident() != self._thread:
-            raise RenderError(
-                "a renderer and its Simulation belong to the thread that made them: make one per thread"
-            )
+            text = "a renderer and its Simulation belong to the thread that made them: make one per thread"
+            raise RenderError(text)
 
     @contextmanager
     def current(self) -> Iterator[None]:
@@ -104,9 +103,8 @@ class OpenGLContext:
             try:
                 yield
             except moderngl.Error as reason:
-                raise RenderError(
-                    f"OpenGL failed, possibly out of memory ({str(reason).splitlines()[0]})"
-                ) from None
+                text = f"OpenGL failed, possibly out of memory ({str(reason).splitlines()[0]})"
+                raise RenderError(text) from None
 
 
 class _Process:
@@ -187,12 +185,23 @@ _CLIP_DISTANCE = 0x3000
 #: Texture units of the maps of a material.
 MAP_UNITS = {"metal_rough": 9, "normal_map": 10, "emissive_map": 11, "alpha_map": 12}
 _SHADERS = Path(__file__).parent / "shaders"
+_LENS, _SOFT_SHADOW = ("lens.glsl", ""), ("soft_shadow.glsl", "")
+#: Files that a shader includes, each with the switch that it needs (empty: always).
+_INCLUDES = {
+    "lit.vert": (_LENS, ("skin_and_cloth.glsl", "SKIN_AND_CLOTH")),
+    "lit.frag": (("tone_map.glsl", ""), ("soft_shadow.glsl", "STATIC_SHADOWS"), ("pbr.glsl", "PBR")),
+    "triangle_ids.vert": (_LENS,),
+    "contact_shadow.vert": (_LENS,),
+    "apply_shadows.frag": (_SOFT_SHADOW,),
+    "shadow_catcher.frag": (_SOFT_SHADOW,),
+}
 
 
-def shader(files: Sequence[str], switches: Sequence[str] = ()) -> str:
-    """Join files into the text of one shader. ``switches``: names that are defined before the files."""
+def _shader(file: str, switches: Sequence[str]) -> str:
+    """Text of a shader, with the files that it includes. ``switches``: names that are defined before them."""
+    files = (name for name, switch in _INCLUDES.get(file, ()) if not switch or switch in switches)
     head = "#version 330\n"
-    texts = [(_SHADERS / file).read_text().removeprefix(head) for file in files]
+    texts = [(_SHADERS / each).read_text().removeprefix(head) for each in (*files, file)]
     return "".join([head, *(f"#define {name}\n" for name in switches), *texts])
 
 
@@ -208,18 +217,10 @@ def link(ctx: moderngl.Context, vertex: str, fragment: str, switches: Sequence[s
 
     Args:
         ctx: OpenGL context.
-        vertex: File of the vertex shader.
-        fragment: File of the fragment shader.
+        vertex, fragment: Files of the shaders.
         switches: Names that are defined in both shaders.
     """
-    includes = ["tone_map.glsl"] if fragment == "lit.frag" else []
-    includes += ["soft_shadow.glsl"] if "STATIC_SHADOWS" in switches else []
-    includes += ["pbr.glsl"] if "PBR" in switches else []
-    skin = ["skin_and_cloth.glsl"] if "SKIN_AND_CLOTH" in switches else []
-    return ctx.program(
-        vertex_shader=shader(["lens.glsl", *skin, vertex], switches),
-        fragment_shader=shader([*includes, fragment], switches),
-    )
+    return ctx.program(vertex_shader=_shader(vertex, switches), fragment_shader=_shader(fragment, switches))
 
 
 def lit_program(
@@ -249,10 +250,7 @@ def lit_program(
 
 def depth_program(ctx: moderngl.Context, switches: Sequence[str] = ()) -> moderngl.Program:
     """Create a program that draws depths only, for shadow maps."""
-    return ctx.program(
-        vertex_shader=shader(["shadow_map.vert"], switches),
-        fragment_shader=shader(["shadow_map.frag"], switches),
-    )
+    return link(ctx, "shadow_map.vert", "shadow_map.frag", switches)
 
 
 def use_camera(

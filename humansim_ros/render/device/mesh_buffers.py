@@ -31,8 +31,8 @@ _LAYOUT = (("position", 3), ("normal", 3), ("uv", 2), ("color", 3), ("layer", 1)
 
 
 class ExpandedMesh:
-    """Vertices of a mesh as they are rendered. A vertex on a texture seam is there once per texture
-    coordinate. ``source``: (E,) index of each vertex in the mesh. ``corners``: (N, 3) vertices of the
+    """Vertices of a mesh as they are rendered. A vertex on a texture seam is repeated for each
+    texture coordinate. ``source``: (E,) index of each vertex in the mesh. ``corners``: (N, 3) vertices of the
     triangles. ``uv_colors``: (E, 5) float32, texture coordinates and colour."""
 
     def __init__(self, mesh: Mesh) -> None:
@@ -274,7 +274,7 @@ _FORMATS = {3: (0x8051, 0x1907), 4: (0x8058, 0x1908)}
 
 
 def _add_mipmaps(texture: moderngl.Texture | moderngl.TextureArray, layers: NDArray[np.uint8]) -> None:
-    """Add the smaller levels of a new texture. OpenCV computes those of a room in 0.01 s, llvmpipe in 0.5 s.
+    """Add the smaller levels of a new texture. OpenCV computes them for a room in 0.01 s, llvmpipe in 0.5 s.
     ``layers``: (L, H, W, C) of the first level."""
     array = isinstance(texture, moderngl.TextureArray)
     upload = _tex_image("glTexImage3D" if array else "glTexImage2D")

@@ -69,11 +69,9 @@ class PixelGeometry:
     @cached_property
     def coordinates(self) -> Array:
         """(M, 2) columns and rows of the pixels."""
-        width = self.camera.size[0]
-        coordinates: Array = np.empty((len(self.visible.pixels), 2))
-        coordinates[:, 1] = np.trunc(self.visible.pixels / width)  # faster than an integer division
-        coordinates[:, 0] = self.visible.pixels - width * coordinates[:, 1]
-        return coordinates
+        pixels, width = self.visible.pixels, self.camera.size[0]
+        rows = np.trunc(pixels / width)  # faster than an integer division
+        return np.stack([pixels - width * rows, rows], axis=1)
 
     @cached_property
     def weights(self) -> Array:

@@ -301,10 +301,9 @@ class ProjectedPoints:
         return x.astype(np.float32), y.astype(np.float32)
 
     @cached_property
-    def extent(self) -> tuple[Array, Array]:
-        """Lowest and highest x and y of ``plane``, (2,) each."""
-        low, high = (np.array([bound(axis) for axis in self.plane], float) for bound in (np.min, np.max))
-        return low, high
+    def extent(self) -> Array:
+        """(2, 2) lowest and highest x and y of ``plane``."""
+        return np.array([[bound(axis) for axis in self.plane] for bound in (np.min, np.max)], float)
 
     @cached_property
     def rectangle(self) -> Rectangle:
@@ -467,11 +466,8 @@ def image_bounds(clouds: Sequence[ProjectedPoints], camera: Camera) -> Rectangle
 
 def straight_angle(camera: Camera, rectangle: Rectangle) -> float:
     """Return the angle (radians) within which edges in a rectangle look straight."""
-    return (
-        LensView(camera).straight_angle((rectangle.x0, rectangle.y0), (rectangle.x1, rectangle.y1))
-        if camera.distorted
-        else 0.0
-    )
+    low, high = (rectangle.x0, rectangle.y0), (rectangle.x1, rectangle.y1)
+    return LensView(camera).straight_angle(low, high) if camera.distorted else 0.0
 
 
 def contour(

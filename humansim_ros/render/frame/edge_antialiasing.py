@@ -112,19 +112,12 @@ def edge_crossings(edges: Sequence[ImageEdges], size: tuple[int, int]) -> EdgeCr
     both = np.flatnonzero(distance + slope / 2 > 0.5)
     # where an edge passes through a center, either neighbour may be on the other side
     tie = np.flatnonzero((distance < _SNAP) & (centre - side >= 0) & (centre - side < limit))
-    return EdgeCrossings(
-        np.concatenate([nearer, farther[both], nearer[tie]]),
-        np.concatenate([farther, nearer[both], 2 * nearer[tie] - farther[tie]]),
-        np.concatenate(
-            [
-                share_beyond(distance, slope),
-                share_beyond(1 - distance[both], slope[both]),
-                0.5 - distance[tie],
-            ]
-        ),
-        np.concatenate([depth, depth[both], depth[tie]]),
-        np.concatenate([edge, edge[both], edge[tie]]),
+    shares = share_beyond(distance, slope), share_beyond(1 - distance[both], slope[both]), 0.5 - distance[tie]
+    parts = (
+        *([nearer, farther[both], nearer[tie]], [farther, nearer[both], 2 * nearer[tie] - farther[tie]]),
+        *(shares, [depth, depth[both], depth[tie]], [edge, edge[both], edge[tie]]),
     )
+    return EdgeCrossings(*(np.concatenate(part) for part in parts))
 
 
 def share_beyond(distance: Array, slope: Array) -> Array:

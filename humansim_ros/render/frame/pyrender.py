@@ -68,11 +68,8 @@ class PyrenderRenderer(Renderer):
     ) -> None:
         self._lighting = lighting or Lighting()
         if self._lighting.shadow == "soft" or self._lighting.tone_mapping != "none":
-            warnings.warn(
-                "pyrender renders no soft shadows and no tone mapping: images will be without them",
-                HumansimWarning,
-                stacklevel=2,
-            )
+            text = "pyrender renders no soft shadows and no tone mapping: images will be without them"
+            warnings.warn(text, HumansimWarning, stacklevel=2)
         self._library, self._gl_error = import_pyrender()
         self._context = OpenGLContext(device)
         # without this, __del__ would delete objects of the context that is current at that time
@@ -103,9 +100,8 @@ class PyrenderRenderer(Renderer):
     def render_request(self, request: RenderRequest) -> View:
         camera, channels = request.camera, request.channels
         if camera.distorted:
-            raise RenderError(
-                "pyrender renders no lens distortion: use the renderer moderngl, or an ideal camera"
-            )
+            text = "pyrender renders no lens distortion: use the renderer moderngl, or an ideal camera"
+            raise RenderError(text)
         self._shapes.take_orphans()
         moving = [self._posed(body) for body in request.bodies]
         shapes = [*self._static, *moving]
@@ -167,22 +163,18 @@ class PyrenderRenderer(Renderer):
         self, shapes: Sequence[_PosedShape], camera: Camera, channels: set[str]
     ) -> dict[str, NDArray[Any]]:
         ids, depth, table = self._segment(shapes, camera, "part" in channels)
-        images: dict[str, NDArray[Any]] = {}
-        if "depth" in channels:
-            images["depth"] = np.where(ids > 0, depth, np.inf).astype(np.float32)
+        images = {"depth": np.where(ids > 0, depth, np.inf).astype(np.float32)}
         for column, name in enumerate(("instance", "part")):
-            if name in channels:
-                images[name] = table[:, column].astype(CHANNEL_TABLE[name].dtype)[ids]
-        return images
+            images[name] = table[:, column].astype(CHANNEL_TABLE[name].dtype)[ids]
+        return {name: image for name, image in images.items() if name in channels}
 
     def _segment(
         self, shapes: Sequence[_PosedShape], camera: Camera, by_part: bool = False
     ) -> tuple[NDArray[np.uint32], Float32Array, NDArray[Any]]:
         """Render labels: (H, W) surface id at each pixel center, 0 for none; (H, W) depth; instance and part
         of each id."""
-        surfaces = [
-            (shape.instance, *one) for shape in shapes for one in shape.labelled(shape.sides(camera), by_part)
-        ]
+        parts = ((shape.instance, shape.labelled(shape.sides(camera), by_part)) for shape in shapes)
+        surfaces = [(instance, *one) for instance, found in parts for one in found]
         # surfaces without a label only occlude
         table = np.array([(0, 0), *((instance, part * (instance > 0)) for instance, part, _ in surfaces)])
         colours = {node: _colour_of(number) for number, (*_, node) in enumerate(surfaces, 1)}
@@ -363,9 +355,8 @@ def import_pyrender() -> tuple[Any, type[Exception]]:
         if sys.modules.get(viewer.__name__) is viewer:
             del sys.modules[viewer.__name__]
     if type(OpenGL.platform.PLATFORM).__name__ != "EGLPlatform":
-        raise RenderError(
-            "pyrender needs PyOpenGL on EGL: set PYOPENGL_PLATFORM=egl before OpenGL is imported"
-        )
+        text = "pyrender needs PyOpenGL on EGL: set PYOPENGL_PLATFORM=egl before OpenGL is imported"
+        raise RenderError(text)
     _mend_pyopengl()
     return pyrender, OpenGL.error.Error
 

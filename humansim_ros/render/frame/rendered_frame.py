@@ -234,7 +234,7 @@ class StaticLabels:
         self._images: dict[str, Any] = {}
 
     def images(self, channels: Collection[str]) -> dict[str, Any]:
-        """Return new arrays of those of the channels that describe labelled bodies."""
+        """Return new arrays of the channels that describe labelled bodies."""
         names = {name for name in channels if CHANNEL_TABLE[name].labels_bodies}
         for name in names - self._images.keys():
             self._images[name] = getattr(self._frame.view(self._bodies, (name,), {}), name)

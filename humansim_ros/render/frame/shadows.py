@@ -22,7 +22,6 @@ from humansim_ros.render.device.context import (
     depth_program,
     link,
     set_uniform,
-    shader,
     unit_square,
     use_camera,
 )
@@ -83,12 +82,8 @@ class SunShadows:
     ) -> None:
         self._ctx, self._lighting, self._box = ctx, lighting, static.box
         self._depth_program = depth_program(ctx)
-        self._apply, self._catch = (
-            ctx.program(
-                vertex_shader=shader(["fullscreen.vert"]), fragment_shader=shader(["soft_shadow.glsl", name])
-            )
-            for name in ("apply_shadows.frag", "shadow_catcher.frag")
-        )
+        self._apply = link(ctx, "fullscreen.vert", "apply_shadows.frag")
+        self._catch = link(ctx, "fullscreen.vert", "shadow_catcher.frag")
         set_uniform(self._catch, "rays", _RAYS_UNIT)
         set_uniform(self._apply, "shadow_catcher", lighting.shadow_catcher)
         self._apply_image, self._catch_image = (

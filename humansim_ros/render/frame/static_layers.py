@@ -63,11 +63,9 @@ class StaticLayers:
 
     Args:
         ctx: OpenGL context.
-        meshes: Meshes without labels.
-        bodies: Labelled bodies that never move.
+        meshes, bodies: Meshes without labels, and labelled bodies that never move.
         lighting: Light.
-        ids: Program that draws depth and triangle ids.
-        lit_bodies: Program that draws bodies, with soft shadows.
+        ids, lit_bodies: Programs that draw depth and triangle ids, and bodies with soft shadows.
         targets: Targets to draw into. They can be reused after each call.
     """
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.cameras.camera import Camera
 from humansim_ros.files.mesh import Mesh, closed_surfaces, padded, welded
-from humansim_ros.render.device.context import columns, depth_program, set_uniform, shader, unit_square
+from humansim_ros.render.device.context import columns, depth_program, link, set_uniform, unit_square
 from humansim_ros.render.device.lens_tessellation import NEAR, LensView, TessellatedMesh
 from humansim_ros.render.device.mesh_buffers import (
     ExpandedMesh,
@@ -81,13 +81,10 @@ class Charts:
             layout = _Layout.of(plane, owner, texel)
         keys = corners.astype(np.int64) * (len(owner) + 1) + owner[:, None]
         _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
+        source, coordinates = corners.reshape(-1)[first], layout.coordinates.reshape(-1, 2)[first]
         return cls(
-            layout.size,
-            inverse.reshape(-1, 3).astype(np.int32),
-            corners.reshape(-1)[first].astype(np.intp),
-            layout.coordinates.reshape(-1, 2)[first].astype(np.float32),
-            owner,
-            layout.texel,
+            *(layout.size, inverse.reshape(-1, 3).astype(np.int32), source.astype(np.intp)),
+            *(coordinates.astype(np.float32), owner, layout.texel),
         )
 
 
@@ -171,7 +168,6 @@ def _overlapping(coordinates: Array, owner: Indices) -> NDArray[np.bool_]:
 FLOOR_SLACK = 0.02
 #: Texels of the light map along the longest side of the scene.
 _LIGHT_TEXELS = 208
-_WHITE = np.full((1, 3), 255, np.uint8)
 
 
 class StaticScene:
@@ -182,7 +178,9 @@ class StaticScene:
         # small meshes first, since they hide parts of large ones; and meshes of one material together
         made = MaterialBuffers.of_meshes(ctx, meshes)
         number = {id(one): number for number, (one, _) in enumerate(made)}
-        keys = [(_size_class(mesh), number[id(one)]) for mesh, (one, _) in zip(meshes, made, strict=True)]
+        extents = (max(float(np.ptp(mesh.vertices, axis=0).max()), 1e-3) for mesh in meshes)
+        sizes = (int(np.floor(np.log2(extent))) for extent in extents)
+        keys = [(size, number[id(one)]) for size, (one, _) in zip(sizes, made, strict=True)]
         order = sorted(range(len(meshes)), key=keys.__getitem__)
         meshes = [meshes[number] for number in order]
         self._materials = [made[number][0] for number in order]
@@ -257,10 +255,8 @@ class StaticScene:
         meshes."""
         points = self._attributes[self._corners, :3].astype(float)
         starts = np.cumsum([0, *self._counts])[:-1]
-        boxes = np.stack(
-            [bound.reduceat(points, starts).reshape(-1, 3, 3) for bound in (np.minimum, np.maximum)]
-        )
-        boxes = np.stack([boxes[0].min(axis=1), boxes[1].max(axis=1)], axis=1)
+        low, high = (bound.reduceat(points, starts).reshape(-1, 3, 3) for bound in (np.minimum, np.maximum))
+        boxes = np.stack([low.min(axis=1), high.max(axis=1)], axis=1)
         owner = np.repeat(self._owner, 3)
         places = welded(np.column_stack([points.reshape(-1, 3), owner])).reshape(-1, 3)
         boxes[~self._opaque | ~closed_surfaces(points, places, self._owner)] = np.nan
@@ -314,11 +310,9 @@ class StaticTriangles:
     ) -> None:
         self._buffers, self._materials, self._counts = buffers, materials, counts
         self._parents, self._shared = parents, shared
-
-    @cached_property
-    def _opaque(self) -> list[bool]:
-        """Whether the material of each mesh is opaque (does not blend)."""
-        return [not one.blends for one in self._materials]
+        self._opaque, self._transparent = (
+            [one.blends == blends for one in materials] for blends in (False, True)
+        )
 
     def __enter__(self) -> StaticTriangles:
         return self
@@ -341,13 +335,7 @@ class StaticTriangles:
 
     def draw_transparent(self, program: moderngl.Program, eye: Array) -> None:
         """Draw the triangles with a blending material, sorted by distance from ``eye``, farthest first."""
-        transparent = [one.blends for one in self._materials]
-        self._buffers.draw(program, self._materials, self._counts, transparent, eye)
-
-
-def _size_class(mesh: Mesh) -> int:
-    """Class of the size of a mesh: its logarithm, rounded down."""
-    return int(np.floor(np.log2(max(float(np.ptp(mesh.vertices, axis=0).max()), 1e-3))))
+        self._buffers.draw(program, self._materials, self._counts, self._transparent, eye)
 
 
 def _joined(meshes: Sequence[Mesh]) -> Mesh:
@@ -362,20 +350,16 @@ def _joined(meshes: Sequence[Mesh]) -> Mesh:
         (np.zeros_like(mesh.triangles) if mesh.uv_triangles is None else mesh.uv_triangles) + first
         for mesh, first in zip(meshes, first_uvs, strict=False)
     ]
+    white = np.full((1, 3), 255, np.uint8)
     colors = [
-        _WHITE.repeat(len(mesh.vertices), axis=0) if mesh.colors is None else mesh.colors for mesh in meshes
+        white.repeat(len(mesh.vertices), axis=0) if mesh.colors is None else mesh.colors for mesh in meshes
     ]
     shading = None
     if any(mesh.shading is not None for mesh in meshes):
         shading = block_diag([Topology(mesh).shading for mesh in meshes], format="csr")
-    return Mesh(
-        np.concatenate([mesh.vertices for mesh in meshes]),
-        padded(np.concatenate(faces)),
-        np.concatenate(uvs),
-        padded(np.concatenate(uv_faces)),
-        np.concatenate(colors),
-        shading=shading,
-    )
+    vertices, uv, color = (np.concatenate(each) for each in ([mesh.vertices for mesh in meshes], uvs, colors))
+    corners, uv_corners = padded(np.concatenate(faces)), padded(np.concatenate(uv_faces))
+    return Mesh(vertices, corners, uv, uv_corners, color, shading=shading)
 
 
 def bounding_box(points: Sequence[Float32Array]) -> Float32Array:
@@ -455,9 +439,7 @@ class LightMap:
         """Images of the points and of the normals of the texels. The fourth component of a point is 0 where
         there is no surface."""
         images = [self._ctx.texture(size, 4, dtype="f4") for _ in range(2)]
-        program = self._ctx.program(
-            vertex_shader=shader(["chart.vert"]), fragment_shader=shader(["chart.frag"])
-        )
+        program = link(self._ctx, "chart.vert", "chart.frag")
         framebuffer = self._ctx.framebuffer(images)
         framebuffer.use()
         framebuffer.clear()
@@ -479,7 +461,7 @@ class LightMap:
         one ninth are side by side: ninth (column, row) has the texels (3 x + column, 3 y + row)."""
         width, height = (-(-side // 3) for side in points.size)
         switches = [f"COUNT {_SIDE * _SIDE // 9}", f"TEXELS {_TEXELS}"]
-        program = self._program("ambient_light.frag", switches)
+        program = link(self._ctx, "fullscreen.vert", "ambient_light.frag", switches)
         set_uniform(program, "centre", tuple(self._centre))
         set_uniform(program, "texel", 2 * float(self._extent.max()) / _TEXELS)
         images = [self._ctx.texture((3 * width, 3 * height), 4, dtype="f4") for _ in range(2)]
@@ -509,14 +491,9 @@ class LightMap:
         """Draw a fragment shader with input images. Returns its output image."""
         image = self._ctx.texture(size, 4, dtype=dtype)
         framebuffer = self._ctx.framebuffer([image])
-        self._draw(framebuffer, self._program(file), inputs)
+        self._draw(framebuffer, link(self._ctx, "fullscreen.vert", file), inputs)
         framebuffer.release()
         return image
-
-    def _program(self, file: str, switches: Sequence[str] = ()) -> moderngl.Program:
-        return self._ctx.program(
-            vertex_shader=shader(["fullscreen.vert"]), fragment_shader=shader([file], switches)
-        )
 
     def _draw(
         self,

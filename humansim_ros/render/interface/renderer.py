@@ -97,21 +97,19 @@ class RenderRequest:
         check_channels(self.channels)
         check_bodies(self.bodies)
         if missing := sorted(set(self.channels) - set(renderer.channels)):
-            raise RenderError(
-                f"{renderer.name} does not render {', '.join(missing)}: use the renderer moderngl"
-            )
+            text = f"{renderer.name} does not render {', '.join(missing)}: use the renderer moderngl"
+            raise RenderError(text)
+        shapes = [body.vertices.shape for body in self.bodies]
         for channel in self.channels:
             name = CHANNEL_TABLE[channel].adjacent_frame
-            if name is not None:
-                self._check_adjacent(channel, name)
-
-    def _check_adjacent(self, channel: str, name: AdjacentName) -> None:
-        frame = self.adjacent(name)
-        if frame is None:
-            raise RenderError(f"{channel} needs {name}")
-        if [body.vertices.shape for body in frame.bodies] != [body.vertices.shape for body in self.bodies]:
-            raise RenderError(f"{name} has other bodies than the frame")
-        check_bodies(frame.bodies)
+            if name is None:
+                continue
+            frame = self.adjacent(name)
+            if frame is None:
+                raise RenderError(f"{channel} needs {name}")
+            if [body.vertices.shape for body in frame.bodies] != shapes:
+                raise RenderError(f"{name} has other bodies than the frame")
+            check_bodies(frame.bodies)
 
 
 class Renderer(ABC):
@@ -129,9 +127,8 @@ class Renderer(ABC):
         self.close()
 
     def __reduce__(self) -> NoReturn:
-        raise RenderError(
-            "a renderer and its Simulation cannot be copied to another process: make one in each"
-        )
+        text = "a renderer and its Simulation cannot be copied to another process: make one in each"
+        raise RenderError(text)
 
     @overload
     def render(self, request: RenderRequest, /) -> View: ...
@@ -193,9 +190,8 @@ def check_bodies(bodies: Sequence[Body]) -> None:
         raise RenderError("two bodies without a label cannot share a mesh")
     for body in bodies:
         if body.vertices.shape != body.mesh.vertices.shape:
-            raise RenderError(
-                f"vertices of shape {body.vertices.shape} do not fit a mesh of {len(body.mesh.vertices)}"
-            )
+            n = len(body.mesh.vertices)
+            raise RenderError(f"vertices of shape {body.vertices.shape} do not fit a mesh of {n}")
         if not np.isfinite(body.vertices).all():
             raise RenderError(f"a vertex of body {body.instance} is not finite (NaN or infinity)")
         if not 0 <= body.instance < 65536:

@@ -1,4 +1,4 @@
-"""Checks of a scene that loads: what in it is probably a mistake. They report. They change nothing."""
+"""Checks of a scene that loads. They report what is probably a mistake, and change nothing."""
 
 from __future__ import annotations
 

@@ -312,7 +312,7 @@ def draw_view(image: Image, center: Array, border: Array, color: Color) -> None:
 
 
 def draw_name(image: Image, text: str, center: Array, backward: Array, margin: int) -> None:
-    """Draw a camera's name behind the camera. If there is no room, above it.
+    """Draw a camera's name behind the camera, or above the camera if there is no room behind.
 
     Args:
         image: Image that is drawn on.

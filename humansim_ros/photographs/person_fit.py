@@ -434,7 +434,7 @@ def read_fit(path: str | os.PathLike[str]) -> PersonFit:
         for view in frame.swapped:
             swapped[number, place(views, view, f"{key}.swapped")] = True
     period, proportions = round(section.period * 1e9), Proportions(**section.proportions.model_dump())
+    rows = residuals, outliers, swapped
     return PersonFit(
-        *(section.human, proportions, section.bones, root, rotations),
-        *(period, section.keypoints, views, residuals, outliers, swapped),
+        section.human, proportions, section.bones, root, rotations, period, section.keypoints, views, *rows
     )

@@ -363,8 +363,10 @@ def _sight(
     faded = np.clip(2 * surface.smoothed(visible.astype(float), _FADE) - 1, 0, 1)
     density = np.where(visible, focal / np.maximum(depths, 1e-3), 0.0) / 100  # about 1 for usual images
     weights = visible * lookup(inside, at) * faded * np.maximum(cosine, 0) ** 2 * density**2
-    floats = (values.astype(np.float32) for values in (pixels, depths, tolerance, weights))
-    return SurfaceSight(view, *floats, depth, inside)
+    places, distances, slack, shares = (
+        values.astype(np.float32) for values in (pixels, depths, tolerance, weights)
+    )
+    return SurfaceSight(view, places, distances, slack, shares, depth, inside)
 
 
 def _border_distance(depth: Float32Array) -> Float32Array:

@@ -136,7 +136,7 @@ def write_mp4(path: str | os.PathLike[str], frames: Iterable[Image], rate: float
 def write_gif(path: str | os.PathLike[str], frames: Iterable[Image], rate: float) -> None:
     """Write RGB frames of one size atomically, as a GIF with a palette per frame."""
     palette = "split[a][b];[a]palettegen=stats_mode=single[p];[b][p]paletteuse=new=1:dither=none"
-    form = {"codec": "gif", "pix_fmt_out": "pal8", "macro_block_size": 1, "quality": None}
+    form: dict[str, Any] = {"codec": "gif", "pix_fmt_out": "pal8", "macro_block_size": 1, "quality": None}
     _write_video(path, frames, rate, output_params=["-filter_complex", palette], **form)
 
 

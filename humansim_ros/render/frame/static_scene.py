@@ -357,9 +357,9 @@ def _joined(meshes: Sequence[Mesh]) -> Mesh:
     shading = None
     if any(mesh.shading is not None for mesh in meshes):
         shading = block_diag([Topology(mesh).shading for mesh in meshes], format="csr")
-    vertices, uv, color = (np.concatenate(each) for each in ([mesh.vertices for mesh in meshes], uvs, colors))
+    vertices = np.concatenate([mesh.vertices for mesh in meshes])
     corners, uv_corners = padded(np.concatenate(faces)), padded(np.concatenate(uv_faces))
-    return Mesh(vertices, corners, uv, uv_corners, color, shading=shading)
+    return Mesh(vertices, corners, np.concatenate(uvs), uv_corners, np.concatenate(colors), shading=shading)
 
 
 def bounding_box(points: Sequence[Float32Array]) -> Float32Array:

@@ -32,20 +32,12 @@ _UNPACKED = {
 
 
 def decode_stream(data: bytes, mode: str, filter_name: str, count: int, stride: int) -> Bytes:
-    """Decode a buffer view.
+    """Decode a buffer view: (count * stride,) bytes. ValueError if it does not fit the format.
 
     Args:
         data: Compressed bytes.
-        mode: ``ATTRIBUTES``, ``TRIANGLES`` or ``INDICES``.
-        filter_name: ``NONE``, ``OCTAHEDRAL``, ``QUATERNION``, ``EXPONENTIAL`` or ``COLOR``.
-        count: Number of elements.
-        stride: Bytes of each element.
-
-    Returns:
-        (count * stride,) bytes.
-
-    Raises:
-        ValueError: The stream does not fit the format, the count or the stride.
+        mode, filter_name: The same as in :class:`MeshoptView`.
+        count, stride: Number of elements, and bytes of each element.
     """
     try:
         if mode == "ATTRIBUTES":
@@ -95,16 +87,8 @@ def _attributes(data: bytes, count: int, stride: int) -> Bytes:
 
 
 def _block(data: bytes, at: int, end: int, version: int, size: int, stride: int) -> tuple[Bytes, int]:
-    """Deltas (stride, size) of a block, and the position after the block.
-
-    Args:
-        data: Compressed bytes.
-        at: Position of the block in ``data``.
-        end: Position behind the last byte that the block may use.
-        version: Version of the codec, 0 or 1.
-        size: Number of vertices in the block.
-        stride: Bytes of a vertex.
-    """
+    """Deltas (stride, size) of a block at a position, and the position after the block. ``end``: position
+    behind the last byte that the block may use. ``size``: number of vertices in the block."""
     groups = -(-size // _GROUP)
     deltas = np.zeros((stride, groups * _GROUP), np.uint8)
     controls = data[at : at + stride // 4] if version else b""
@@ -196,6 +180,10 @@ class _Reader:
                 return value & 0xFFFFFFFF
         raise ValueError("a number of more than five bytes")
 
+    def skip_name(self) -> None:
+        """Skip a text after its length in a byte."""
+        self.at += 1 + self.data[self.at]
+
     def index(self) -> int:
         """Read an index that is stored as the difference to the previous index of this kind."""
         value = self.number()
@@ -277,10 +265,6 @@ def _triangles(data: bytes, count: int) -> list[int]:
 # --- filters
 
 
-def _plain(elements: Bytes) -> Bytes:
-    return elements.reshape(-1)
-
-
 def _octahedral(elements: Bytes) -> Bytes:
     """Unit vectors (N, 4) from two coordinates on an octahedron."""
     values, largest = _components(elements, "OCTAHEDRAL")
@@ -354,7 +338,7 @@ def _stored(values: NDArray[Any], dtype: str) -> Bytes:
 
 
 _FILTERS: dict[str, Callable[[Bytes], Bytes]] = {
-    "NONE": _plain,
+    "NONE": np.ravel,
     "OCTAHEDRAL": _octahedral,
     "QUATERNION": _quaternion,
     "EXPONENTIAL": _exponential,
@@ -364,7 +348,7 @@ _FILTERS: dict[str, Callable[[Bytes], Bytes]] = {
 
 DRACO = "KHR_draco_mesh_compression"
 #: Magic bytes, version, kind, method and flags.
-_DRACO_START = "<5s4BH"
+_DRACO_START, _DRACO_METADATA = "<5s4BH", 0x8000
 _MESHOPT = ("KHR_meshopt_compression", "EXT_meshopt_compression")
 #: Largest size of all decoded buffer views in bytes, and most elements of a view with indices.
 MAX_DECODED, _MAX_INDICES = 1 << 29, 30_000_000
@@ -403,7 +387,7 @@ class DracoMesh:
                 f"the mesh needs {DRACO}: install the decoder (pip install DracoPy), "
                 "or export the file without compression"
             ) from None
-        count = _DracoHeader(data).count()
+        count = _draco_count(data)
         if count > most:
             raise MeshError(f"{count} triangles or points of Draco data; at most {MAX_DRACO} are read")
         try:
@@ -416,54 +400,34 @@ class DracoMesh:
             raise MeshError(f"the Draco data cannot be decoded: {str(reason)[:100]}") from None
 
 
-class _DracoHeader:
-    """Header of Draco data of version 2.2, which glTF files have [Draco bitstream]."""
+def _draco_count(data: bytes) -> int:
+    """Number of triangles or points in Draco data, whichever is larger. Raises MeshError unless the data have
+    version 2.2, which glTF files have [Draco bitstream]."""
+    try:
+        magic, major, minor, kind, method, flags = struct.unpack_from(_DRACO_START, data)
+        if (magic, major, minor, kind) != (b"DRACO", 2, 2, 1) or method > 1:
+            raise MeshError("the Draco data are not a mesh of version 2.2: export it again")
+        reader = _Reader(data, struct.calcsize(_DRACO_START))
+        if flags & _DRACO_METADATA:
+            for _ in range(reader.number()):
+                reader.number()
+                _skip_metadata(reader)
+            _skip_metadata(reader)
+        reader.at += method  # the kind of the traversal
+        return max(reader.number(), reader.number())
+    except (struct.error, IndexError, RecursionError, ValueError):
+        raise MeshError("the header of the Draco data is damaged") from None
 
-    _METADATA = 0x8000
 
-    def __init__(self, data: bytes) -> None:
-        self._data = data
-        self._offset = struct.calcsize(_DRACO_START)
-
-    def count(self) -> int:
-        """Number of triangles or points, whichever is larger. Raises MeshError for other data."""
-        try:
-            magic, major, minor, kind, method, flags = struct.unpack_from(_DRACO_START, self._data)
-            if (magic, major, minor, kind) != (b"DRACO", 2, 2, 1) or method > 1:
-                raise MeshError("the Draco data are not a mesh of version 2.2: export it again")
-            if flags & self._METADATA:
-                for _ in range(self._number()):
-                    self._number()
-                    self._skip_metadata()
-                self._skip_metadata()
-            self._offset += method  # the kind of the traversal
-            return max(self._number(), self._number())
-        except (struct.error, IndexError, RecursionError):
-            raise MeshError("the header of the Draco data is damaged") from None
-
-    def _number(self) -> int:
-        """Read a number that is stored with seven bits in each byte."""
-        value = shift = 0
-        while shift < 35:
-            byte = self._data[self._offset]
-            self._offset += 1
-            value |= (byte & 127) << shift
-            shift += 7
-            if byte < 128:
-                break
-        return value
-
-    def _skip_metadata(self) -> None:
-        for _ in range(self._number()):
-            self._skip_name()
-            length = self._number()
-            self._offset += length
-        for _ in range(self._number()):
-            self._skip_name()
-            self._skip_metadata()
-
-    def _skip_name(self) -> None:
-        self._offset += 1 + self._data[self._offset]
+def _skip_metadata(reader: _Reader) -> None:
+    """Skip entries with a name and a value, then groups of further entries with a name."""
+    for _ in range(reader.number()):
+        reader.skip_name()
+        length = reader.number()
+        reader.at += length
+    for _ in range(reader.number()):
+        reader.skip_name()
+        _skip_metadata(reader)
 
 
 def meshopt_view(extensions: Mapping[str, Any]) -> MeshoptView | None:

@@ -13,7 +13,7 @@ import os
 import struct
 import urllib.parse
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
@@ -35,6 +35,7 @@ from humansim_ros.files.mesh.gltf_compression import (
     meshopt_view,
 )
 from humansim_ros.files.mesh.gltf_format import (
+    Accessor,
     Animation,
     Document,
     GltfMaterial,
@@ -42,6 +43,7 @@ from humansim_ros.files.mesh.gltf_format import (
     Node,
     Primitive,
     Skin,
+    SparseValues,
 )
 from humansim_ros.files.reading.files import parse_json, read_bytes, resolve_inside
 from humansim_ros.files.reading.images import MAX_IMAGE_BYTES, DecodedImages
@@ -66,11 +68,16 @@ Item = TypeVar("Item")
 
 @dataclass(frozen=True)
 class Gltf:
-    """Content of a glTF file. Wrong content raises MeshError."""
+    """Content of a glTF file. Wrong content raises MeshError. ``decoded_images``: by number."""
 
     path: Path
     document: Document
     embedded: bytes | None
+    decoded_images: DecodedImages = field(default_factory=DecodedImages, compare=False)
+    _draco_meshes: dict[int, DracoMesh] = field(default_factory=dict, compare=False)
+    #: Content of buffer views with meshopt data, and of buffers.
+    _decoded: dict[int, bytes] = field(default_factory=dict, compare=False)
+    _buffers: dict[int, bytes] = field(default_factory=dict, compare=False)
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Gltf:
@@ -95,19 +102,16 @@ class Gltf:
         content = parse_json(decoded, MeshError, path, kind="a glTF file", most=_MAX_ITEMS)
         nodes = content.get("nodes") if isinstance(content, dict) else None
         if isinstance(nodes, list) and len(nodes) > _MAX_NODES:
-            raise MeshError(
-                f"{len(nodes)} nodes; at most {_MAX_NODES} are read: join its meshes", path=path, key="nodes"
-            )
+            message = f"{len(nodes)} nodes; at most {_MAX_NODES} are read: join its meshes"
+            raise MeshError(message, path=path, key="nodes")
         try:
             document = Document.model_validate(content)
         except ValidationError as reason:
             fault = schema_error(reason, Document, MeshError)
             raise MeshError(f"not a glTF 2 file: {fault.message}", path=path, key=fault.key) from None
-        if not document.asset.version.startswith("2."):
-            version = document.asset.version
-            raise MeshError(
-                f"glTF {version[:20]!r} is not 2.0: export it again", path=path, key="asset.version"
-            )
+        if not (version := document.asset.version).startswith("2."):
+            message = f"glTF {version[:20]!r} is not 2.0: export it again"
+            raise MeshError(message, path=path, key="asset.version")
         if "KHR_texture_basisu" in document.extensionsRequired:
             raise MeshError("its textures are KTX2 files: export them as PNG or JPEG", path=path)
         gltf = cls(Path(path), document, embedded)
@@ -133,10 +137,8 @@ class Gltf:
                 parents[child] = number
         if cycle := find_cycle(parents):
             names = some_of(printable(self.nodes[node].name or f"node {node}", 40) for node in cycle)
-            raise self._error(
-                f"the nodes {names} are their own ancestors: the tree has a cycle",
-                f"nodes.{cycle[0]}.children",
-            )
+            message = f"the nodes {names} are their own ancestors: the tree has a cycle"
+            raise self._error(message, f"nodes.{cycle[0]}.children")
         return parents
 
     def local(self, properties: dict[tuple[int, str], Array] | None = None) -> Array:
@@ -204,25 +206,16 @@ class Gltf:
         if accessor.bufferView is None:
             values = np.zeros((accessor.count, width), dtype)
         else:
-            values = self._read(accessor.bufferView, accessor.byteOffset, accessor.count, width, dtype, key)
+            values = self._read(accessor, accessor.count, width, dtype, key)
         if accessor.sparse is not None:
             sparse, n = accessor.sparse, accessor.sparse.count
             if n > accessor.count:
                 raise self._error("more sparse values than values", key)
-            rows = self._read(
-                sparse.indices.bufferView,
-                sparse.indices.byteOffset,
-                n,
-                1,
-                np.dtype(_TYPES[sparse.indices.componentType]),
-                key,
-            )[:, 0]
+            rows = self._read(sparse.indices, n, 1, np.dtype(_TYPES[sparse.indices.componentType]), key)[:, 0]
             if rows.max() >= accessor.count:
                 raise self._error(f"sparse value {int(rows.max())} does not exist", key)
             values = values.copy()
-            values[rows] = self._read(
-                sparse.values.bufferView, sparse.values.byteOffset, n, width, dtype, key
-            )
+            values[rows] = self._read(sparse.values, n, width, dtype, key)
         if accessor.normalized:
             values = _normalised(values, dtype)
         if dtype.kind == "f" and not np.isfinite(values).all():
@@ -281,10 +274,6 @@ class Gltf:
                 self._draco_meshes[packed.bufferView] = DracoMesh(bytes(view), MAX_DRACO - used)
         return self._draco_meshes[packed.bufferView], packed
 
-    @cached_property
-    def _draco_meshes(self) -> dict[int, DracoMesh]:
-        return {}
-
     def image(self, number: int) -> bytes:
         """Content of an image file."""
         image = self._item(self.document.images, number, f"images.{number}")
@@ -293,11 +282,6 @@ class Gltf:
         if image.uri is None:
             raise self._error("the image has no data", f"images.{number}")
         return self._fetch(image.uri, f"images.{number}.uri", MAX_IMAGE_BYTES)
-
-    @cached_property
-    def decoded_images(self) -> DecodedImages:
-        """Decoded images of the file, by number."""
-        return DecodedImages()
 
     def texture_image(self, number: int) -> int | None:
         """Image index of a texture."""
@@ -358,10 +342,9 @@ class Gltf:
             raise self._error("key times must increase and not be negative", f"accessors.{sampler.input}")
         per_key = 3 if sampler.interpolation == "CUBICSPLINE" else 1
         if len(values) != per_key * len(times) * max(targets, 1):
-            of = f" of {targets} weights" if targets else ""
-            raise self._error(
-                f"{len(values)} values for {len(times)} keys{of}", f"accessors.{sampler.output}"
-            )
+            message = f"{len(values)} values for {len(times)} keys"
+            message += f" of {targets} weights" if targets else ""
+            raise self._error(message, f"accessors.{sampler.output}")
         if targets:
             values = values.reshape(-1, targets)
         if per_key == 3:
@@ -369,14 +352,16 @@ class Gltf:
         return times, values, sampler.interpolation
 
     def _read(
-        self, view: int, offset: int, count: int, width: int, dtype: np.dtype[Any], key: str
+        self, place: Accessor | SparseValues, count: int, width: int, dtype: np.dtype[Any], key: str
     ) -> NDArray[Any]:
-        data = self._view(view, key)
+        """Values (``count``, ``width``) at a place with a buffer view."""
+        assert place.bufferView is not None
+        data, offset = self._view(place.bufferView, key), place.byteOffset
         size = width * dtype.itemsize
-        stride = self.document.bufferViews[view].byteStride or size
-        if stride < size or offset + stride * (count - 1) + size > len(data):
-            raise self._error(f"the buffer view is too short for {count} values", key)
+        stride = self.document.bufferViews[place.bufferView].byteStride or size
         last = offset + stride * (count - 1) + size
+        if stride < size or last > len(data):
+            raise self._error(f"the buffer view is too short for {count} values", key)
         raw = np.frombuffer(data[offset:last], np.uint8)
         rows = np.lib.stride_tricks.as_strided(raw, (count, size), (stride, 1))
         return np.ascontiguousarray(rows).view(dtype)
@@ -411,10 +396,6 @@ class Gltf:
             self._decoded[number] = decode_meshopt(packed, data[packed.byteOffset : end])
         return memoryview(self._decoded[number])
 
-    @cached_property
-    def _decoded(self) -> dict[int, bytes]:
-        return {}
-
     def _buffer(self, number: int, key: str) -> bytes:
         self._item(self.document.buffers, number, key)
         if number not in self._buffers:
@@ -430,10 +411,6 @@ class Gltf:
                 raise self._error(f"the buffer has {len(data)} bytes, not {buffer.byteLength}", key)
             self._buffers[number] = data
         return self._buffers[number]
-
-    @cached_property
-    def _buffers(self) -> dict[int, bytes]:
-        return {}
 
     def _fetch(self, uri: str, key: str, most: int) -> bytes:
         """Content of a data URI, or of a file in the folder of this file or below. Other URIs are errors.

@@ -41,19 +41,17 @@ class BufferView(Part):
     extensions: dict[str, Any] = Field(default_factory=dict)
 
 
-class SparseIndices(Part):
-    """Numbers of the rows that sparse values replace."""
-
-    bufferView: Index
-    byteOffset: Index = 0
-    componentType: Literal[5121, 5123, 5125]
-
-
 class SparseValues(Part):
     """Values of a sparse accessor."""
 
     bufferView: Index
     byteOffset: Index = 0
+
+
+class SparseIndices(SparseValues):
+    """Numbers of the rows that sparse values replace."""
+
+    componentType: Literal[5121, 5123, 5125]
 
 
 class Sparse(Part):
@@ -237,12 +235,7 @@ class Document(Part):
 
 
 #: Component types by dtype, and types by the shape of a value.
-_TYPES = {
-    np.dtype(np.uint8): 5121,
-    np.dtype(np.uint16): 5123,
-    np.dtype(np.uint32): 5125,
-    np.dtype(np.float32): 5126,
-}
+_TYPES = {np.dtype(code): number for code, number in (("u1", 5121), ("u2", 5123), ("u4", 5125), ("f4", 5126))}
 _SHAPES = {(): "SCALAR", (2,): "VEC2", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
 
 
@@ -269,10 +262,8 @@ class GlbBuilder:
             "type": _SHAPES[values.shape[1:]],
         }
         if bounds:
-            accessor |= {
-                "min": np.atleast_1d(values.min(0)).tolist(),
-                "max": np.atleast_1d(values.max(0)).tolist(),
-            }
+            ends = {"min": values.min(0), "max": values.max(0)}
+            accessor |= {name: np.atleast_1d(end).tolist() for name, end in ends.items()}
         return self.add("accessors", accessor)
 
     def view(self, data: bytes, target: int | None = None) -> int:

@@ -6,6 +6,7 @@ can refer to its own parts again and again, so another process with limits reads
 
 from __future__ import annotations
 
+import importlib.util
 import io
 import logging
 import os
@@ -13,7 +14,6 @@ import re
 import subprocess
 import sys
 import zipfile
-import zlib
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.errors import MeshError, located, warn_about
 from humansim_ros.files.mesh.mesh import Mesh, MeshFormat, SkinnedMesh, padded, read_format
+from humansim_ros.files.reading.arrays import ARCHIVE_ERRORS
 from humansim_ros.files.reading.programs import run_limited
 from humansim_ros.types import Array
 
@@ -131,10 +132,9 @@ _UNITS = {
     "millimeters": 1e-3,
     "meters": 1.0,
 }
+#: Packages of PyPI that formats need, and the names of their modules.
 _PACKAGES = {"dae": "pycollada lxml", "3mf": "lxml networkx"}
-_ZIP_ERRORS = (
-    *(zipfile.BadZipFile, zlib.error, ValueError, OSError, NotImplementedError, RuntimeError, EOFError),
-)
+_MODULES = {"dae": ("collada",), "3mf": ("lxml", "networkx")}
 #: Encodings that cannot hide a document type.
 _ENCODINGS = (b"utf-8", b"us-ascii", b"ascii", b"iso-8859-1")
 
@@ -150,16 +150,8 @@ class ForeignMesh:
 
 
 def read_foreign(path: str | os.PathLike[str], kind: MeshFormat, data: bytes) -> ForeignMesh:
-    """Read a PLY, STL, OFF, COLLADA or 3MF file as one mesh. It has vertex colours if the file has.
-
-    Args:
-        path: Path of the file, for messages.
-        kind: Format of the file.
-        data: Content of the file.
-
-    Raises:
-        MeshError: The file is wrong, or a package that it needs is missing.
-    """
+    """Read a PLY, STL, OFF, COLLADA or 3MF file with its content ``data`` as one mesh, with vertex colours if
+    the file has colours. Raises MeshError if the file is wrong, or a package that it needs is missing."""
     with located(path=path):
         if kind in _PACKAGES:
             _check_xml(kind, data)
@@ -193,19 +185,12 @@ def parse(kind: str, data: bytes) -> dict[str, Any]:
     except MemoryError:
         raise MeshError("the file needs too much memory") from None
     except Exception as reason:
-        if "collada" in str(reason).lower() or "lxml" in str(reason).lower():
-            _require(kind)
+        if any(importlib.util.find_spec(name) is None for name in _MODULES.get(kind, ())):
+            raise MeshError(
+                f"{kind.upper()} files need more packages: pip install {_PACKAGES[kind]}"
+            ) from None
         text = " ".join(str(reason).split())[:100] or type(reason).__name__
         raise MeshError(f"not a {kind.upper()} file that can be read: {text}") from None
-
-
-def _require(kind: str) -> None:
-    """Raise MeshError if a package that a format needs is missing."""
-    import importlib.util
-
-    needed = {"dae": ("collada",), "3mf": ("lxml", "networkx")}.get(kind, ())
-    if any(importlib.util.find_spec(name) is None for name in needed):
-        raise MeshError(f"{kind.upper()} files need more packages: pip install {_PACKAGES[kind]}") from None
 
 
 def _arrays(kind: str, data: bytes, loaded: Any) -> dict[str, Any]:
@@ -231,23 +216,19 @@ def _arrays(kind: str, data: bytes, loaded: Any) -> dict[str, Any]:
         raise MeshError("no faces: point clouds and lines cannot be skinned or rendered")
     if sum(len(part.vertices) for part, _ in parts) > _MAX_VERTICES:
         raise MeshError(f"more than {_MAX_VERTICES} vertices: simplify the mesh first")
-    vertices, faces, colors = [], [], []
-    count = 0
+    vertices: list[Array] = []
+    faces, colors = [], []
     for part, transform in parts:
         points, corners, color = _part(part)
-        points = points @ transform[:3, :3].T + transform[:3, 3]
         if np.linalg.det(transform[:3, :3]) < 0:
             corners = corners[:, ::-1]
-        vertices.append(points)
-        faces.append(corners + count)
+        faces.append(corners + sum(map(len, vertices)))
+        vertices.append(points @ transform[:3, :3].T + transform[:3, 3])
         colors.append(color)
-        count += len(points)
     out: dict[str, Any] = {"vertices": np.concatenate(vertices), "faces": np.concatenate(faces)}
     if any(color is not None for color in colors):
-        grey = np.full(3, 153, np.uint8)
-        out["colors"] = np.concatenate(
-            [np.tile(grey, (len(v), 1)) if c is None else c for c, v in zip(colors, vertices, strict=True)]
-        )
+        grey = (np.full((len(points), 3), 153, np.uint8) for points in vertices)
+        out["colors"] = np.concatenate([g if c is None else c for c, g in zip(colors, grey, strict=True)])
     if kind == "stl":
         out["vertices"], out["faces"] = _welded(out["vertices"], out["faces"])
     out["up"] = _collada_up(data) if kind == "dae" else "z"
@@ -336,7 +317,7 @@ def _check_xml(kind: str, data: bytes) -> None:
                     raise MeshError(f"its archive holds {total >> 20} MB, more than {_MAX_XML >> 20} MB")
                 models = [entry for entry in entries if entry.filename.lower().endswith((".model", ".rels"))]
                 texts = [archive.read(entry) for entry in models]
-        except _ZIP_ERRORS as reason:
+        except ARCHIVE_ERRORS as reason:
             raise MeshError(f"not a 3MF file: its archive is damaged ({str(reason)[:60]})") from None
     for text in texts:
         if len(text) > _MAX_XML:
@@ -359,8 +340,7 @@ def _parse_in_process(kind: str, data: bytes) -> dict[str, Any]:
     command = [sys.executable, "-m", "humansim_ros.files.mesh.load", kind]
     try:
         done = run_limited(
-            command,
-            data,
+            *(command, data),
             memory=_MEMORY,
             cpu_seconds=_CPU_SECONDS,
             seconds=_SECONDS,
@@ -374,9 +354,8 @@ def _parse_in_process(kind: str, data: bytes) -> dict[str, Any]:
     lines = done.stderr.decode(errors="replace").strip().splitlines()
     if done.returncode == _REFUSED and lines:
         raise MeshError(lines[-1][:300])
-    raise MeshError(
-        f"it needs more than {_MEMORY >> 30} GB of memory or {_CPU_SECONDS} s to read: simplify it"
-    )
+    needed = f"{_MEMORY >> 30} GB of memory or {_CPU_SECONDS} s"
+    raise MeshError(f"it needs more than {needed} to read: simplify it")
 
 
 #: Exit code of the process if the file cannot be read.

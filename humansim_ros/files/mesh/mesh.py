@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import io
 import os
 import re
 import struct
-import zipfile
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -16,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.errors import MeshError, warn_about
+from humansim_ros.files.reading.arrays import archive_names
 from humansim_ros.files.reading.files import read_bytes
 from humansim_ros.files.reading.programs import converted_fbx, is_collada, is_fbx
 from humansim_ros.types import Array, Image
@@ -62,13 +61,9 @@ SKIN, HAIR = MATERIAL_LABELS["skin"], MATERIAL_LABELS["hair"]
 def with_hair(
     labels: NDArray[np.uint8], uv: NDArray[np.floating], hair: NDArray[np.uint8]
 ) -> NDArray[np.uint8]:
-    """Change the label of points on a texel of hair from skin to hair.
-
-    Args:
-        labels: Labels (N,) of the triangles at the points.
-        uv: (N, 2) texture coordinates of the points, v up.
-        hair: (H, W) share of hair in each texel of the skin, 255 is all of it.
-    """
+    """Change labels (N,) of the triangles at points from skin to hair, for points on a texel of hair. ``uv``:
+    (N, 2) texture coordinates of the points, v up. ``hair``: (H, W) share of hair in each texel of the skin,
+    255 is all of it."""
     height, width = hair.shape
     column = np.clip((uv[:, 0] * width).astype(np.intp), 0, width - 1)
     row = np.clip(((1 - uv[:, 1]) * height).astype(np.intp), 0, height - 1)
@@ -118,18 +113,13 @@ def without_maps(material: Material | None, path: str, name: str) -> Material | 
     """Remove the images of a material, and warn that its mesh has no texture coordinates."""
     if material is None:
         return None
-    images = {
-        "metal_rough": "metal and roughness",
-        "normals": "normal map",
-        "emissive_map": "emission",
-        "alpha_map": "alpha map",
-    }
-    for what in (what for key, what in images.items() if getattr(material, key) is not None):
-        warn_about(path, f"material {name!r}: the {what} is ignored: the mesh has no texture coordinates")
-    emission = (0.0, 0.0, 0.0) if material.emissive_map is not None else material.emission
-    return replace(
-        material, metal_rough=None, normals=None, emissive_map=None, alpha_map=None, emission=emission
-    )
+    images = {"metal_rough": "metal and roughness", "normals": "normal map", "emissive_map": "emission"}
+    for key, what in (*images.items(), ("alpha_map", "alpha map")):
+        if getattr(material, key) is not None:
+            text = f"material {name!r}: the {what} is ignored: the mesh has no texture coordinates"
+            warn_about(path, text)
+    dark = material if material.emissive_map is None else replace(material, emission=(0.0, 0.0, 0.0))
+    return replace(dark, metal_rough=None, normals=None, emissive_map=None, alpha_map=None)
 
 
 FaceIndices = NDArray[np.int32]
@@ -366,20 +356,12 @@ def _format_of(data: bytes) -> MeshFormat | None:
     if is_collada(data):
         return "dae"
     if start.startswith(b"PK\3\4"):
-        return "3mf" if any(name.lower().endswith("3dmodel.model") for name in _names(data)) else None
+        return "3mf" if any(name.lower().endswith("3dmodel.model") for name in archive_names(data)) else None
     if len(data) >= 84 and len(data) == 84 + 50 * struct.unpack_from("<I", data, 80)[0]:
         return "stl"
     if re.match(rb"solid\b[^\n]*\n\s*(facet|endsolid)\b", start):
         return "stl"
     return None
-
-
-def _names(data: bytes) -> list[str]:
-    try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            return archive.namelist()
-    except (zipfile.BadZipFile, ValueError, OSError, NotImplementedError, RuntimeError):
-        return []
 
 
 def split_seams(mesh: Mesh) -> tuple[NDArray[np.int64], Array | None, NDArray[np.uint32]]:

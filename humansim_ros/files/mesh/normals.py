@@ -38,9 +38,7 @@ def atlas_mesh(
     With more than one material, a texture that repeats within one face is clipped at its edge.
 
     Args:
-        vertices: (V, 3).
-        faces: (F, 4) vertex indices, triangles padded with -1.
-        uv: Texture coordinates (T, 2), v up.
+        vertices, faces, uv: The same as in :class:`Mesh`.
         uv_faces: (F, 4) indices into ``uv``; -1 for corners without texture coordinates.
         face_material: (F,) index into ``tiles`` of each face.
         tiles: Texture (H, W, 3) of each material.
@@ -67,14 +65,8 @@ def atlas_mesh(
 def pack_images(
     tiles: Sequence[NDArray[np.uint8]],
 ) -> tuple[NDArray[np.uint8], list[tuple[int, int, int, int]]]:
-    """Put images in rows into one image. They are made smaller if they are too large for one texture.
-
-    Args:
-        tiles: Images (H, W, 3), at least one.
-
-    Returns:
-        Image with all tiles, and the box (x, y, width, height) of each tile.
-    """
+    """Put images (H, W, 3), at least one, in rows into one image. Images that are too large for one texture
+    are made smaller. Returns the image, and the box (x, y, width, height) of each tile."""
     import cv2  # imported here, since modules without images import this one
 
     limit = int(_MAX_SIDE / max(1.0, np.ceil(np.sqrt(len(tiles)))))
@@ -102,13 +94,9 @@ def pack_images(
 
 @dataclass(frozen=True, eq=False)
 class Subdivision:
-    """A mesh of triangles that was made by dividing another mesh.
-
-    Attributes:
-        mesh: The finer mesh. Its faces are triangles.
-        owner: (N,) triangle of the first mesh that contains each triangle of the finer mesh.
-        edges: For each round, pairs of vertices (E, 2). A new vertex lies between each pair.
-    """
+    """A finer mesh of triangles that was made by dividing another mesh. ``owner``: (N,) triangle of the first
+    mesh that contains each triangle of the finer mesh. ``edges``: for each round, pairs of vertices (E, 2). A
+    new vertex lies between each pair."""
 
     mesh: Mesh
     owner: Indices
@@ -122,11 +110,8 @@ class Subdivision:
 
 
 def subdivide(mesh: Mesh, rounds: int) -> Subdivision:
-    """Divide each triangle into four, ``rounds`` times. Texture coordinates are divided, too.
-
-    Raises:
-        MeshError: The mesh cannot be made.
-    """
+    """Divide each triangle into four, ``rounds`` times. Texture coordinates are divided, too. Raises
+    MeshError."""
     triangles = np.asarray(mesh.triangles, np.intp)
     uv_triangles = None if mesh.uv_triangles is None else np.asarray(mesh.uv_triangles, np.intp)
     vertices, uv, owner = mesh.vertices, mesh.uv, np.arange(len(triangles))
@@ -171,14 +156,8 @@ _INSIDE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class SurfaceTexels:
-    """M texels that lie in triangles, in the order of the rows of the texture.
-
-    Attributes:
-        row: (M,) row of the texel; row 0 is the top, v = 1.
-        column: (M,) column.
-        triangle: (M,) index of the triangle.
-        weights: (M, 3) barycentric coordinates of the centre of the texel.
-    """
+    """M texels that lie in triangles, in the order of the rows of the texture. ``row``: (M,), row 0 is the
+    top, v = 1. ``column``, ``triangle``: (M,). ``weights``: (M, 3) barycentric coordinates of the centres."""
 
     row: NDArray[np.intp]
     column: NDArray[np.intp]
@@ -187,33 +166,23 @@ class SurfaceTexels:
 
     def part(self, start: int, stop: int) -> SurfaceTexels:
         """Texels from ``start`` to before ``stop``."""
-        chosen = slice(start, stop)
-        return SurfaceTexels(
-            self.row[chosen], self.column[chosen], self.triangle[chosen], self.weights[chosen]
-        )
+        parts = (self.row, self.column, self.triangle, self.weights)
+        return SurfaceTexels(*(part[start:stop] for part in parts))
 
     def mix(self, values: NDArray[np.floating], triangles: NDArray[np.integer]) -> NDArray[np.floating]:
         """Interpolate values of corners (T, ...) at the texels (M, ...). ``triangles``: (N, 3), indices of
         corners."""
-        corners = triangles[self.triangle]
-        out = values[corners[:, 0]] * _column(self.weights[:, 0], values)
-        out += values[corners[:, 1]] * _column(self.weights[:, 1], values)
-        out += values[corners[:, 2]] * _column(self.weights[:, 2], values)
+        corners = triangles[self.triangle].T
+        shares = self.weights.T.reshape(3, -1, *(1,) * (values.ndim - 1)).astype(values.dtype)
+        out = values[corners[0]] * shares[0]
+        for corner in (1, 2):
+            out += values[corners[corner]] * shares[corner]
         return out
 
 
-def _column(weights: Array, values: NDArray[np.floating]) -> NDArray[np.floating]:
-    return weights.reshape(-1, *(1,) * (values.ndim - 1)).astype(values.dtype)
-
-
 def rasterise_uv(uv: Array, triangles: NDArray[np.integer], size: int) -> SurfaceTexels:
-    """Find the triangle at the centre of each texel. Where triangles overlap, the last one counts.
-
-    Args:
-        uv: Texture coordinates (T, 2), v up.
-        triangles: (N, 3) indices of texture coordinates.
-        size: Side of the texture, texels.
-    """
+    """Find the triangle at the centre of each texel. Where triangles overlap, the last one counts. ``uv``:
+    (T, 2), v up. ``triangles``: (N, 3) indices of texture coordinates. ``size``: side of the texture."""
     # texel centres are at whole numbers
     corners = uv[triangles] * [size, -size] + [-0.5, size - 0.5]
     low = np.maximum(np.ceil(corners.min(axis=1) - 1e-6).astype(int), 0)
@@ -274,9 +243,9 @@ class SurfaceNormals:
         count = len(triangles) * (3 if weighting == "angle" else 1)
         columns = np.arange(len(rows)) % max(count, 1)
         ones = np.ones(len(rows), dtype=np.float32)
-        object.__setattr__(self, "corners", tuple(np.ascontiguousarray(c) for c in triangles.T))
-        object.__setattr__(self, "around", csr_matrix((ones, (rows, columns)), shape=(n_vertices, count)))
-        object.__setattr__(self, "weighting", weighting)
+        around = csr_matrix((ones, (rows, columns)), shape=(n_vertices, count))
+        corners = tuple(np.ascontiguousarray(c) for c in triangles.T)
+        vars(self).update(corners=corners, around=around, weighting=weighting)
 
     def __call__(self, vertices: FloatArray) -> FloatArray:
         """Normals (..., V, 3) of vertices (..., V, 3). Zero at vertices without triangles. Raises MeshError
@@ -410,12 +379,10 @@ class SurfaceTangents:
         gradient = np.where(area == 0, 0.0, np.sign(area) * np.stack([v2, -v1]))
         keys = np.stack([triangles, uv_triangles, np.repeat((area < 0)[:, None], 3, axis=1)], axis=-1)
         corners, index = np.unique(keys.reshape(-1, 3), axis=0, return_inverse=True)
-        object.__setattr__(self, "vertex", np.ascontiguousarray(corners[:, 0]))
-        object.__setattr__(self, "uv", np.ascontiguousarray(corners[:, 1]))
-        object.__setattr__(self, "sign", np.where(corners[:, 2], -1, 1).astype(np.float32))
-        object.__setattr__(self, "triangles", index.reshape(-1, 3))
-        object.__setattr__(self, "n_vertices", n_vertices)
-        object.__setattr__(self, "_gradient", gradient)
+        vertex, coordinate = (np.ascontiguousarray(corners[:, column]) for column in (0, 1))
+        sign = np.where(corners[:, 2], -1, 1).astype(np.float32)
+        vars(self).update(vertex=vertex, uv=coordinate, sign=sign, triangles=index.reshape(-1, 3))
+        vars(self).update(n_vertices=n_vertices, _gradient=gradient)
 
     def __call__(self, vertices: FloatArray, normals: FloatArray) -> FloatArray:
         """Tangents (..., C, 4): a unit vector perpendicular to the normal, towards increasing u, and the

@@ -61,12 +61,8 @@ class _Mtl:
         statements = self.statements
         ignored = [keyword for keyword in _UNSUPPORTED if keyword in statements]
         maps = [key for key in ("map_Kd", "map_d", "map_Ke", *_NORMAL_MAPS) if key in statements]
-        ignored += [
-            f"{word} of {key}"
-            for key in maps
-            for word in statements[key][1][:-1]
-            if word in ("-s", "-o", "-t")
-        ]
+        words = ((word, key) for key in maps for word in statements[key][1][:-1])
+        ignored += [f"{word} of {key}" for word, key in words if word in ("-s", "-o", "-t")]
         for keyword in ignored:
             warn_about(self.path, f"material {self.name!r}: {keyword} is not supported and ignored")
         shiny = self._one("illum", 2.0) >= 2
@@ -97,16 +93,12 @@ class _Mtl:
         )
 
     def _three(self, keyword: str, default: float) -> Array:
-        if keyword not in self.statements:
-            return np.full(3, default)
-        line, words = self.statements[keyword]
-        return np.asarray(numbers([words[:3]], [line], 3, keyword, str(self.path))[0])
+        line, words = self.statements.get(keyword, (0, 3 * [str(default)]))
+        return np.asarray(_numbers([words[:3]], [line], 3, keyword, str(self.path))[0])
 
     def _one(self, keyword: str, default: float) -> float:
-        if keyword not in self.statements:
-            return default
-        line, words = self.statements[keyword]
-        return float(numbers([words[-1:]], [line], 1, keyword, str(self.path))[0, 0])
+        line, words = self.statements.get(keyword, (0, [repr(default)]))
+        return float(_numbers([words[-1:]], [line], 1, keyword, str(self.path))[0, 0])
 
     def _normals(self) -> Image | None:
         """Normal map. A grey image is a height map and is converted."""
@@ -116,7 +108,7 @@ class _Mtl:
             return image
         line, words = self.statements[keyword]
         strength = words[words.index("-bm") + 1] if "-bm" in words[:-1] else "1"
-        given = numbers([[strength]], [line], 1, keyword, str(self.path))[0, 0]
+        given = _numbers([[strength]], [line], 1, keyword, str(self.path))[0, 0]
         return height_to_normal_map(image[..., 0], 4 * float(given))
 
     def _alpha(self) -> Image | None:
@@ -164,22 +156,9 @@ def read_mtl(path: Path, images: DecodedImages) -> dict[str, _Mtl]:
     return {name: _Mtl(path, name, statements, images) for name, statements in materials.items()}
 
 
-def numbers(rows: list[list[str]], lines: list[int], width: int, keyword: str, path: str) -> Array:
-    """Convert rows of words to numbers.
-
-    Args:
-        rows: Words of N lines.
-        lines: Line number of each row.
-        width: Numbers in each row.
-        keyword: Keyword of the lines, for messages.
-        path: File, for messages.
-
-    Returns:
-        Finite numbers, (N, width).
-
-    Raises:
-        MeshError: A row is wrong. The error names its line.
-    """
+def _numbers(rows: list[list[str]], lines: list[int], width: int, keyword: str, path: str) -> Array:
+    """Convert rows of words to finite numbers (N, ``width``). ``lines``: line number of each row. Raises
+    MeshError, which names the line of a wrong row, with the ``keyword`` of the lines."""
     try:
         values = np.array(rows, dtype=float)
     except ValueError:
@@ -192,11 +171,8 @@ def numbers(rows: list[list[str]], lines: list[int], width: int, keyword: str, p
         except ValueError:
             valid = False
         if not valid:
-            raise MeshError(
-                f"'{keyword}' needs {width} finite numbers, not {' '.join(row)[:40]!r}",
-                path=path,
-                line=number,
-            )
+            message = f"'{keyword}' needs {width} finite numbers, not {' '.join(row)[:40]!r}"
+            raise MeshError(message, path=path, line=number)
     raise MeshError(f"'{keyword}' lines cannot be read", path=path)
 
 
@@ -211,17 +187,11 @@ _LARGEST_NORMAL = 1e30
 
 
 def read_obj(path: str | os.PathLike[str], data: bytes, *, shaded: bool = False) -> Mesh:
-    """Read a Wavefront OBJ file as one mesh with the colours and textures of its materials in one texture.
+    """Read a Wavefront OBJ file with its content ``data`` as one mesh, with the colours and textures of its
+    materials in one texture. Raises MeshError, which names file and line.
 
-    Units and axes stay those of the file. Without a material file the mesh has no colours.
-
-    Args:
-        path: Path of the file.
-        data: Content of the file.
-        shaded: Use the normals of the file. Corners with different normals get their own vertices.
-
-    Raises:
-        MeshError: The file is wrong. The error names file and line.
+    Units and axes stay those of the file. Without a material file the mesh has no colours. ``shaded``: use
+    the normals of the file. Corners with different normals get their own vertices.
     """
     with located(path=path):
         return _one_mesh(_parse(path, data, shaded))
@@ -339,13 +309,10 @@ def _parse(file: str | os.PathLike[str], data: bytes, shaded: bool) -> _Obj:
         message = f"an OBJ file of {size} is too large; at most {limit} are read: convert it to glTF"
         raise MeshError(message, path=file)
     path, text = os.fspath(file), decode_text(data, file, MeshError, "mesh")
-    vertices: list[list[str]] = []
-    uv: list[list[str]] = []
-    vertex_lines: list[int] = []
-    uv_lines: list[int] = []
-    normals: list[list[str]] = []
-    faces: list[list[str]] = []
-    face_lines: list[int] = []
+    rows: dict[str, list[list[str]]] = {"v": [], "vt": [], "vn": [], "f": []}
+    lines: dict[str, list[int]] = {"v": [], "vt": [], "vn": [], "f": []}
+    vertices, uv, normals, faces = rows.values()
+    widths = {"v": 3, "vt": 2, "vn": 3} if shaded else {"v": 3, "vt": 2}
     counts: list[tuple[int, int, int]] = []
     libraries: list[str] = []
     materials: list[str] = []
@@ -361,29 +328,24 @@ def _parse(file: str | os.PathLike[str], data: bytes, shaded: bool) -> _Obj:
             libraries.append(line.split(None, 1)[1].strip() if len(words) > 1 else "")
         elif keyword == "usemtl":
             material = " ".join(words[1:])
-        elif keyword == "v":
-            vertices.append(words[1:4])
-            vertex_lines.append(number)
-        elif keyword == "vt":
-            uv.append(words[1:3])
-            uv_lines.append(number)
-        elif keyword == "vn" and shaded:
-            normals.append(words[1:4])
+        elif keyword in widths:
+            rows[keyword].append(words[1 : 1 + widths[keyword]])
+            lines[keyword].append(number)
         elif keyword == "f":
             faces.append(words[1:])
-            face_lines.append(number)
+            lines["f"].append(number)
             materials.append(material)
             counts.append((len(vertices), len(uv), len(normals)))
     if not vertices:
         raise MeshError("no vertices ('v' lines): not a Wavefront OBJ mesh, or an empty one", path=path)
     if not faces:
         raise MeshError("no faces ('f' lines): point clouds cannot be skinned or rendered", path=path)
-    points = numbers(vertices, vertex_lines, 3, "v", path)
-    texture = numbers(uv, uv_lines, 2, "vt", path) if uv else None
+    points = _numbers(vertices, lines["v"], 3, "v", path)
+    texture = _numbers(uv, lines["vt"], 2, "vt", path) if uv else None
     directions = _directions(normals, path) if normals else None
     corners, texture_corners, normal_corners, face_materials = [], [], [], []
     for words, number, (n_vertices, n_uv, n_normals), name in zip(
-        faces, face_lines, counts, materials, strict=True
+        faces, lines["f"], counts, materials, strict=True
     ):
         if len(words) < 3:
             raise MeshError(f"a face needs at least 3 corners, this has {len(words)}", path=path, line=number)
@@ -421,9 +383,8 @@ def _read_libraries(obj: _Obj) -> dict[str, _Mtl]:
     for library in obj.libraries:
         file = resolve_inside(Path(obj.path).resolve().parent, library)
         if file is None or not exists(file):
-            warn_about(
-                obj.path, f"material library {library[:60]!r} not found beside the file: no colours from it"
-            )
+            text = f"material library {library[:60]!r} not found beside the file: no colours from it"
+            warn_about(obj.path, text)
         else:
             known |= read_mtl(file, images)
     return known

@@ -38,13 +38,10 @@ _TWICE = np.where(_UPPER[0] == _UPPER[1], 1.0, 2.0)
 class Simplification:
     """Simpler versions of a mesh. Level 0 is the mesh itself.
 
-    Attributes:
-        parents: (V,) vertex that each vertex collapses into. A vertex that stays at all levels has its own
-            number.
-        coordinate_parents: (T,) the same for texture coordinates.
-        removed_at: (V,) first level without the vertex. 255 if the vertex stays.
-        errors: (K + 1,) metres. 95 % of the vertices are nearer to the surface of a level than this, in all
-            poses.
+    ``parents``: (V,) vertex that each vertex collapses into. A vertex that stays at all levels has its own
+    number. ``coordinate_parents``: (T,) the same for texture coordinates. ``removed_at``: (V,) first level
+    without the vertex, 255 if the vertex stays. ``errors``: (K + 1,) metres. 95 % of the vertices are nearer
+    to the surface of a level than this, in all poses.
     """
 
     parents: Indices
@@ -115,9 +112,7 @@ def simplify_within(
     """Simplify a mesh, or a patch of one, as far as its quadric error allows.
 
     Args:
-        poses: Vertices in P poses, (P, V, 3) metres. The first is the rest pose.
-        triangles: (N, 3).
-        coordinates: Texture coordinates of the triangles, (N, 3).
+        poses, triangles, coordinates: The same as in :func:`simplify`.
         limits: Largest quadric error of the collapses of each level, metres, increasing. They become
             ``errors`` of the result. :func:`bounded_errors` measures the true errors.
     """
@@ -159,9 +154,7 @@ def bounded_errors(
 
     Args:
         levels: Levels of a mesh.
-        poses: Vertices in P poses, (P, V, 3) metres. The first is the rest pose.
-        triangles: (N, 3).
-        coordinates: Texture coordinates of the triangles, (N, 3).
+        poses, triangles, coordinates: The same as in :func:`simplify`.
     """
     step = max(1, len(levels.parents) // _SAMPLES)
     chosen = np.random.default_rng(0).permutation(len(levels.parents))[::step]
@@ -170,9 +163,8 @@ def bounded_errors(
         surface, vertices = levels.level(number, triangles, coordinates)[0], levels.vertices_of(number)
         removed = chosen[vertices[chosen] != chosen]
         around = _incidence(surface, len(vertices))
-        which, near = _rows(
-            (around[vertices[removed]] @ (around.T @ around)).tocsr(), np.arange(len(removed))
-        )
+        neighbours = (around[vertices[removed]] @ (around.T @ around)).tocsr()
+        which, near = _rows(neighbours, np.arange(len(removed)))
         distances = _distances(poses[0, removed[which]], poses[0, surface[near]])
         order = np.lexsort((distances, which))
         first = order[np.diff(which[order], prepend=-1) != 0]
@@ -259,14 +251,8 @@ class _Collapsing:
         opposite = start[one] == end[two]
         near, far = np.where(opposite, second[two], first[two]), np.where(opposite, first[two], second[two])
         gone, kept = np.append(start[one], end[one]), np.append(end[one], start[one])
-        sides = np.stack(
-            [
-                np.append(first[one], second[one]),
-                np.append(second[one], first[one]),
-                np.append(near, far),
-                np.append(far, near),
-            ]
-        )
+        here, there = (first[one], second[one]), (near, far)
+        sides = np.stack([np.append(*ends) for ends in (here, here[::-1], there, there[::-1])])
         neighbours = csr_matrix((np.ones(len(gone), np.int8), (gone, kept)), shape=(count, count))
         distinct = np.unique(start * len(self.coordinate_parents) + first) // len(self.coordinate_parents)
         number = np.bincount(distinct, minlength=count)[gone]
@@ -342,16 +328,9 @@ def _area_vectors(corners: Array) -> Array:
 
 
 def _deviations(poses: Array, triangles: Indices, vertices: Indices) -> Array:
-    """(V,) largest distance of each vertex from a simplified surface, in all poses.
-
-    Distances are measured to triangles around the vertex that stands for it, so that they are never too
-    small.
-
-    Args:
-        poses: All vertices, (P, V, 3).
-        triangles: The surface, (N, 3).
-        vertices: (V,) remaining vertex that stands for each vertex.
-    """
+    """(V,) largest distance of each vertex from a simplified surface of triangles (N, 3), in poses (P, V, 3).
+    ``vertices``: (V,) remaining vertex that stands for each vertex. Distances are measured to triangles
+    around that vertex, so that they are never too small."""
     removed = np.flatnonzero(vertices != np.arange(len(vertices)))
     around = _incidence(triangles, len(vertices))
     which, near = _rows((around @ (around.T @ around)).tocsr(), vertices[removed])

@@ -1,6 +1,7 @@
 from humansim_ros.files.reading.arrays import ARCHIVE_ERRORS as ARCHIVE_ERRORS
 from humansim_ros.files.reading.arrays import BEST as BEST
 from humansim_ros.files.reading.arrays import MAX_BYTES as MAX_BYTES
+from humansim_ros.files.reading.arrays import archive_names as archive_names
 from humansim_ros.files.reading.arrays import npy_array as npy_array
 from humansim_ros.files.reading.arrays import npz_bytes as npz_bytes
 from humansim_ros.files.reading.arrays import read_npz as read_npz

@@ -83,6 +83,15 @@ def read_npz(
     return arrays
 
 
+def archive_names(data: bytes) -> list[str]:
+    """Names of the files of a ZIP archive. Empty for other content, and for a damaged archive."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            return archive.namelist()
+    except ARCHIVE_ERRORS:
+        return []
+
+
 def npy_header(stream: BinaryIO) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
     """Shape, order (whether columns come first) and type from the start of a .npy file. ValueError if the
     header is wrong."""
@@ -154,6 +163,7 @@ _OLD_TORCH = 0x1950A86A20F9469CFC6C
 #: Types of the numbers of PyTorch.
 _TYPES = "Half:<f2 Float:<f4 Double:<f8 Char:i1 Short:<i2 Int:<i4 Long:<i8 Byte:u1 Bool:?"
 _STORAGES = {f"torch.{name}Storage": np.dtype(code) for name, code in (t.split(":") for t in _TYPES.split())}
+_BUILTIN_MODULES = ("builtins", "__builtin__")
 _BUILTINS: tuple[tuple[str, Callable[..., Any]], ...] = (
     *((kind, lambda items=(): items) for kind in ("list", "set", "frozenset")),
     ("dict", lambda *_: {}),
@@ -213,11 +223,7 @@ class _Machine:
             "_codecs.encode": lambda text, _: self._bytes(text),
             "collections.OrderedDict": lambda pairs=(): self._put({}, [*chain.from_iterable(pairs)]),
             "collections.defaultdict": lambda *_: {},
-            **{
-                f"{module}.{kind}": maker
-                for module in ("builtins", "__builtin__")
-                for kind, maker in _BUILTINS
-            },
+            **{f"{module}.{kind}": make for module in _BUILTIN_MODULES for kind, make in _BUILTINS},
             **dict.fromkeys(_STORAGES),
         }
         #: Functions from what an opcode pops to what it pushes. Opcodes that are not listed push their
@@ -398,8 +404,8 @@ def read_pickle(path: str | os.PathLike[str], error: type[HumansimError], what: 
         hint = (
             "Pickles can run code, so only arrays, numbers, texts and containers are read: write the arrays"
         )
-        hint += " to an archive instead, with numpy.savez('motion.npz', poses=..., trans=...)"
-        raise error(f"{reason}. {hint}", path=path) from None
+        how = "to an archive instead, with numpy.savez('motion.npz', poses=..., trans=...)"
+        raise error(f"{reason}. {hint} {how}", path=path) from None
     # damaged opcodes raise all kinds of exceptions; their messages would show content of the file
     except Exception:
         raise error(f"not a {what} that can be read: no pickle, or a damaged one", path=path) from None

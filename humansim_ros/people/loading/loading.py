@@ -6,11 +6,9 @@ Humans that take long to make are kept in a cache on disk. The key is the conten
 from __future__ import annotations
 
 import hashlib
-import io
 import os
 import time
 import warnings
-import zipfile
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import replace
@@ -35,6 +33,7 @@ from humansim_ros.files.mesh import (
 from humansim_ros.files.reading import MAX_BYTES as MAX_NPZ_BYTES
 from humansim_ros.files.reading import (
     MAX_IMAGE_BYTES,
+    archive_names,
     cache_folder,
     decode_image,
     encode_image,
@@ -411,12 +410,8 @@ def _from_mesh(path: Path, mesh: Path, options: MeshHuman) -> Human:
 
 def _array_names(path: Path) -> list[str]:
     """Names of the arrays of an archive. Empty if the file is no archive."""
-    data = read_bytes(path, MeshError, "human", MAX_NPZ_BYTES)
-    try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            return [name.removesuffix(".npy") for name in archive.namelist()]
-    except (zipfile.BadZipFile, ValueError, OSError, NotImplementedError):
-        return []
+    names = archive_names(read_bytes(path, MeshError, "human", MAX_NPZ_BYTES))
+    return [name.removesuffix(".npy") for name in names]
 
 
 def _content(path: Path, options: MeshHuman) -> Iterable[bytes]:

@@ -16,11 +16,20 @@ from humansim_ros.files.yaml.schema import validated
 from humansim_ros.people import Human
 from humansim_ros.people.makehuman.clothes import BodyRegions
 from humansim_ros.people.makehuman.population import draw_person
-from humansim_ros.people.makehuman.shape import Dress, MakeHumanConfig, Outfit
+from humansim_ros.people.makehuman.shape import (
+    BOTTOMS,
+    FOOTWEAR,
+    HAIR,
+    TOPS,
+    WORN,
+    Dress,
+    MakeHumanConfig,
+    Outfit,
+    check_clothes,
+)
 from humansim_ros.people.makehuman.skeleton import Bones
 from humansim_ros.people.makehuman.surface import BodySurface
 from humansim_ros.people.makehuman.things import worn_parts
-from humansim_ros.people.makehuman.wardrobe import BOTTOMS, FOOTWEAR, HAIR, TOPS, WORN, check_clothes
 from humansim_ros.people.makehuman.worn import Wearer, WornPart, add_parts, strip_image
 
 

@@ -17,8 +17,7 @@ from humansim_ros.files.mesh.mesh import MATERIAL_LABELS, MATERIALS
 from humansim_ros.people.humans.human import human_from_arrays, read_human, write_human
 from humansim_ros.people.makehuman.building import build
 from humansim_ros.people.makehuman.data import people_data
-from humansim_ros.people.makehuman.shape import MakeHumanConfig, Outfit
-from humansim_ros.people.makehuman.wardrobe import WORN
+from humansim_ros.people.makehuman.shape import WORN, MakeHumanConfig, Outfit
 from humansim_ros.render import Body, View
 
 CHILD = ROOT / "assets" / "humans" / "child.npz"

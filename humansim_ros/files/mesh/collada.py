@@ -209,9 +209,7 @@ class _Conversion(GlbBuilder):
                 matrix = self.matrices(element, {})[0]
                 if parent < 0:
                     matrix[:3, :3] = metres * _TO_Y_UP[up]
-                name = (
-                    element.get("name") or element.get("sid") or element.get("id") or element.get("url", "")
-                )
+                name = next((text for key in ("name", "sid", "id", "url") if (text := element.get(key))), "")
                 node = {"name": name, "matrix": matrix.T.ravel().tolist(), "children": []}
                 number = self.add("nodes", node)
                 self.nodes.append((element, parent))
@@ -366,14 +364,12 @@ class _Conversion(GlbBuilder):
             pairs[:, int(self.input(table, semantic).get("offset", 0))] for semantic in ("JOINT", "WEIGHT")
         )
         if len(joint) and not (-1 <= joint.min() <= joint.max() < len(names) == len(inverse)):
-            raise MeshError(
-                f"{len(names)} joints, {len(inverse)} matrices, and weights of joint {joint.max()}"
-            )
+            counts_of = f"{len(names)} joints, {len(inverse)} matrices, and weights of joint {joint.max()}"
+            raise MeshError(counts_of)
         # joint -1 is the bind shape
         shares = self.values(self.input(table, "WEIGHT"), 1)[weight, 0] * (joint >= 0)
-        roots = [
-            self.node_of((each.text or "").strip().removeprefix("#")) for each in instance.iter("skeleton")
-        ]
+        starts = [(each.text or "").strip().removeprefix("#") for each in instance.iter("skeleton")]
+        roots = [self.node_of(start) for start in starts]
         nodes = [self.node_of(name, roots) for name in names]
         lacking = [names[number] for number in np.unique(joint[shares != 0]) if nodes[number] is None]
         kept = np.array([number for number, node in enumerate(nodes) if node is not None], np.int64)
@@ -492,18 +488,14 @@ class _Conversion(GlbBuilder):
         times = self.values(self.input(sampler, "INPUT"), 1)[:, 0]
         values = self.values(self.input(sampler, "OUTPUT"), width)
         if not 0 < len(times) == len(values) or (np.diff(times) < 0).any():
-            raise MeshError(
-                f"{len(values)} values need as many times, which increase; there are {len(times)}"
-            )
+            counts = f"{len(values)} values need as many times, which increase; there are {len(times)}"
+            raise MeshError(counts)
         inputs = {each.get("semantic"): each for each in sampler.iter("input")}
         kind = next(iter(self.names(inputs.get("INTERPOLATION"))), "LINEAR")
         if kind == "STEP":
             return times, np.repeat(times, 2)[1:], np.repeat(values, 2, axis=0)[:-1], False
-        if (
-            kind not in ("BEZIER", "HERMITE")
-            or not {"IN_TANGENT", "OUT_TANGENT"} <= inputs.keys()
-            or len(times) < 2
-        ):
+        is_curve = kind in ("BEZIER", "HERMITE") and {"IN_TANGENT", "OUT_TANGENT"} <= inputs.keys()
+        if not is_curve or len(times) < 2:
             return times, times, values, width == 16
         keys = np.stack([np.broadcast_to(times[:, None], values.shape), values], axis=-1)
         before, after = (
@@ -574,8 +566,5 @@ def _decomposed(matrices: Array) -> dict[str, Array]:
     scales = np.linalg.norm(axes, axis=1)
     scales[np.linalg.det(axes) < 0, 0] *= -1
     rotations = nearest_rotations(axes / np.where(scales == 0, 1.0, scales)[:, None])
-    return {
-        "translation": matrices[:, :3, 3],
-        "rotation": matrix_to_quaternion(rotations),
-        "scale": scales,
-    }
+    turns = matrix_to_quaternion(rotations)
+    return {"translation": matrices[:, :3, 3], "rotation": turns, "scale": scales}

@@ -55,10 +55,10 @@ def read_material(gltf: Gltf, number: int | None, has_uv: bool) -> Material:
     for part in ignored:
         warn_about(gltf.path, f"material {material.name or number!r}: ignored: {part}")
     wraps = (_REPEATED, _REPEATED) if leading is None else gltf.wraps(leading.index)
-    emissive_strength = float(
-        _extension_number(material.extensions.get(_EMISSIVE_STRENGTH), "emissiveStrength", 1.0)
-    )
-    red, green, blue = np.maximum(np.array(material.emissiveFactor) * emissive_strength, 0.0).tolist()
+    given = material.extensions.get(_EMISSIVE_STRENGTH)
+    strength = given.get("emissiveStrength", 1.0) if isinstance(given, dict) else 1.0
+    strength = float(strength) if isinstance(strength, (int, float)) and 0 <= strength < 1e6 else 1.0
+    red, green, blue = np.maximum(np.array(material.emissiveFactor) * strength, 0.0).tolist()
     if material.emissiveTexture is not None and "emission" not in images:
         red = green = blue = 0.0
     return Material(
@@ -129,11 +129,6 @@ def _clamp(value: float) -> float:
     return min(max(value, 0.0), 1.0)
 
 
-def _extension_number(extension: object, key: str, default: float) -> float:
-    value = extension.get(key, default) if isinstance(extension, dict) else default
-    return float(value) if isinstance(value, (int, float)) and 0 <= value < 1e6 else default
-
-
 _MAX_VERTICES = 5_000_000
 
 
@@ -173,17 +168,9 @@ def read_gltf(path: str | os.PathLike[str], data: bytes) -> Mesh | SkinnedMesh:
 
 
 def read_gltf_scene(path: str | os.PathLike[str], data: bytes, *, shaded: bool = False) -> Mesh:
-    """Read the scene of a glTF file as one mesh. Skinned meshes are posed by the nodes of the file.
-
-    Args:
-        path: Path of the file.
-        data: Content of the file.
-        shaded: Use the normals of the file. A mesh without normals looks flat, since each triangle gets its
-            own vertices.
-
-    Raises:
-        MeshError: The file is wrong or has no triangles.
-    """
+    """Read the scene of a glTF file with its content ``data`` as one mesh. Skinned meshes are posed by the
+    nodes of the file. Raises MeshError if the file is wrong or has no triangles. ``shaded``: use the normals
+    of the file. A mesh without normals looks flat, since each triangle gets its own vertices."""
     gltf = Gltf.parse(path, data)
     pieces = _all_pieces(gltf, None)
     if not shaded:
@@ -197,11 +184,10 @@ def read_gltf_materials(path: str | os.PathLike[str], data: bytes) -> list[Mesh]
     ``data``: content of the file. Raises MeshError if the file is wrong or has no triangles."""
     gltf = Gltf.parse(path, data)
     pieces = _flat_without_normals(_all_pieces(gltf, None))
-    materials = dict.fromkeys((piece.material, piece.uv is not None) for piece in pieces)
-    return [
-        _material_mesh(gltf, [p for p in pieces if (p.material, p.uv is not None) == kind])
-        for kind in materials
-    ]
+    groups: dict[tuple[int | None, bool], list[_Piece]] = {}
+    for piece in pieces:
+        groups.setdefault((piece.material, piece.uv is not None), []).append(piece)
+    return [_material_mesh(gltf, group) for group in groups.values()]
 
 
 def _all_pieces(gltf: Gltf, skeleton: GltfSkeleton | None) -> list[_Piece]:
@@ -240,14 +226,8 @@ def _shading(pieces: list[_Piece]) -> csr_matrix | None:
     """Weights (V, N) of all triangles in the vertex normals; None if no piece has normals."""
     if all(piece.normals is None for piece in pieces):
         return None
-    blocks = [
-        shading_weights(
-            piece.vertices,
-            piece.triangles,
-            np.zeros_like(piece.vertices) if piece.normals is None else piece.normals,
-        )
-        for piece in pieces
-    ]
+    unknown = (np.zeros_like(p.vertices) if p.normals is None else p.normals for p in pieces)
+    blocks = [shading_weights(p.vertices, p.triangles, n) for p, n in zip(pieces, unknown, strict=True)]
     return csr_matrix(block_diag(blocks, format="csr"))
 
 
@@ -297,11 +277,10 @@ def _pieces(gltf: Gltf, number: int, skeleton: GltfSkeleton | None) -> Iterator[
     if node.mesh is None:
         return
     key = f"meshes.{node.mesh}"
-    attachment = (
-        _attachment_in_scene(gltf, number)
-        if skeleton is None
-        else _attachment_to_skeleton(gltf, number, skeleton)
-    )
+    if skeleton is None:
+        attachment: _Attachment | None = _attachment_in_scene(gltf, number)
+    else:
+        attachment = _attachment_to_skeleton(gltf, number, skeleton)
     if attachment is None:
         return
     for primitive in gltf.mesh(node.mesh).primitives:
@@ -443,9 +422,8 @@ def _weights(
         raise MeshError("a skinned mesh without joints and weights", path=gltf.path, key=key)
     unweighted = np.flatnonzero(np.asarray(total.sum(axis=1)).ravel() <= 0)
     if len(unweighted):
-        raise MeshError(
-            f"vertex {unweighted[0]} follows no joint: its weights sum to zero", path=gltf.path, key=key
-        )
+        message = f"vertex {unweighted[0]} follows no joint: its weights sum to zero"
+        raise MeshError(message, path=gltf.path, key=key)
     return total
 
 

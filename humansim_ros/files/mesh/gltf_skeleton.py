@@ -171,10 +171,8 @@ def _human_bones(gltf: Gltf) -> dict[int, str]:
     """Name of the VRM bone, such as ``leftUpperArm``, by node number, from ``humanBones`` of a VRM avatar or
     animation. [VRM 0.x, 1.0; VRM animation 1.0]"""
     extensions = gltf.document.extensions
-    maps = [
-        member(extensions, name, "humanoid", "humanBones")
-        for name in ("VRMC_vrm_animation", "VRMC_vrm", "VRM")
-    ]
+    names = ("VRMC_vrm_animation", "VRMC_vrm", "VRM")
+    maps = [member(extensions, name, "humanoid", "humanBones") for name in names]
     bones = next((found for found in maps if isinstance(found, (dict, list))), None)
     pairs: list[tuple[Any, Any]] = []
     if isinstance(bones, dict):

@@ -166,8 +166,8 @@ class SurfaceTexels:
 
     def part(self, start: int, stop: int) -> SurfaceTexels:
         """Texels from ``start`` to before ``stop``."""
-        parts = (self.row, self.column, self.triangle, self.weights)
-        return SurfaceTexels(*(part[start:stop] for part in parts))
+        some = slice(start, stop)
+        return SurfaceTexels(self.row[some], self.column[some], self.triangle[some], self.weights[some])
 
     def mix(self, values: NDArray[np.floating], triangles: NDArray[np.integer]) -> NDArray[np.floating]:
         """Interpolate values of corners (T, ...) at the texels (M, ...). ``triangles``: (N, 3), indices of

@@ -135,13 +135,10 @@ def read_bytes(path: str | os.PathLike[str], error: type[HumansimError], what: s
 
 
 def read_text(path: str | os.PathLike[str], error: type[HumansimError], what: str, most: int) -> str:
-    """Read a text file: UTF-8 with or without BOM, or else Latin-1.
+    """Read a text file: UTF-8 with or without BOM, or else Latin-1. Binary files raise ``error``, too.
 
     Args:
-        path, error, what, most: The same as in :func:`open_file`.
-
-    Raises:
-        HumansimError: ``error``, in the cases of :func:`open_file`, and for binary files.
+        path, error, what, most: The same as in :func:`open_file`, which also lists the errors.
     """
     return decode_text(read_bytes(path, error, what, most), path, error, what)
 
@@ -173,14 +170,9 @@ _BODY = frozenset(
 
 
 def text_encoding(data: bytes) -> str:
-    """Detect the encoding of a text with names of joints, from characters for parts of the body.
-
-    ``data``: start of the text. The last line is ignored, since it may be cut.
-
-    Returns:
-        A codec of Python: ``utf-16`` or a variant of it, one of :data:`ENCODINGS`, or ``latin-1``, also for
-            UTF-8.
-    """
+    """Detect the encoding of a text with names of joints, from characters for parts of the body. Returns a
+    codec of Python: ``utf-16`` or a variant of it, one of :data:`ENCODINGS`, or ``latin-1``, also for UTF-8.
+    ``data``: start of the text. The last line is ignored, since it may be cut."""
     if b"\0" in data[:2] or data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return {b"\0": "utf-16-be", b"\xff": "utf-16", b"\xfe": "utf-16"}.get(data[:1], "utf-16-le")
     names = b"\n".join(line for line in data.splitlines()[:-1] if not line.isascii())
@@ -254,14 +246,11 @@ def parse_json(
 def read_json(
     path: str | os.PathLike[str], error: type[HumansimError], what: str, most: int, *, nan: bool = False
 ) -> Any:
-    """Read a JSON file.
+    """Read a JSON file. Raises ``error``, in the cases of :func:`read_text` and :func:`parse_json`.
 
     Args:
         path, error, what, most: The same as in :func:`read_text`.
         nan: The same as in :func:`parse_json`.
-
-    Raises:
-        HumansimError: ``error``, in the cases of :func:`read_text` and :func:`parse_json`.
     """
     return parse_json(read_text(path, error, what, most), error, path, nan=nan)
 
@@ -366,13 +355,10 @@ def resolve_inside(folder: Path, name: str) -> Path | None:
 @contextmanager
 def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Temporary path in the same folder. It is renamed to ``path`` after the block, and deleted on
-    exceptions.
+    exceptions. Raises HumansimError if the file cannot be written, in the block or after it.
 
     If ``path`` is a link, the file behind it is replaced. A device or pipe, such as ``/dev/stdout``, gets the
     content.
-
-    Raises:
-        HumansimError: The file cannot be written, in the block or after it.
     """
     target = Path(path)
     try:
@@ -421,14 +407,12 @@ _MAKING = 10.0
 
 @contextmanager
 def temporary_folder() -> Iterator[Path]:
-    """Temporary folder. It is removed at the end of ``with``.
+    """Temporary folder. It is removed at the end of ``with``. Raises HumansimError if no folder can be made,
+    such as on a full disk.
 
     A process that is killed leaves its folder behind, so this call first removes such folders of this user.
     The folder of a running process is locked, even if the process runs in another container with the same
     ``/tmp``.
-
-    Raises:
-        HumansimError: No folder can be made, such as on a full disk.
     """
     _remove_dead_folders()
     try:

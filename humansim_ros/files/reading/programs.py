@@ -107,13 +107,8 @@ def run_limited(
         command: Absolute path of the program, and its arguments.
         data: Standard input of the program.
         memory: Most address space, bytes.
-        cpu_seconds: Most processor time.
-        seconds: Most time.
-        environment: Environment of the program. If None, that of this process.
-        folder: Working directory of the program. If None, that of this process.
-
-    Returns:
-        Exit code, standard output and standard error.
+        cpu_seconds, seconds: Most processor time, and most time.
+        environment, folder: Environment and working directory. If None, those of this process.
 
     Raises:
         subprocess.TimeoutExpired: The program took more than ``seconds``.

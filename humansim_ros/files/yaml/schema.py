@@ -106,17 +106,12 @@ def schema_error(
     path: str | os.PathLike[str] | None = None,
     tree: yaml.Node | None = None,
 ) -> HumansimError:
-    """Make an error for the first fault that the validation of a model has found.
+    """Make an error with key and line for the first fault that the validation of a model has found. The
+    message says which value is needed and which was found.
 
     Args:
         reason: Exception of the validation.
-        model: The model that was validated.
-        error: Error class to make.
-        path: File, for messages.
-        tree: YAML nodes of the file, for the line.
-
-    Returns:
-        Error with key and line. Its message says which value is needed and which was found.
+        model, error, path, tree: The same as in :func:`validated`.
     """
     return schema_errors(reason, model, error, path, tree)[0]
 
@@ -323,13 +318,11 @@ class _Words:
     def _of_list(cls, annotation: Any, metadata: Sequence[Any]) -> _Words:
         parts = [part for part in get_args(annotation) if part is not Ellipsis]
         many = cls.of(parts[0]).many
-        count = (
-            len(parts) if get_origin(annotation) is tuple and Ellipsis not in get_args(annotation) else None
-        )
-        lengths = [part.min_length for part in metadata if isinstance(part, annotated_types.MinLen)]
+        shortest = [part.min_length for part in metadata if isinstance(part, annotated_types.MinLen)]
         longest = [part.max_length for part in metadata if isinstance(part, annotated_types.MaxLen)]
-        if count is None and lengths and lengths == longest:
-            count = lengths[0]
+        count = shortest[0] if shortest and shortest == longest else None
+        if get_origin(annotation) is tuple and Ellipsis not in get_args(annotation):
+            count = len(parts)
         if count is None:
             return cls(f"a list of {many}{_at_least_one(metadata)}", f"lists of {many}")
         number = _COUNTS[count] if count < len(_COUNTS) else str(count)

@@ -10,8 +10,8 @@ from humansim_ros.people.makehuman.population import draw_person as draw_person
 from humansim_ros.people.makehuman.population import is_person as is_person
 from humansim_ros.people.makehuman.population import person_name as person_name
 from humansim_ros.people.makehuman.population import read_person as read_person
-from humansim_ros.people.makehuman.wardrobe import BEARDS as BEARDS
-from humansim_ros.people.makehuman.wardrobe import BOTTOMS as BOTTOMS
-from humansim_ros.people.makehuman.wardrobe import FOOTWEAR as FOOTWEAR
-from humansim_ros.people.makehuman.wardrobe import HAIR as HAIR
-from humansim_ros.people.makehuman.wardrobe import TOPS as TOPS
+from humansim_ros.people.makehuman.shape import BEARDS as BEARDS
+from humansim_ros.people.makehuman.shape import BOTTOMS as BOTTOMS
+from humansim_ros.people.makehuman.shape import FOOTWEAR as FOOTWEAR
+from humansim_ros.people.makehuman.shape import HAIR as HAIR
+from humansim_ros.people.makehuman.shape import TOPS as TOPS

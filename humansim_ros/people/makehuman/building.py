@@ -33,6 +33,7 @@ from humansim_ros.people.makehuman.data import (
 from humansim_ros.people.makehuman.face import face_offsets, mouth_places, unskin_offsets
 from humansim_ros.people.makehuman.paint import AO_DIRECTIONS, Canvas, hair_share, openness, paint, skin_share
 from humansim_ros.people.makehuman.shape import (
+    BEARDS,
     Cut,
     Dress,
     MakeHumanConfig,
@@ -71,7 +72,6 @@ from humansim_ros.people.makehuman.surface import (
     sample,
 )
 from humansim_ros.people.makehuman.things import under_skirts, worn_parts
-from humansim_ros.people.makehuman.wardrobe import BEARDS
 from humansim_ros.people.makehuman.worn import (
     Wearer,
     WornPart,

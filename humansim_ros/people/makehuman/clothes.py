@@ -12,7 +12,7 @@ from scipy.sparse.linalg import splu
 from scipy.spatial import ConvexHull
 
 from humansim_ros.people.makehuman.data import VertexIndices
-from humansim_ros.people.makehuman.shape import Cut, Dress
+from humansim_ros.people.makehuman.shape import BEARDS, Beard, Cut, Dress
 from humansim_ros.people.makehuman.skeleton import Bones, limit_weights
 from humansim_ros.people.makehuman.surface import (
     NONE,
@@ -33,7 +33,6 @@ from humansim_ros.people.makehuman.surface import (
     smooth_towards,
     vertex_normals,
 )
-from humansim_ros.people.makehuman.wardrobe import BEARDS, Beard
 from humansim_ros.types import Array
 
 _ROUNDS = 400

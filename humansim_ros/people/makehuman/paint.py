@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from humansim_ros.files.yaml import ByteColor
 from humansim_ros.people.makehuman.clothes import BodyRegions
 from humansim_ros.people.makehuman.data import MakeHumanData, VertexIndices
-from humansim_ros.people.makehuman.shape import Outfit
+from humansim_ros.people.makehuman.shape import BEARDS, Fabric, Outfit
 from humansim_ros.people.makehuman.surface import (
     NONE,
     SHIRT,
@@ -27,7 +27,6 @@ from humansim_ros.people.makehuman.surface import (
     sample,
     vertex_normals,
 )
-from humansim_ros.people.makehuman.wardrobe import BEARDS, Fabric
 from humansim_ros.types import Array
 
 AO_DIRECTIONS = 96

@@ -23,23 +23,21 @@ from humansim_ros.files.reading import read_table
 from humansim_ros.files.yaml import ByteColor
 from humansim_ros.people.makehuman.data import Base, MakeHumanData
 from humansim_ros.people.makehuman.shape import (
+    CHOICES,
+    HAIR,
+    WORN,
+    Attire,
     Cut,
     Dress,
     MakeHumanConfig,
     Outfit,
     Race,
-    read_body,
-    target_strengths,
-    with_stature,
-)
-from humansim_ros.people.makehuman.wardrobe import (
-    CHOICES,
-    HAIR,
-    WORN,
-    Attire,
     check_clothes,
     draw_clothes,
     draw_fabric,
+    read_body,
+    target_strengths,
+    with_stature,
 )
 from humansim_ros.types import Array
 

@@ -9,9 +9,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from humansim_ros.files.mesh import WornName
-from humansim_ros.people.makehuman.shape import MakeHumanConfig
-from humansim_ros.people.makehuman.surface import TROUSERS, Outline, noise, ramp
-from humansim_ros.people.makehuman.wardrobe import (
+from humansim_ros.people.makehuman.shape import (
     BOTTOMS,
     FOOTWEAR,
     HAIR,
@@ -19,9 +17,11 @@ from humansim_ros.people.makehuman.wardrobe import (
     WORN,
     Bottom,
     HairStyle,
+    MakeHumanConfig,
     Top,
     Worn,
 )
+from humansim_ros.people.makehuman.surface import TROUSERS, Outline, noise, ramp
 from humansim_ros.people.makehuman.worn import (
     COLUMNS,
     ROWS,

@@ -22,9 +22,8 @@ from humansim_ros.motion.body import HAIR as HAIR_ENDS
 from humansim_ros.people.makehuman.clothes import BodyRegions
 from humansim_ros.people.makehuman.data import VertexIndices
 from humansim_ros.people.makehuman.paint import line, weave
-from humansim_ros.people.makehuman.shape import MakeHumanConfig, Outfit
+from humansim_ros.people.makehuman.shape import TOPS, WORN, MakeHumanConfig, Outfit
 from humansim_ros.people.makehuman.surface import BodySurface, noise, ramp, vertex_normals
-from humansim_ros.people.makehuman.wardrobe import TOPS, WORN
 from humansim_ros.types import Array
 
 #: Rows and columns of directions around the head.

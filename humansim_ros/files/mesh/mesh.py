@@ -365,12 +365,9 @@ def _format_of(data: bytes) -> MeshFormat | None:
 
 
 def split_seams(mesh: Mesh) -> tuple[NDArray[np.int64], Array | None, NDArray[np.uint32]]:
-    """Copy vertices with several texture coordinates, since glTF and viewers have one per vertex.
-
-    Returns:
-        Original vertex (N,) of each vertex, with 0 to V - 1 first; texture coordinates (N, 2), v up, or None;
-        and triangles (T, 3) of the N vertices.
-    """
+    """Copy vertices with several texture coordinates, since glTF and viewers have one per vertex. Returns the
+    original vertex (N,) of each vertex, with 0 to V - 1 first; texture coordinates (N, 2), v up, or None; and
+    triangles (T, 3) of the N vertices."""
     count = len(mesh.vertices)
     if mesh.uv is None or mesh.uv_triangles is None:
         return np.arange(count), None, mesh.triangles.astype(np.uint32)

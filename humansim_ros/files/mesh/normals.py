@@ -288,17 +288,12 @@ _SAME, _STEPS = 1.0, 300
 
 
 def shading_weights(vertices: Array, triangles: NDArray[np.integer], normals: Array) -> csr_matrix:
-    """Weights (V, N) of the area vectors of triangles. Their weighted sums have the directions of given
-    vertex normals.
+    """Weights (V, N) of the area vectors of triangles (N, 3). Their weighted sums have the directions of
+    ``normals`` (V, 3) of unit length, or zero where unknown: there the result is the area-weighted mean.
 
     Unlike the normals themselves, weights stay valid when the mesh moves or deforms. They are at least 0, so
     that a normal that is not between the normals of its triangles becomes the nearest one between them.
     Triangles at other vertices of the same place count too, so that normals are smooth across seams.
-
-    Args:
-        vertices: (V, 3).
-        triangles: (N, 3) vertex indices.
-        normals: (V, 3) unit normals. Zero where unknown; there the result is the area-weighted mean.
     """
     count = len(vertices)
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
@@ -309,10 +304,8 @@ def shading_weights(vertices: Array, triangles: NDArray[np.integer], normals: Ar
     place = np.where(crowded, place.max() + 1 + np.arange(count), place)
     shape = (int(place.max()) + 1, count)
     at_place = csr_matrix((np.ones(count, np.float32), (place, np.arange(count))), shape=shape)
-    of_triangles = csr_matrix(
-        (np.ones(triangles.size, np.float32), (triangles.ravel(), np.repeat(np.arange(len(triangles)), 3))),
-        shape=(count, len(triangles)),
-    )
+    places = triangles.ravel(), np.repeat(np.arange(len(triangles)), 3)
+    of_triangles = csr_matrix((np.ones(triangles.size, np.float32), places), shape=(count, len(triangles)))
     around = (at_place.T @ (at_place @ of_triangles)).tocsr()
     rows, columns = np.repeat(np.arange(count), np.diff(around.indptr)), around.indices
     own = np.asarray(of_triangles[rows, columns]).ravel() > 0

@@ -43,11 +43,7 @@ def is_smpl(names: Sequence[str]) -> bool:
 
 def count_betas(path: str | os.PathLike[str]) -> int:
     """Number of betas that a model takes. 0 for other files, and for models with joints that do not follow
-    betas.
-
-    Raises:
-        MeshError: The file cannot be read.
-    """
+    betas. Raises MeshError if the file cannot be read."""
     if Path(path).suffix.lower() != ".npz":
         return 0
     arrays = read_npz(path, MeshError, "human", ("v_template", "shapedirs", "J_regressor"))
@@ -66,14 +62,11 @@ def read_smpl(path: str | os.PathLike[str], betas: Sequence[float] = ()) -> Skin
         if name not in arrays:
             raise MeshError("not an SMPL model: an array is missing", path=path, key=name)
         array = arrays[name]
-        fits = array.ndim == len(shape) and all(
-            n in (None, m) for n, m in zip(shape, array.shape, strict=True)
-        )
-        if not fits or array.dtype.kind not in "fiu":
+        wanted = tuple(m if n is None else n for n, m in zip(shape, array.shape, strict=False))
+        if array.ndim != len(shape) or wanted != array.shape or array.dtype.kind not in "fiu":
             expected = ", ".join("?" if n is None else str(n) for n in shape)
-            raise MeshError(
-                f"must be numbers ({expected}), not {array.shape} {array.dtype}", path=path, key=name
-            )
+            message = f"must be numbers ({expected}), not {array.shape} {array.dtype}"
+            raise MeshError(message, path=path, key=name)
         if array.dtype.kind == "f" and not float(np.abs(array).max(initial=0)) <= LARGEST:
             message = f"a number is not finite (NaN or infinity), or beyond {LARGEST:g}"
             raise MeshError(message, path=path, key=name)
@@ -83,9 +76,8 @@ def read_smpl(path: str | os.PathLike[str], betas: Sequence[float] = ()) -> Skin
     if len(betas):
         directions = get("shapedirs", len(vertices), 3, None)
         if len(betas) > directions.shape[2]:
-            raise MeshError(
-                f"{len(betas)} betas, the model has {directions.shape[2]}", path=path, key="betas"
-            )
+            message = f"{len(betas)} betas, the model has {directions.shape[2]}"
+            raise MeshError(message, path=path, key="betas")
         vertices = vertices + directions[:, :, : len(betas)] @ np.asarray(betas, dtype=float)
     weights = get("weights", len(vertices), None).astype(float)
     n = weights.shape[1]

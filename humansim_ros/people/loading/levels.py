@@ -118,12 +118,8 @@ def levels_of_person(person: Person) -> Simplification:
     parents, removed_at = worn.parents.copy(), worn.removed_at.copy()
     count = model.body_count
     parents[:count], removed_at[:count] = body.parents[:count], body.removed_at[:count]
-    return bounded_errors(
-        Simplification(parents, _joined(body, worn, count), removed_at, worn.errors),
-        model.poses,
-        model.triangles,
-        model.coordinates,
-    )
+    joined = Simplification(parents, _joined(body, worn, count), removed_at, worn.errors)
+    return bounded_errors(joined, model.poses, model.triangles, model.coordinates)
 
 
 class _Model:

@@ -345,11 +345,8 @@ def _load(path: Path) -> Human:
 
 
 def make_person(person: Person, name: str) -> Human:
-    """Build a person whom :func:`~humansim_ros.people.makehuman.population.draw_person` has drawn.
-
-    Raises:
-        MeshError: No slider setting gives the stature or weight.
-    """
+    """Build a person whom :func:`~humansim_ros.people.makehuman.population.draw_person` has drawn. Raises
+    MeshError if no slider setting gives the stature or weight."""
     data = people_data()
 
     def make() -> Human:

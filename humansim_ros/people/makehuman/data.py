@@ -54,6 +54,11 @@ class MakeHumanData:
 
     def __init__(self, path: Path) -> None:
         self.folder = path
+        #: Results made from these data, kept for later people.
+        self.kept: dict[object, object] = {}
+        self._masks: dict[str, VertexMask] = {}
+        self._bodies: dict[str, NDArray[np.float32]] = {}
+        self._targets: dict[str, tuple[VertexIndices, Array]] = {}
         self._archive: zipfile.ZipFile | None = None
         if not path.is_dir():
             try:
@@ -126,10 +131,6 @@ class MakeHumanData:
         return self._masks[name]
 
     @functools.cached_property
-    def _masks(self) -> dict[str, VertexMask]:
-        return {}
-
-    @functools.cached_property
     def base(self) -> Base:
         """Base mesh without targets, in decimetres."""
         return _parse(self)
@@ -151,10 +152,6 @@ class MakeHumanData:
             self._bodies[name] = dense[self.base.vertex_groups["body"]]
         return self._bodies[name]
 
-    @functools.cached_property
-    def _bodies(self) -> dict[str, NDArray[np.float32]]:
-        return {}
-
     def face_action(self, name: str) -> tuple[VertexIndices, Array]:
         """Vertices (K,) that an action of the face moves, and their offsets (K, 3) in decimetres."""
         return self._offsets(f"../faceunits01/targets/faceunits/{name}.target")
@@ -166,15 +163,6 @@ class MakeHumanData:
             values = np.array(b" ".join(lines).split(), dtype=float).reshape(-1, 4)
             self._targets[path] = (values[:, 0].astype(np.int64), np.ascontiguousarray(values[:, 1:4]))
         return self._targets[path]
-
-    @functools.cached_property
-    def kept(self) -> dict[object, object]:
-        """Results made from these data, kept for later people."""
-        return {}
-
-    @functools.cached_property
-    def _targets(self) -> dict[str, tuple[VertexIndices, Array]]:
-        return {}
 
 
 _WEIGHTS = "rigs/standard/weights.default.json"
@@ -279,6 +267,7 @@ class PackedData(MakeHumanData):
     """MakeHuman data from a file of :func:`pack`."""
 
     def __init__(self, path: Path) -> None:
+        super().__init__(path.parent)
         self.folder = path
 
     @functools.cached_property

@@ -122,12 +122,9 @@ class PeopleLimits:
 
 
 def draw_people(seed: int, number: int, people: PeopleLimits) -> Person:
-    """Draw a person within limits. Everything without a limit is drawn as in :func:`draw_person`.
-
-    A person with a stature or body mass index outside the limits is drawn again.
-
-    Raises:
-        MeshError: An age or a tone is impossible, or nobody has these traits together.
+    """Draw a person within limits. Everything without a limit is drawn as in :func:`draw_person`. A person
+    with a stature or body mass index outside the limits is drawn again. Raises MeshError if an age or a tone
+    is impossible, or nobody has these traits together.
 
     Example:
         >>> 30 <= draw_people(7, 3, PeopleLimits(age=(30, 40))).age <= 40
@@ -188,9 +185,7 @@ def _text(value: float | tuple[float, float]) -> str:
 
 def read_person(name: str) -> Person:
     """Draw the person of a name: ``person#SEED-NUMBER``, with fields of :class:`PeopleLimits` if given.
-
-    Raises:
-        MeshError: The name is wrong, or nobody has these traits.
+    Raises MeshError if the name is wrong, or nobody has these traits.
 
     Example:
         >>> read_person("person#7-3,age=20..60,uniform").age > 20
@@ -474,10 +469,8 @@ def person_config(source: MakeHumanData, person: Person) -> MakeHumanConfig:
     """MakeHuman sliders of a person. The stature is exact, the weight correct to 0.2 %.
 
     From thin to heavy, first the fat increases, then the muscles decrease, then the target of the heaviest
-    body counts more than once. The weight follows from the volume of the naked body.
-
-    Raises:
-        MeshError: No slider setting gives the stature, or the weight together with it.
+    body counts more than once. The weight follows from the volume of the naked body. Raises MeshError if no
+    slider setting gives the stature, or the weight together with it.
     """
 
     def shape(fatness: float, height: float) -> MakeHumanConfig:

@@ -33,6 +33,14 @@ def loaded(name: str, folder: Path) -> Scene:
     return Scene.load(ROOT / "config" / "scenes" / name)
 
 
+def test_labels_follow_the_order_of_features(tmp_path: Path) -> None:
+    """Humans, objects of the file, chairs and tables, the robot, clutter: labels of data sets stay."""
+    scene = loaded("everything", tmp_path)
+    assert list(scene.objects) == ["ball", "box", "file", "ed_chair", "robot", "clutter_1", "clutter_2"]
+    labels = list(scene.labels.values())
+    assert labels == sorted(labels)
+
+
 @pytest.mark.slow
 @pytest.mark.daily("scanners", "demo.yaml")
 @pytest.mark.parametrize("name", ["everything", "scanners", *(path.name for path in SCENES)])

@@ -15,17 +15,18 @@ from humansim_ros.scene.core.draft import Draft
 from humansim_ros.scene.core.names import human_names
 from humansim_ros.scene.core.source import SceneSource
 
-#: Features in the order in which they are called, with the condition under which a scene has them.
+#: Features in the order in which they are called, with the condition under which a scene has them. Labels of
+#: objects follow this order.
 FEATURES: Mapping[str, Callable[[SceneConfig], object]] = {
     "keyframes": lambda config: any(
         item.keyframes for section in (config.humans, config.objects) for item in section.values()
     ),
     "room": lambda config: config.room,
-    "robot": lambda config: config.robot,
     "variety": lambda config: config.variety,
     "crowd": lambda config: config.crowd,
     "held": lambda config: any(item.held_by for item in config.objects.values()),
     "seats": lambda config: True,
+    "robot": lambda config: config.robot,
     "scanners": lambda config: config.scanners,
     "clutter": lambda config: config.randomise and config.randomise.clutter,
     "reach": lambda config: any(human.reach for human in config.humans.values()),

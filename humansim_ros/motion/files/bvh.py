@@ -181,9 +181,8 @@ class Parser:
         raise self.text.error(f"not a BVH file: it should start with HIERARCHY, not {first[:40]!r}")
 
     def _check_braces(self, stack: list[int], pending: int | None, surplus: int | None) -> None:
-        """Check the braces at the end of the hierarchy, where missing or extra braces give a warning only. A
-        missing or extra brace further up would change the hierarchy, so it is an error. It is found because
-        the indents then disagree with the hierarchy."""
+        """Check the braces at the end of the hierarchy, where wrong braces give a warning only. A wrong brace
+        further up would change the hierarchy: an error, found by the indents, which then disagree."""
         text = self.text
         is_open = pending is not None or not all(self.joints[joint].offset for joint in stack)
         if is_open or (stack and not self._indents_agree()):

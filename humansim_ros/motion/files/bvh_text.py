@@ -273,9 +273,8 @@ _STEADY = 45.0
 
 @dataclass(frozen=True)
 class _BadLine:
-    """A line that is not a row: its number, the index of its first value, its number of values, and the
-    reason. ``word``: the first word of a line without any number, otherwise "". ``n_lines``: number of such
-    lines one after another."""
+    """A line that is not a row: its number, the index of its first value, its number of values, the reason,
+    the first ``word`` if it has no number, and the number of such lines one after another."""
 
     line: int
     start: int
@@ -286,11 +285,8 @@ class _BadLine:
 
 
 class _Rows:
-    """Reader of rows of C values. It reads in blocks, and word by word only if a block is not plain.
-
-    Usually a line holds one row. A line may also hold several whole rows, or a part of a row. The start of
-    each row is then clear if the number of all values fits.
-    """
+    """Reader of rows of C values, in blocks, and word by word only if a block is not plain. A line may hold
+    one row, several, or a part of one: if the number of all values fits, it is clear where rows start."""
 
     def __init__(self, text: BvhText, angles: NDArray[np.bool_], n_frames: float) -> None:
         self.text = text

@@ -35,11 +35,8 @@ SMALLEST_SIZE = 1e-6
 
 @dataclass(frozen=True)
 class KeyframePose:
-    """Pose and size of an object at some times (...).
-
-    ``position``: (..., 3) in ``map``, metres. ``rotation``: (..., 3) degrees about x, y and z. ``size``:
-    (..., 3) factors along x, y and z of the object.
-    """
+    """Pose and size of an object at times (...): ``position`` (..., 3) in ``map``, metres; ``rotation`` (...,
+    3) degrees about x, y and z; ``size`` (..., 3) factors along x, y and z of the object."""
 
     position: Array
     rotation: Array
@@ -119,10 +116,8 @@ class KeyframeTrack:
         return self._interpolate(self.timeline.frames(times, self.timeline.cycles(times)))
 
     def around(self, seconds: float) -> tuple[Array, KeyframePose]:
-        """Times (3,) just before, at, and just after ``seconds``, and the poses there.
-
-        The times do not cross a jump to the start of the animation.
-        """
+        """Times (3,) just before, at, and just after ``seconds``, and the poses there. They do not cross a
+        jump to the start of the animation."""
         times = seconds + AROUND
         cycle = float(self.timeline.cycles(np.array(seconds)))
         if self.timeline.loop == "repeat" and self.timeline.duration > 0:

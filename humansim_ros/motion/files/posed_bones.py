@@ -61,9 +61,8 @@ class PosedBones:
         ]
 
     def to_motion(self) -> Motion:
-        """Make a motion for BVH: y up, facing +z, centimetres, in the rest pose of the skeleton. Joints are
-        the heads of the bones. End sites are the ends of the skeleton. Rotations have the order ZXY. Joints
-        that come near the gimbal lock of this order have another one."""
+        """Make a motion for BVH: y up, facing +z, centimetres, in the rest pose. Joints are the heads of
+        bones. Rotations have the order ZXY, or another order for joints near the gimbal lock of ZXY."""
         skeleton = self.skeleton
         parents = skeleton.parents
         rest = skeleton.rest[:, :3, :3]

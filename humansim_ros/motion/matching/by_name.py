@@ -285,9 +285,8 @@ _CHAINS = (
 
 
 def match_names_in_motion(motion: Motion, table: str | os.PathLike[str] | None) -> JointMatch:
-    """Match joints by their names. In some files, inverse kinematics moves a foot or a hand, so that the
-    joint is not below its limb in the hierarchy. Such a joint counts if it is at the end of the limb in all
-    frames."""
+    """Match joints by their names. If inverse kinematics moves a foot or a hand, its joint is not below its
+    limb in the hierarchy. The joint counts if it is at the end of the limb in all frames."""
     names, parents = motion.joint_names, np.array(motion.parents)
     found: JointMatch | None = None
     with suppress(MotionError):
@@ -297,7 +296,7 @@ def match_names_in_motion(motion: Motion, table: str | os.PathLike[str] | None) 
         tables = _candidates(table, motion.path)
         by_names = [_best_match(tables, names, None, loose) for loose in (False, True)]
         roles = max(by_names, key=lambda match: match.complete).roles
-        frames = motion.world_transforms(np.unique(np.linspace(0, motion.n_frames - 1, 2000).astype(int)))
+        frames = motion.world_transforms(spread_frames(motion, 2000))
         for joints in ([roles.get(role, -1) for role in limb] for limb in limbs):
             _, lower, end = joints
             related = lower in ancestors(end, parents) or end in ancestors(lower, parents)
@@ -480,6 +479,11 @@ def _consistent_roles(roles: Mapping[str, int], parents: Indices) -> dict[str, i
             else:
                 del consistent[role]
     return consistent
+
+
+def spread_frames(motion: Motion, most: int) -> Indices:
+    """Numbers of at most ``most`` frames, spread evenly over a motion."""
+    return np.unique(np.linspace(0, motion.n_frames - 1, most).astype(np.intp))
 
 
 def ancestors(joint: int, parents: Indices) -> list[int]:

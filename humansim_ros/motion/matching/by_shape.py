@@ -15,7 +15,7 @@ import numpy as np
 
 from humansim_ros.geometry import unit_vectors
 from humansim_ros.motion.body.kinematics import Motion
-from humansim_ros.motion.matching.by_name import ancestors
+from humansim_ros.motion.matching.by_name import ancestors, spread_frames
 from humansim_ros.motion.matching.joint_tables import (
     LEFT,
     MIN_CONFIDENCE,
@@ -51,10 +51,10 @@ class JointTree:
         self.names = motion.joint_names
         self.parents = motion.parents
         count = motion.n_joints
-        frames = np.unique(np.linspace(0, motion.n_frames - 1, 5).astype(int))
-        self.links = np.median(np.linalg.norm(motion.local_translations(frames), axis=-1), axis=0)
+        translations = motion.local_translations(spread_frames(motion, 5))
+        self.links = np.median(np.linalg.norm(translations, axis=-1), axis=0)
         self.links[self.parents < 0] = 0.0
-        self.points = motion.world_positions(np.unique(np.linspace(0, motion.n_frames - 1, 60).astype(int)))
+        self.points = motion.world_positions(spread_frames(motion, 60))
         self.children: list[list[int]] = [[] for _ in range(count)]
         for joint, parent in enumerate(self.parents.tolist()):
             if parent >= 0:
@@ -353,7 +353,7 @@ def _assign_sides(motion: Motion, roles: dict[str, int]) -> tuple[dict[str, int]
 
 
 def _sampled_positions(motion: Motion) -> Array:
-    return motion.world_positions(np.unique(np.linspace(0, motion.n_frames - 1, 200).astype(int)))
+    return motion.world_positions(spread_frames(motion, 200))
 
 
 def _posed_side(motion: Motion, roles: dict[str, int]) -> int:

@@ -11,6 +11,7 @@ from humansim_ros.errors import MotionError
 from humansim_ros.geometry import WORLD_FROM_BODY, angle_between, nearest_axis, unit_vectors
 from humansim_ros.motion.body.kinematics import Motion
 from humansim_ros.motion.body.skeleton import Skeleton
+from humansim_ros.motion.matching.by_name import spread_frames
 from humansim_ros.motion.matching.joint_tables import JointMatch
 from humansim_ros.types import Array, Indices
 
@@ -162,12 +163,10 @@ class FileFrame:
         unit: Metres per file unit.
         unit_name: Name of the unit. ``unknown`` if no known unit gives the height of a person. Then a height
             of 1.7 m is assumed.
-
         world_from_file: (3, 3) rotation after which the person in the rest pose faces +x.
         rest_from_body: Body axes in the rest pose of the file, (3, 3). If the OFFSETs are not a standing
             person, the straightest frame is the rest pose, and these are the body axes in the axes of each
             joint, (J, 3, 3).
-
         ankle_to_head: Height in file units.
         confidence: Confidence in the up axis, 0 to 1. It is lower if there is a warning.
         warning: Message to the user: what contradicts the up axis, or why the axis is unlikely.
@@ -225,8 +224,7 @@ def detect_file_frame(
         MotionError: The skeleton has no height, or its hips are at one place.
     """
     roles, up, rest = match.roles, up or motion.up, motion.rest_positions()
-    samples = np.unique(np.linspace(0, motion.n_frames - 1, _MAX_FRAMES).astype(int))
-    transforms = motion.world_transforms(samples)
+    transforms = motion.world_transforms(spread_frames(motion, _MAX_FRAMES))
     frames = transforms[..., :3, 3]
     head = roles.get("Head", roles[highest(roles)])
     ankles = [roles.get(f"{side}Ankle", roles[f"{side}Knee"]) for side in ("Left", "Right")]

@@ -183,7 +183,6 @@ class JointMatch:
         extra: The same as ``difference``, for bones that the general skeleton lacks.
         details: Bone of a finger, a toe, the jaw or an eye -> (start joint, end joint) of its link. The same
             joint twice means that the bone takes the rotation of the joint.
-
         reasons: Reasons why the motion may not be that of a person.
     """
 

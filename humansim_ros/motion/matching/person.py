@@ -15,7 +15,13 @@ import numpy as np
 from humansim_ros.errors import MotionError
 from humansim_ros.geometry import unit_vectors
 from humansim_ros.motion.body.kinematics import Motion
-from humansim_ros.motion.matching.by_name import LIMBS, ancestors, detail_joints, match_names_in_motion
+from humansim_ros.motion.matching.by_name import (
+    LIMBS,
+    ancestors,
+    detail_joints,
+    match_names_in_motion,
+    spread_frames,
+)
 from humansim_ros.motion.matching.by_shape import match_shape
 from humansim_ros.motion.matching.joint_tables import MIN_CONFIDENCE, JointMatch
 from humansim_ros.types import Array
@@ -104,7 +110,7 @@ def look_at_body(motion: Motion, roles: Mapping[str, int]) -> BodySigns | None:
     """Signs of an animal in a motion with the joints ``roles``. None without shoulders or elbows."""
     if not all(side + part in roles for side in ("Left", "Right") for part in _PARTS):
         return None
-    points = motion.world_positions(np.unique(np.linspace(0, motion.n_frames - 1, _MAX_SAMPLES).astype(int)))
+    points = motion.world_positions(spread_frames(motion, _MAX_SAMPLES))
     trunk, legs, arms = _directions(points, roles)
     leg, arm = (_length(points, roles, limb) for limb in LIMBS)
     upright = _cosine(trunk, legs) < _TRUNK_TO_LEGS

@@ -240,30 +240,28 @@ def loose_arrays(parts: LooseParts) -> dict[str, NDArray[Any]]:
 
 
 def read_loose(arrays: Mapping[str, NDArray[Any]], vertices: int) -> LooseParts | None:
-    """Loose parts from the arrays of a human file; None if the file has none. ``vertices``: number of
-    vertices of the mesh. Raises MeshError, or KeyError for a missing array."""
+    """Loose parts from the arrays of a human file, as :func:`read_shapes`; None if the file has none."""
     if "loose_kinds" not in arrays:
         return None
     count, rows = len(arrays["loose_kinds"].ravel()), len(arrays["loose_rows"].ravel())
     if not 1 <= count <= MAX_ENDS:
         raise MeshError(f"needs 1 to {MAX_ENDS} ends, not {count}", key="loose_kinds")
     # dtype, shape, and the number that whole numbers must be below
-    layout: dict[str, tuple[type[np.generic], tuple[int, ...], int]] = {
-        "kinds": (np.uint8, (count,), HAIR + 1),
-        "ends": (np.int32, (count, 2), vertices),
-        "outwards": (np.float32, (count, 3), 0),
-        "rows": (np.int32, (rows,), vertices),
-        "nodes": (np.int32, (rows, 2), count),
-        "shares": (np.float32, (rows, 2), 0),
-        "gather": (np.float32, (rows, 3), 0),
-        "left": (np.float32, (rows,), 0),
+    layout: dict[str, tuple[str, tuple[int, ...], int]] = {
+        "kinds": ("uint8", (count,), HAIR + 1),
+        "ends": ("int32", (count, 2), vertices),
+        "outwards": ("float32", (count, 3), 0),
+        "rows": ("int32", (rows,), vertices),
+        "nodes": ("int32", (rows, 2), count),
+        "shares": ("float32", (rows, 2), 0),
+        "gather": ("float32", (rows, 3), 0),
+        "left": ("float32", (rows,), 0),
     }
     found = {}
     for name, (kind, shape, limit) in layout.items():
         array, key = arrays[f"loose_{name}"], f"loose_{name}"
         if array.dtype != kind or array.shape != shape:
-            what = f"{shape} {np.dtype(kind)}"
-            raise MeshError(f"must be {what}, not {array.shape} {array.dtype}", key=key)
+            raise MeshError(f"must be {shape} {kind}, not {array.shape} {array.dtype}", key=key)
         if limit and array.size and not 0 <= array.min() <= array.max() < limit:
             raise MeshError(f"must be from 0 to {limit - 1}", key=key)
         if not limit and not (np.abs(array) <= 1.0).all():

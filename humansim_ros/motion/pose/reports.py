@@ -79,8 +79,9 @@ def describe_motion(
     file units; ``root_scale``: scale of the root's movement onto the general skeleton; ``speed``: mean speed
     over the floor, m/s; ``travel``: x and y from the first frame to the last; ``heading_deg``: mean heading,
     None if there is no common heading. ``travel`` and ``heading_deg`` are relative to the rest pose facing
-    +x, with y to its left. From the first ``checked_frames`` frames: ``stances``; ``slide``: mean slide of a
-    standing foot, mm; ``limits``: violations of joint limits; ``penetration``: the deepest self-penetration.
+    +x, with y to its left. ``jumps``: frame to which the person jumps, and distance in metres. From the first
+    ``checked_frames`` frames: ``stances``; ``slide``: mean slide of a standing foot, mm; ``limits``:
+    violations of joint limits; ``penetration``: the deepest self-penetration.
 
     Args:
         motion: The motion.

@@ -211,7 +211,7 @@ def test_a_message_of_the_player_carries_the_hands() -> None:
 
 def test_without_keys_hands_are_relaxed_and_a_raised_hand_opens() -> None:
     walk, wave = (scene(motion).actors["anna"] for motion in ("walk", "wave"))
-    assert walk.hands is wave.hands is None
+    assert walk.settings("hands") is wave.settings("hands") is None
     assert not any(name.startswith("hand_pose") for name in wave.joint_poses(0.0).names)
     assert fingers(walk.at(0.5), "r")["index2"] > 30
     raised = min(fingers(wave.at(time), "r")["index2"] for time in np.linspace(0.5, 3.5, 7))
@@ -229,7 +229,7 @@ def test_a_built_in_motion_that_picks_something_up_grips_it() -> None:
 
 @pytest.mark.parametrize("motion", BUILT_IN_HANDS)
 def test_keys_of_built_in_motions_fit_them(motion: str) -> None:
-    assert scene(motion).actors["anna"].hands is not None
+    assert scene(motion).actors["anna"].settings("hands") is not None
 
 
 def test_keys_leave_fingers_that_the_motion_moves_unless_a_key_says_so(tmp_path: Path) -> None:
@@ -238,7 +238,7 @@ def test_keys_leave_fingers_that_the_motion_moves_unless_a_key_says_so(tmp_path:
     with pytest.warns(HumansimWarning, match="'hands' moves nothing"):
         free = scene({"file": str(file), "hands": "fist"}).actors["anna"]
     forced = scene({"file": str(file), "hands": {"pose": "fist", "over_motion": True}}).actors["anna"]
-    assert free.hands is None
+    assert free.settings("hands") is None
     assert abs(fingers(free.at(0.0), "l")["index2"]) < 0.1
     assert fingers(forced.at(0.0), "l")["index2"] == pytest.approx(90.0, abs=0.01)
 

@@ -102,7 +102,7 @@ def render_humans(folder: Path, options: argparse.Namespace) -> dict[str, list[l
     from humansim_ros.scene.config.config import MotionConfig
     from humansim_ros.scene.core.actor import Actor
     from humansim_ros.scene.core.source import SceneSource
-    from humansim_ros.scene.features.room.meshes import furnished_room
+    from humansim_ros.scene.features.room.feature import furnished_room
 
     def people() -> Iterator[tuple[str, str, Human, Sequence[float], Sequence[int]]]:
         for number in range(options.people):

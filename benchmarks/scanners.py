@@ -20,9 +20,9 @@ import trimesh
 
 from humansim_ros import Scene
 from humansim_ros.cameras.scanner.models import MODELS
+from humansim_ros.scene.core.simulation import SceneStates
 from humansim_ros.scene.core.state import SceneState
-from humansim_ros.scene.core.states import SceneStates
-from humansim_ros.scene.features.scanners.sweeps import Scanning
+from humansim_ros.scene.features.scanners.feature import Scanning
 
 BODIES = ("adult_man", "adult_woman", "child")
 

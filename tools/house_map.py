@@ -39,7 +39,7 @@ ALIASES = frozenset(
     {"apps", "bags", "body", "camera", "humans", "keypoints", "mesh", "messages", "sensor", "truth"}
 )
 #: The keys of a feature belong to the configuration, which has a field for each feature.
-KEYS_OF_FEATURES = re.compile(r"scene/features/\w+/keys")
+KEYS_OF_FEATURES = re.compile(r"scene/features/\w+")
 #: Arrows of today that lead up, or against the order of subpackages. An entry goes with its last import.
 EXCEPTIONS = frozenset(
     {
@@ -74,8 +74,8 @@ def modules() -> Mapping[str, Path]:
 
 
 def is_folder(name: str) -> bool:
-    """Whether a module of today is the ``__init__`` of a folder."""
-    return modules()[name].name == "__init__.py"
+    """Whether a module of today only leads to others: the ``__init__`` of a folder, unless it has keys."""
+    return modules()[name].name == "__init__.py" and not KEYS_OF_FEATURES.fullmatch(name)
 
 
 @cache

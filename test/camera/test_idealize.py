@@ -23,7 +23,7 @@ from humansim_ros.cameras import Camera, read_calibration, write_calibration
 from humansim_ros.cameras.camera.ideal import Fit, Ideal, idealize, rectify
 from humansim_ros.errors import CameraError, RenderError
 from humansim_ros.render import GLRenderer
-from humansim_ros.scene.features.room.meshes import furnished_room
+from humansim_ros.scene.features.room.feature import furnished_room
 from humansim_ros.types import Array
 
 SIZE = (320, 240)

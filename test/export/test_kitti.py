@@ -13,7 +13,7 @@ from export_support import exported
 from humansim_ros import Camera, Scene, Simulation
 from humansim_ros.data.formats.kitti import levelled
 from humansim_ros.errors import ExportError
-from humansim_ros.scene.features.scanners.sweeps import Sweep
+from humansim_ros.scene.features.scanners.feature import Sweep
 from humansim_ros.types import Array
 
 CAMERAS: dict[str, Any] = {

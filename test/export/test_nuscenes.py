@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from humansim_ros import Scene, Simulation
 from humansim_ros.errors import ExportError
-from humansim_ros.scene.features.scanners.sweeps import Sweep
+from humansim_ros.scene.features.scanners.feature import Sweep
 from humansim_ros.types import Array
 
 SCENE: dict[str, Any] = {

@@ -29,7 +29,7 @@ from humansim_ros.data.formats.usd import UsdStage
 from humansim_ros.data.formats.writer import ExportFolder, ExportFrame, ExportScene, ExportSettings
 from humansim_ros.errors import HumansimError, HumansimWarning
 from humansim_ros.scene import Frame
-from humansim_ros.scene.core.states import SceneStates
+from humansim_ros.scene.core.simulation import SceneStates
 
 pytestmark = pytest.mark.filterwarnings("ignore::humansim_ros.errors.HumansimWarning")
 RATE, FRAMES = 10.0, range(2, 6)

@@ -13,8 +13,7 @@ from humansim_ros.cameras import Trajectory
 from humansim_ros.cameras.scanner.models import Layout, Measuring, Pattern, Rays, Returns, spinning
 from humansim_ros.data import messages
 from humansim_ros.data.messages.points import point_rows
-from humansim_ros.scene.features.scanners.scanner import SceneScanner
-from humansim_ros.scene.features.scanners.sweeps import Sweep
+from humansim_ros.scene.features.scanners.feature import SceneScanner, Sweep
 from humansim_ros.types import Array
 
 #: Name, offset and datatype (sensor_msgs/PointField) of each field, and bytes of a point.

@@ -21,7 +21,7 @@ from humansim_ros.scene.core.actor import Actor
 from humansim_ros.scene.core.live import LiveRetargeter
 from humansim_ros.scene.core.playback import Playback
 from humansim_ros.scene.features.face.files import read_face_file
-from humansim_ros.scene.features.face.tracks import WeightTrack
+from humansim_ros.scene.features.face.layer import WeightTrack
 from humansim_ros.types import Array
 
 CAMERAS = {"front": {"position": [3, 0, 1.6], "look_at": [0, 0, 1.5]}}

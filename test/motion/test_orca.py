@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import scipy.optimize
 
-from humansim_ros.scene.features.crowd.orca import Walkers, nearest_allowed
+from humansim_ros.scene.features.crowd.walking import Walkers, nearest_allowed
 
 NOWHERE = np.full((1, 1, 2), 1e6)
 

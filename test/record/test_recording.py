@@ -403,7 +403,7 @@ def test_topics_without_frames_are_recorded_once(scene: Scene, tmp_path: Path) -
 def test_a_camera_of_which_nothing_is_recorded_is_not_rendered(
     scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from humansim_ros.scene.core.capturing import CameraShot
+    from humansim_ros.scene.core.state import CameraShot
 
     rendered: list[tuple[str, tuple[str, ...]]] = []
     take = CameraShot.take

@@ -23,7 +23,7 @@ from humansim_ros.data.formats.plan import ExportPlan
 from humansim_ros.data.formats.source import SimulatedSource
 from humansim_ros.geometry import quaternion_to_matrix, transform
 from humansim_ros.ros.nodes.in_process import InProcessNodes
-from humansim_ros.scene.core.states import SceneStates
+from humansim_ros.scene.core.simulation import SceneStates
 
 pytest.importorskip("mujoco", reason="MuJoCo is not installed")
 sys.path.append(str(ROOT / "examples"))

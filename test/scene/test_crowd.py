@@ -22,8 +22,8 @@ from humansim_ros.scene.core.features import begin_draft
 from humansim_ros.scene.core.playback import Playback
 from humansim_ros.scene.core.source import SceneSource
 from humansim_ros.scene.features.crowd.feature import FEATURE
-from humansim_ros.scene.features.crowd.walk_grid import WalkGrid
-from humansim_ros.scene.features.room.meshes import fixtures
+from humansim_ros.scene.features.crowd.walking import WalkGrid
+from humansim_ros.scene.features.room.feature import fixtures
 
 CAMERA = {"eye": {"size": [160, 120], "position": [3.2, 2.9, 2.2], "look_at": [0, 0, 1]}}
 ROOM = (12.0, 10.0, 2.8)

@@ -21,10 +21,10 @@ from humansim_ros.scene.checks.checks import check_scene
 from humansim_ros.scene.core.actor import Actor
 from humansim_ros.scene.core.human_state import HumanState
 from humansim_ros.scene.core.live import JointSource, LiveRetargeter
+from humansim_ros.scene.core.looks import random_numbers
 from humansim_ros.scene.core.playback import Playback
-from humansim_ros.scene.core.randomise import random_numbers
 from humansim_ros.scene.features.face.files import read_face_file
-from humansim_ros.scene.features.face.tracks import LIFE_SECONDS, blinks, glances, saccade_seconds, speech
+from humansim_ros.scene.features.face.layer import LIFE_SECONDS, blinks, glances, saccade_seconds, speech
 from humansim_ros.types import Array
 
 SMILE, JAW = ACTIONS.index("mouthSmileLeft"), ACTIONS.index("jawOpen")

@@ -25,8 +25,8 @@ from humansim_ros.people.makehuman.data import people_data
 from humansim_ros.people.makehuman.shape import MakeHumanConfig, Outfit
 from humansim_ros.scene.core.actor import Actor
 from humansim_ros.scene.core.live import JointSource, LiveRetargeter
-from humansim_ros.scene.features.cloth import swing as loose_swing
-from humansim_ros.scene.features.cloth.swing import LooseSwing
+from humansim_ros.scene.features.cloth import layer as loose_swing
+from humansim_ros.scene.features.cloth.layer import LooseSwing
 from humansim_ros.types import Array
 
 

@@ -12,7 +12,7 @@ import trimesh
 
 from humansim_ros import HumansimError, Scene, Simulation
 from humansim_ros.scene.core.simulation import Frame
-from humansim_ros.scene.features.scanners.sweeps import LiveScanning, Sweep
+from humansim_ros.scene.features.scanners.feature import LiveScanning, Sweep
 
 FRONT = {"position": [3, 0, 1.5], "look_at": [0, 0, 1], "size": [64, 48]}
 #: 4 lasers in 90 columns.

@@ -10,7 +10,7 @@ import pytest
 
 from humansim_ros.errors import SceneError
 from humansim_ros.scene import Scene, check_scene
-from humansim_ros.scene.core.seats import find_sittings
+from humansim_ros.scene.core.floor import find_sittings
 
 CAMERAS = {"front": {"size": [160, 120], "position": [3, 2.6, 2], "look_at": [0, 0, 0.8]}}
 

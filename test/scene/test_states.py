@@ -9,7 +9,7 @@ import pytest
 from humansim_ros import Scene, Simulation
 from humansim_ros.render.interface.channels import ADJACENT_NAMES
 from humansim_ros.scene.core.playback import Playback
-from humansim_ros.scene.core.states import SceneStates
+from humansim_ros.scene.core.simulation import SceneStates
 
 RATE = 30
 #: Rates, and offsets in frames of the scene.

@@ -57,7 +57,7 @@ print(json.dumps(found))
 def test_a_folder_and_two_lines_are_a_feature(tmp_path: Path) -> None:
     hidden = shutil.ignore_patterns("__pycache__")
     shutil.copytree(ROOT / "humansim_ros", tmp_path / "humansim_ros", ignore=hidden)
-    for name in ("assets", "config"):
+    for name in ("assets", "config", "package.xml"):
         (tmp_path / name).symlink_to(ROOT / name)
     subprocess.run(["git", "apply", str(PATCH)], cwd=tmp_path, check=True)
     own = {**os.environ, "PYTHONPATH": str(tmp_path)}

@@ -21,7 +21,7 @@ from humansim_ros.scene import Finding, Scene, Simulation, check_scene
 from humansim_ros.scene.config.config import HumanConfig, load_config
 from humansim_ros.scene.core.features import begin_draft
 from humansim_ros.scene.core.source import SceneSource
-from humansim_ros.scene.features.room.meshes import fixtures, furnished_room
+from humansim_ros.scene.features.room.feature import fixtures, furnished_room
 from humansim_ros.scene.features.variety.feature import FEATURE
 
 CAMERA = {"eye": {"size": [160, 120], "position": [3.2, 2.9, 2.2], "look_at": [0, 0, 1]}}

@@ -27,7 +27,7 @@ from humansim_ros.errors import HumansimError, HumansimWarning  # noqa: E402
 from humansim_ros.render import Body, GLRenderer  # noqa: E402
 from humansim_ros.scene import Scene  # noqa: E402
 from humansim_ros.scene.config.config import SceneConfig  # noqa: E402
-from humansim_ros.scene.features.room.meshes import furnished_room  # noqa: E402
+from humansim_ros.scene.features.room.feature import furnished_room  # noqa: E402
 from humansim_ros.types import Array, Image  # noqa: E402
 
 _TILE = (330, 252)

@@ -23,7 +23,7 @@ from humansim_ros.cameras import Camera  # noqa: E402
 from humansim_ros.files.mesh.mesh import height_to_normal_map  # noqa: E402
 from humansim_ros.render import GLRenderer, Lighting  # noqa: E402
 from humansim_ros.scene import Scene, Simulation  # noqa: E402
-from humansim_ros.scene.features.room.meshes import furnished_room  # noqa: E402
+from humansim_ros.scene.features.room.feature import furnished_room  # noqa: E402
 
 PEOPLE = """\
 humans:

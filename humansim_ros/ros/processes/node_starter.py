@@ -39,7 +39,7 @@ _MAX_PACKET = 1 << 18
 #: Modules that nodes need in addition to the scene, and that do not need ROS.
 _MODULES = (
     "data.messages.topics",
-    "scene.core.capturing",
+    "scene.core.state",
     "scene.core.live",
     "scene.core.playback",
     "render.frame.gl",

@@ -1,8 +1,3 @@
-from humansim_ros.scene.config.about_config import AboutConfig as AboutConfig
-from humansim_ros.scene.config.adapter_config import BoxesConfig as BoxesConfig
-from humansim_ros.scene.config.adapter_config import FramedConfig as FramedConfig
-from humansim_ros.scene.config.adapter_config import HriConfig as HriConfig
-from humansim_ros.scene.config.adapter_config import TrackedConfig as TrackedConfig
 from humansim_ros.scene.config.camera_config import CameraConfig as CameraConfig
 from humansim_ros.scene.config.camera_config import RigConfig as RigConfig
 from humansim_ros.scene.config.camera_config import Vector3 as Vector3
@@ -21,8 +16,13 @@ from humansim_ros.scene.config.config import frame_at as frame_at
 from humansim_ros.scene.config.config import load_config as load_config
 from humansim_ros.scene.config.config import map_files as map_files
 from humansim_ros.scene.config.config import schema_text as schema_text
+from humansim_ros.scene.config.output_config import AboutConfig as AboutConfig
+from humansim_ros.scene.config.output_config import BoxesConfig as BoxesConfig
+from humansim_ros.scene.config.output_config import FramedConfig as FramedConfig
+from humansim_ros.scene.config.output_config import HriConfig as HriConfig
+from humansim_ros.scene.config.output_config import TrackedConfig as TrackedConfig
 from humansim_ros.scene.config.timing import FIRST_STAMP as FIRST_STAMP
 from humansim_ros.scene.config.timing import CameraTiming as CameraTiming
 from humansim_ros.scene.config.timing import PictureTimer as PictureTimer
-from humansim_ros.scene.features.keyframes.keys import KeyframesConfig as KeyframesConfig
-from humansim_ros.scene.features.room.keys import RoomConfig as RoomConfig
+from humansim_ros.scene.features.keyframes import KeyframesConfig as KeyframesConfig
+from humansim_ros.scene.features.room import RoomConfig as RoomConfig

@@ -28,19 +28,18 @@ from humansim_ros.files.yaml import (
 )
 from humansim_ros.motion.files import MOTION_TITLES
 from humansim_ros.render.interface import Lighting, RendererName
-from humansim_ros.scene.config.about_config import AboutConfig
-from humansim_ros.scene.config.adapter_config import AdaptersConfig, HriConfig
 from humansim_ros.scene.config.camera_config import Bounded, BoundedVector3, CameraConfig, RigConfig, Vector3
-from humansim_ros.scene.features.crowd.keys import CrowdConfig
-from humansim_ros.scene.features.face.keys import FaceConfig
-from humansim_ros.scene.features.hands.keys import HandKeyConfig
-from humansim_ros.scene.features.held.keys import HoldConfig
-from humansim_ros.scene.features.keyframes.keys import KeyframesConfig
-from humansim_ros.scene.features.reach.keys import ReachConfig
-from humansim_ros.scene.features.robot.keys import ROBOT, RobotConfig
-from humansim_ros.scene.features.room.keys import RoomConfig
-from humansim_ros.scene.features.scanners.keys import ScannerConfig
-from humansim_ros.scene.features.variety.keys import VarietyConfig
+from humansim_ros.scene.config.output_config import AboutConfig, AdaptersConfig, HriConfig
+from humansim_ros.scene.features.crowd import CrowdConfig
+from humansim_ros.scene.features.face import FaceConfig
+from humansim_ros.scene.features.hands import HandKeyConfig
+from humansim_ros.scene.features.held import HoldConfig
+from humansim_ros.scene.features.keyframes import KeyframesConfig
+from humansim_ros.scene.features.reach import ReachConfig
+from humansim_ros.scene.features.robot import ROBOT, RobotConfig
+from humansim_ros.scene.features.room import RoomConfig
+from humansim_ros.scene.features.scanners import ScannerConfig
+from humansim_ros.scene.features.variety import VarietyConfig
 
 if TYPE_CHECKING:
     import yaml

@@ -32,10 +32,10 @@ from humansim_ros.render.interface import Backdrop
 from humansim_ros.scene.config.camera_config import CameraConfig, RigConfig
 from humansim_ros.scene.config.config import RandomiseConfig, SceneConfig, load_config
 from humansim_ros.scene.config.timing import CameraTiming
-from humansim_ros.scene.core.carriers import Carrier, Route, robot_of_mount
 from humansim_ros.scene.core.environment import load_backdrop
 from humansim_ros.scene.core.faults import CalibrationError, FaultSchedule, FrameFaults
-from humansim_ros.scene.core.randomise import random_numbers
+from humansim_ros.scene.core.looks import random_numbers
+from humansim_ros.scene.core.objects import Carrier, Route, robot_of_mount
 from humansim_ros.scene.core.source import SceneSource
 from humansim_ros.scene.core.stereo import right_camera
 from humansim_ros.types import Array, Float32Array

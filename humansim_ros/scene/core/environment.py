@@ -28,9 +28,9 @@ from humansim_ros.geometry import from_degrees
 from humansim_ros.render.device import ImageBackdrop, Panorama, ambient
 from humansim_ros.render.interface import Backdrop, Lighting, tone_mapped
 from humansim_ros.scene.config.config import LightConfig, SceneConfig, WorldMeshConfig
-from humansim_ros.scene.core.randomise import random_light
+from humansim_ros.scene.core.looks import random_light
 from humansim_ros.scene.core.source import SceneSource
-from humansim_ros.scene.features.room.keys import RoomConfig
+from humansim_ros.scene.features.room import RoomConfig
 
 #: Sizes in metres beyond which the unit of a mesh file is probably wrong.
 _LARGE, _SMALL = 1000.0, 0.02

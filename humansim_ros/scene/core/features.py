@@ -1,19 +1,143 @@
-"""Features of scenes: what can be taken away without touching the rest. Each has a folder in scene/features.
+"""Features of scenes, and the draft of a scene, which they change while the scene is made.
 
-``keys.py`` of a folder has the sections of a scene file, ``layer.py`` the layer of the pose, ``feature.py``
-the :class:`Feature`. Features share what a :class:`~humansim_ros.scene.core.draft.Draft` offers. They do not
-import each other.
+A feature is what can be taken away without touching the rest. Each has a folder in scene/features. Its
+``__init__`` has its keys of a scene file, ``feature.py`` its :class:`Feature`. Features share what a
+:class:`Draft` offers. They do not import each other.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from importlib import import_module
+from typing import Any
 
-from humansim_ros.scene.config.config import SceneConfig
-from humansim_ros.scene.core.draft import Draft
+from humansim_ros.errors import SceneError, in_section
+from humansim_ros.motion.files import KeyframeTrack
+from humansim_ros.motion.pose import Reach, Reaches, ReachingHand, WalkPath
+from humansim_ros.people.loading import levels_of
+from humansim_ros.scene.config.config import HumanConfig, ObjectConfig, SceneConfig
+from humansim_ros.scene.core.actor import Actor
+from humansim_ros.scene.core.camera import SceneCamera, build_cameras, random_cameras
+from humansim_ros.scene.core.environment import Environment, Furnishing
 from humansim_ros.scene.core.names import human_names
+from humansim_ros.scene.core.objects import Carrier, SceneObject
 from humansim_ros.scene.core.source import SceneSource
+from humansim_ros.scene.core.world import World
+
+#: Humans from which on those who are small in an image are drawn with fewer triangles.
+_MANY = 8
+
+
+@dataclass
+class Draft:
+    """A scene while it is made. Each human and each object is built once.
+
+    Attributes:
+        config: The configuration. Features add humans to it.
+        source: Finds files, and keeps what has been read.
+        names: Names of all humans, also of those who are not built yet.
+        tracks: Keyframes by section ("humans", "objects") and name.
+        furnishing: Furniture of the room.
+        robot: The robot, which may carry cameras and scanners.
+        robot_body: The robot as an object without label.
+        actors: Humans so far by name.
+        objects: Objects so far by name.
+        world: Knows the humans so far, for those who depend on others.
+        scanners: Laser scanners by name.
+    """
+
+    config: SceneConfig
+    source: SceneSource
+    names: Sequence[str]
+    tracks: Mapping[tuple[str, str], KeyframeTrack] = field(default_factory=dict)
+    furnishing: Furnishing = field(default_factory=Furnishing)
+    robot: Carrier | None = None
+    robot_body: SceneObject | None = None
+    actors: dict[str, Actor] = field(default_factory=dict)
+    objects: dict[str, SceneObject] = field(default_factory=dict)
+    world: World = field(default_factory=World)
+    scanners: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.world.people = self.actors
+
+    def add_human(self, name: str, config: HumanConfig, path: WalkPath | None = None) -> None:
+        """Build a human. Raises HumansimError with the key.
+
+        Args:
+            name: Name in the scene.
+            config: Section of the human.
+            path: Path that its walk follows, if any.
+        """
+        track = self.tracks.get(("humans", name))
+        actor = Actor.load(name, len(self.actors) + 1, config, self.source, track, path)
+        # at once, while what its shape is made of is kept in memory
+        self.actors[name] = _with_levels(actor, self.source) if len(self.names) >= _MANY else actor
+
+    def add_objects(self, configs: Mapping[str, ObjectConfig], key: str | None = None) -> None:
+        """Build objects, which stand where their sections say. Raises HumansimError, which names the key.
+
+        Their labels continue the labels of all humans and of the objects so far. ``key``: what makes them;
+        ``objects`` if None.
+        """
+        for name, config in configs.items():
+            with in_section(f"objects.{name}"):
+                if config.label and name in self.names:
+                    raise SceneError("a human has this name: a labelled object needs a name of its own")
+                track = self.tracks.get(("objects", name))
+                item = SceneObject.build(name, config, self.source, track, self.next_label(config.label))
+                self.objects[name] = item if key is None else replace(item, key=key)
+
+    def next_label(self, labelled: bool) -> int:
+        """Label of the next object; 0 for an object without label."""
+        used = len(self.names) + sum(item.instance > 0 for item in self.objects.values())
+        return used + 1 if labelled else 0
+
+    def reach(self, name: str, reaches: Sequence[Reach], poses: Sequence[ReachingHand] = ()) -> None:
+        """Let a human reach for something, besides what it reaches for already.
+
+        Args:
+            name: The human.
+            reaches: The reaches. Those of one hand do not overlap.
+            poses: Poses of the hands meanwhile.
+
+        Raises:
+            MotionError: The motion has no arms, or the poses of the hands move nothing.
+        """
+        actor = self.actors[name]
+        before: Reaches | None = actor.settings("reach")
+        if before is not None:
+            reaches, poses = (*before.reaches, *reaches), (*before.poses, *poses)
+        settings = Reaches(tuple(reaches), actor.motion.motion, actor.retargeter, tuple(poses))
+        self.actors[name] = actor.with_layer("reach", settings=settings)
+        self.world.version += 1
+
+    @cached_property
+    def environment(self) -> Environment:
+        """Static surroundings."""
+        return Environment.load(self.config, self.source, self.furnishing)
+
+    @cached_property
+    def cameras(self) -> dict[str, SceneCamera]:
+        """Cameras by name."""
+        cameras = {
+            name: replace(camera, backdrop=camera.backdrop or self.environment.backdrop)
+            for name, camera in build_cameras(self.config, self.source, self.robot).items()
+        }
+        randomise = self.config.randomise
+        return cameras if randomise is None else random_cameras(cameras, randomise)
+
+
+def _with_levels(actor: Actor, source: SceneSource) -> Actor:
+    """A human with levels of detail, unless keyframes change its size."""
+    if actor.keyframes is not None:
+        return actor
+    human = actor.human
+    levels = source.once(lambda: levels_of(human), "levels", id(human.mesh.vertices), human.skinning)
+    return replace(actor, levels=levels)
+
 
 #: Features in the order in which they are called, with the condition under which a scene has them. Labels of
 #: objects follow this order.

@@ -14,8 +14,8 @@ from humansim_ros.scene.config.config import MotionConfig
 from humansim_ros.scene.core.source import SceneSource
 from humansim_ros.types import Array
 
-#: Features with a layer, in the order of their stages.
-LAYERS = ("floor", "reach", "keyframes", "hands", "face", "cloth")
+#: Modules of features that have a layer, in the order of the stages.
+LAYERS = ("floor.layer", "reach.feature", "keyframes.feature", "hands.layer", "face.layer", "cloth.layer")
 
 
 class Owner(Protocol):
@@ -225,7 +225,7 @@ class PoseLayer:
 
 def layer_types() -> list[type[PoseLayer]]:
     """All layers, in the order of their stages."""
-    return [import_module(f"humansim_ros.scene.features.{name}.layer").LAYER for name in LAYERS]
+    return [import_module(f"humansim_ros.scene.features.{name}").LAYER for name in LAYERS]
 
 
 def layers_of(human: Human) -> tuple[PoseLayer, ...]:

@@ -21,13 +21,12 @@ from humansim_ros.motion.pose import WorldMotion
 from humansim_ros.scene.config.config import MotionConfig
 from humansim_ros.scene.core.actor import Actor, joint_poses_of
 from humansim_ros.scene.core.camera import CameraPose
-from humansim_ros.scene.core.followers import followed
+from humansim_ros.scene.core.human_state import standing_in
 from humansim_ros.scene.core.scene import Scene
 from humansim_ros.scene.core.source import SceneSource
-from humansim_ros.scene.core.stands import standing_in
 from humansim_ros.scene.core.state import SceneState
-from humansim_ros.scene.core.world import World
-from humansim_ros.scene.features.robot.keys import ROBOT
+from humansim_ros.scene.core.world import World, followed
+from humansim_ros.scene.features.robot import ROBOT
 from humansim_ros.types import Array
 
 #: Keys that describe the motion file; another file starts with their defaults.

@@ -26,12 +26,11 @@ from humansim_ros.scene.config.config import SceneConfig, check_config, frame_ti
 from humansim_ros.scene.config.timing import CameraTiming
 from humansim_ros.scene.core.actor import Actor
 from humansim_ros.scene.core.camera import SceneCamera
-from humansim_ros.scene.core.carriers import Carrier
 from humansim_ros.scene.core.environment import Environment
 from humansim_ros.scene.core.features import begin_draft, features_of
+from humansim_ros.scene.core.looks import random_looks
 from humansim_ros.scene.core.names import check_node_names
-from humansim_ros.scene.core.objects import SceneObject
-from humansim_ros.scene.core.randomise import random_looks
+from humansim_ros.scene.core.objects import Carrier, SceneObject
 from humansim_ros.scene.core.source import SceneSource, name_objects
 from humansim_ros.scene.core.world import World
 

@@ -1,4 +1,4 @@
-"""A scene at one stamp.
+"""A scene at one stamp, and what its cameras capture of it.
 
 During an exposure, joints, objects and cameras move at the velocities that they have at the stamp. Earlier
 frames are not used: the scene time may have jumped since.
@@ -7,21 +7,27 @@ frames are not used: the scene time may have jumped since.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from humansim_ros.cameras.camera import Camera
+from humansim_ros.cameras.sensor import DepthSensor, Millimetres, aligned, metres, points_of
 from humansim_ros.geometry import ObjectPose
 from humansim_ros.motion.body import JointPoses
-from humansim_ros.render.interface import AdjacentFrame, Body
+from humansim_ros.render.device import pixel_rays
+from humansim_ros.render.interface import AdjacentFrame, Body, Renderer, RenderRequest, View
 from humansim_ros.scene.core.actor import Actor
 from humansim_ros.scene.core.camera import CameraPose, SceneCamera
+from humansim_ros.scene.core.faults import NO_FAULTS, FrameFaults
 from humansim_ros.scene.core.human_state import HumanState
 from humansim_ros.scene.core.scene import Scene
+from humansim_ros.scene.truth.camera_truth import CameraTruth
+from humansim_ros.types import Array, Float32Array, Image
 
 Content = TypeVar("Content")
 
@@ -145,3 +151,173 @@ class SceneState:
     def _pose_at(self, camera: SceneCamera, seconds: float) -> CameraPose:
         pose = self.calibrated_pose(camera).moved(seconds)
         return camera.true_pose(pose, self.scene_time * 1e-9 + seconds)
+
+
+@dataclass(frozen=True, eq=False)
+class CameraShot:
+    """What a camera is to take at a stamp.
+
+    Attributes:
+        camera: The camera with its sensor.
+        exposure: Bodies and camera pose around the stamp, which is the middle of the exposure time.
+        channels: Names of the channels. All but rgb show the scene at the stamp.
+        faults: Faults of the picture. Channels other than rgb have none.
+        frozen: Colours of an earlier frame that the camera shows in place of its own.
+    """
+
+    camera: SceneCamera
+    exposure: Exposure
+    channels: Collection[str]
+    faults: FrameFaults = NO_FAULTS
+    frozen: Image | None = None
+
+    @cached_property
+    def posed(self) -> Camera:
+        """The camera at its pose at the stamp."""
+        return self.camera.camera_at(self.exposure.pose_at(0.0))
+
+    @cached_property
+    def request(self) -> RenderRequest | None:
+        """The view at the stamp. None if only views of other times are rendered."""
+        coloured = self.frozen is None and not self._times.any()
+        rendered = [channel for channel in self.channels if coloured or channel != "rgb"]
+        if not rendered:
+            return None
+        taken = self.exposure
+        return RenderRequest(
+            taken.bodies_at(0.0),
+            self.posed,
+            rendered,
+            taken.moving,
+            taken.next_frame,
+            taken.previous_frame,
+            self.camera.backdrop,
+        )
+
+    def take(self, renderer: Renderer, scene_time: int) -> View:
+        """Render what the camera sees during its exposure, and apply its sensor to rgb.
+
+        Args:
+            renderer: Renderer of the scene.
+            scene_time: Nanoseconds; the sensor's noise depends on it.
+        """
+        view = View() if self.request is None else renderer.render(self.request)
+        if self.frozen is not None:
+            return view.with_channels(rgb=self.frozen)
+        if "rgb" not in self.channels:
+            return view
+        camera, times = self.camera, self._times
+        light = None if self.faults is NO_FAULTS else camera.light(scene_time, self.faults)
+        if not times.any() and not camera.sensor.active and light is None:
+            return view
+        images = self._colours(renderer, times.tolist()) if times.any() else [view.rgb]
+        return view.with_channels(rgb=camera.sensor.expose(images, scene_time, light))
+
+    @cached_property
+    def _times(self) -> Array:
+        """Times (N,) of the images that rgb is the mean of, seconds after the stamp."""
+        return self.camera.sensor.times() + self.faults.trigger_delay
+
+    def _colours(self, renderer: Renderer, times: Sequence[float]) -> Iterator[Image]:
+        taken, camera = self.exposure, self.camera
+        for time in times:
+            posed = camera.camera_at(taken.pose_at(time))
+            request = RenderRequest(
+                taken.bodies_at(time), posed, ("rgb",), taken.moving, backdrop=camera.backdrop
+            )
+            yield renderer.render(request).rgb
+
+
+def capture_rectified_depth(renderer: Renderer, camera: SceneCamera, exposure: Exposure) -> Float32Array:
+    """Depth (H, W) in metres along the axis of the camera of ``image_rect``, at the stamp. It is rendered
+    with this camera. Depth interpolated from another image would be wrong at edges, and depth of the nearest
+    pixel would be wrong on slanted surfaces. NaN where ``image_raw`` has no pixel."""
+    pose = exposure.pose_at(0.0)
+    seen = camera.rectified_at(pose)
+    depth = renderer.render(exposure.bodies_at(0.0), seen, ("depth",), exposure.moving).depth
+    return depth if camera.rectified is None else camera.rectified.without_border(depth)
+
+
+@dataclass(frozen=True, eq=False)
+class DepthCapture:
+    """What the depth sensor of a camera sees and measures at a stamp.
+
+    Attributes:
+        camera: Camera of the depth image at its true pose.
+        exact: (h, w) metres, as the channel ``depth`` of that camera; inf where nothing is.
+        measured: (h, w) millimetres; 0 where nothing is measured.
+        color: Camera of ``image_raw``.
+    """
+
+    camera: Camera
+    exact: Float32Array
+    measured: Millimetres
+    color: Camera
+
+    @property
+    def depth(self) -> Float32Array:
+        """Measured depth (h, w) in metres; NaN where nothing is measured."""
+        return metres(self.measured)
+
+    @property
+    def points(self) -> Float32Array:
+        """Measured points (h, w, 3) in the optical frame of the sensor, metres; NaN without depth."""
+        return points_of(self.depth, pixel_rays(self.camera))
+
+    @cached_property
+    def aligned(self) -> Millimetres:
+        """Measured depth (H, W) in the pixels of ``image_raw``, millimetres along its axis; 0 without."""
+        return aligned(self.measured, pixel_rays(self.camera), self.camera, self.color)
+
+    @property
+    def color_points(self) -> Float32Array:
+        """Points (H, W, 3) of the pixels of ``image_raw`` in its optical frame, metres; NaN without depth."""
+        return points_of(metres(self.aligned), pixel_rays(self.color))
+
+
+def capture_depth(
+    renderer: Renderer, camera: SceneCamera, sensor: DepthSensor, exposure: Exposure, scene_time: int
+) -> DepthCapture:
+    """Render what the depth sensor of a camera sees at the stamp, and measure it.
+
+    Args:
+        renderer: Renderer of the scene.
+        camera: The camera.
+        sensor: Its depth sensor.
+        exposure: Bodies and camera pose around the stamp.
+        scene_time: Nanoseconds; the errors depend on it.
+    """
+    bodies, pose = exposure.bodies_at(0.0), exposure.pose_at(0.0)
+    own = sensor.camera_at(pose.R, pose.t)
+    channels = ("rgb", "depth") if sensor.needs_light else ("depth",)
+    view = renderer.render(bodies, own, channels, exposure.moving)
+    other = sensor.second_camera(own)
+    second = None if other is None else renderer.render(bodies, other, ("depth",), exposure.moving).depth
+    colours = view.rgb if sensor.needs_light else None
+    measured = sensor.measure(view.depth, scene_time, second, colours)
+    return DepthCapture(own, view.depth, measured, camera.camera_at(pose))
+
+
+def observe(state: SceneState, renderer: Renderer, shot: CameraShot) -> CameraTruth:
+    """Render a camera of a state. The result has the posed camera, its images, and their ground truth.
+
+    Args:
+        state: The scene at a stamp.
+        renderer: Renderer of the scene.
+        shot: The camera with its exposure, which has the adjacent frames that channels need.
+    """
+    scene = state.scene
+    return CameraTruth(
+        shot.posed,
+        shot.take(renderer, state.scene_time),
+        state.bodies,
+        labels=scene.labels,
+        joint_surfaces=scene.joint_surfaces,
+        # not the state: frames that are stored would hold the bodies of exposures
+        joint_positions=partial(_joint_positions, state.humans),
+        humans={name: actor.human for name, actor in state.actors.items()},
+    )
+
+
+def _joint_positions(humans: Mapping[str, HumanState], name: str) -> Array:
+    return humans[name].positions

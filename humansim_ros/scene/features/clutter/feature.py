@@ -9,10 +9,9 @@ import numpy as np
 from humansim_ros.errors import SceneError
 from humansim_ros.render.device import PosedMesh, Topology
 from humansim_ros.scene.config.config import ObjectConfig
-from humansim_ros.scene.core.draft import Draft
-from humansim_ros.scene.core.features import Feature
+from humansim_ros.scene.core.features import Draft, Feature
 from humansim_ros.scene.core.floor import DURATION, Floor, floor_corners
-from humansim_ros.scene.core.randomise import RandomNumbers, random_numbers
+from humansim_ros.scene.core.looks import RandomNumbers, random_numbers
 from humansim_ros.types import Array
 
 #: Seconds between two times of the first minute at which humans are not touched.

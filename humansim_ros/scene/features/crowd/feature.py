@@ -18,16 +18,14 @@ from humansim_ros.errors import HumansimError, SceneError, in_section, some_of
 from humansim_ros.files.reading import built_in_names
 from humansim_ros.motion.pose import WalkPath
 from humansim_ros.scene.config.config import HumanConfig, MotionConfig, SceneConfig
-from humansim_ros.scene.core.draft import Draft
-from humansim_ros.scene.core.features import Feature
+from humansim_ros.scene.core.features import Draft, Feature
 from humansim_ros.scene.core.floor import floor_corners, footprints, things_on_floor
+from humansim_ros.scene.core.looks import RandomNumbers, random_numbers
 from humansim_ros.scene.core.names import variety_names
-from humansim_ros.scene.core.randomise import RandomNumbers, random_numbers
 from humansim_ros.scene.core.source import SceneSource
-from humansim_ros.scene.features.crowd.keys import CrowdConfig
-from humansim_ros.scene.features.crowd.orca import Walkers
-from humansim_ros.scene.features.crowd.walk_grid import WalkGrid
-from humansim_ros.scene.features.face.keys import living_face
+from humansim_ros.scene.features.crowd import CrowdConfig
+from humansim_ros.scene.features.crowd.walking import Walkers, WalkGrid
+from humansim_ros.scene.features.face import living_face
 from humansim_ros.types import Array
 
 #: Seconds between two velocities, and seconds in which nobody collides.

@@ -17,13 +17,13 @@ from humansim_ros.people.makehuman import has_mouth, jaw_of, with_mouth
 from humansim_ros.scene.config.config import LIVE, HumanConfig
 from humansim_ros.scene.core.actor import Actor
 from humansim_ros.scene.core.camera import SceneCamera
-from humansim_ros.scene.core.draft import Draft
+from humansim_ros.scene.core.features import Draft
 from humansim_ros.scene.core.findings import CheckedFeature, Finding, SceneSamples, numbers
-from humansim_ros.scene.core.randomise import RandomNumbers, random_numbers
+from humansim_ros.scene.core.looks import RandomNumbers, random_numbers
 from humansim_ros.scene.core.source import SceneSource
+from humansim_ros.scene.features.face import AHEAD, FaceConfig
 from humansim_ros.scene.features.face.files import read_face_file
-from humansim_ros.scene.features.face.keys import AHEAD, FaceConfig
-from humansim_ros.scene.features.face.tracks import Face, Gaze, GazeTarget, blinks, glances, key_tracks, seen
+from humansim_ros.scene.features.face.layer import Face, Gaze, GazeTarget, blinks, glances, key_tracks, seen
 from humansim_ros.types import Array
 
 #: Share of the time in which eyes reach what they look at.

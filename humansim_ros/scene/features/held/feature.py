@@ -10,12 +10,10 @@ import numpy as np
 from humansim_ros.errors import SceneError, in_section, unknown
 from humansim_ros.geometry import unit_vectors
 from humansim_ros.motion.pose import PALM, WITHOUT_REACH
-from humansim_ros.scene.core.draft import Draft
-from humansim_ros.scene.core.features import Feature
-from humansim_ros.scene.core.followers import Follower, path_frames
+from humansim_ros.scene.core.features import Draft, Feature
 from humansim_ros.scene.core.objects import SHAPES, SceneObject
-from humansim_ros.scene.core.world import World
-from humansim_ros.scene.features.held.keys import HoldConfig
+from humansim_ros.scene.core.world import Follower, World, path_frames
+from humansim_ros.scene.features.held import HoldConfig
 from humansim_ros.types import Array
 
 #: Half the thickness of a hand, metres.

@@ -14,11 +14,11 @@ from humansim_ros.motion.files import needs_table
 from humansim_ros.motion.pose import PathMotion
 from humansim_ros.scene.config.config import LIVE, MotionConfig, ObjectConfig, SceneConfig
 from humansim_ros.scene.core.actor import Actor
-from humansim_ros.scene.core.draft import Draft
 from humansim_ros.scene.core.environment import Environment
+from humansim_ros.scene.core.features import Draft
 from humansim_ros.scene.core.findings import CheckedFeature, Finding, SceneSamples, motion_key, numbers
+from humansim_ros.scene.core.floor import HIGHEST_HIPS, SEAT_HEIGHT, TO_TABLE, Sitting, find_sittings
 from humansim_ros.scene.core.objects import SceneObject
-from humansim_ros.scene.core.seats import HIGHEST_HIPS, SEAT_HEIGHT, TO_TABLE, Sitting, find_sittings
 from humansim_ros.scene.core.source import SceneSource
 from humansim_ros.types import Array
 

@@ -19,15 +19,21 @@ from humansim_ros.people.humans import Human
 from humansim_ros.people.makehuman import PeopleLimits, person_name
 from humansim_ros.scene.config.config import HumanConfig, MotionConfig, SceneConfig
 from humansim_ros.scene.core.actor import Actor
-from humansim_ros.scene.core.draft import Draft
-from humansim_ros.scene.core.features import Feature
-from humansim_ros.scene.core.floor import Floor, Footprint, floor_corners, footprints, things_on_floor
+from humansim_ros.scene.core.features import Draft, Feature
+from humansim_ros.scene.core.floor import (
+    Floor,
+    Footprint,
+    Seat,
+    floor_corners,
+    footprints,
+    seats_of,
+    things_on_floor,
+)
+from humansim_ros.scene.core.looks import RandomNumbers, random_numbers
 from humansim_ros.scene.core.names import variety_names
-from humansim_ros.scene.core.randomise import RandomNumbers, random_numbers
-from humansim_ros.scene.core.seats import Seat, seats_of
 from humansim_ros.scene.core.source import SceneSource
-from humansim_ros.scene.features.face.keys import living_face
-from humansim_ros.scene.features.variety.keys import VarietyConfig
+from humansim_ros.scene.features.face import living_face
+from humansim_ros.scene.features.variety import VarietyConfig
 from humansim_ros.types import Array
 
 #: Least distances in metres of joints, which are inside the body, from walls, things and joints of others.

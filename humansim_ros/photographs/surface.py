@@ -175,8 +175,12 @@ class Surface:
 
     @cached_property
     def mirrored_triangles(self) -> tuple[Indices, Indices]:
-        """Triangle (N,) on the other side of the body, -1 if there is none. For each corner of that triangle,
-        also the corresponding corner of the triangle itself (N, 3)."""
+        """For each triangle, the triangle at the mirrored place on the other side of the body.
+
+        Returns:
+            Number of the other triangle (N,), -1 if there is none. For each corner of the other triangle,
+            also the corner (0, 1 or 2) of the first triangle that it mirrors (N, 3).
+        """
         opposite = self.mirrored[self.triangles]
         order, other = np.argsort(opposite, axis=1), np.argsort(self.triangles, axis=1)
         count = len(self.points)

@@ -208,7 +208,8 @@ def _realsense(file: CalibrationFile) -> _Cameras:
 
 
 def _stereo(file: CalibrationFile) -> _Cameras:
-    """Cameras of stella_vslam, OpenVSLAM and ORB-SLAM2. Their rotations lead to the rectified images."""
+    """Left and right camera in files of stella_vslam, OpenVSLAM and ORB-SLAM2. In these files, the matrix R
+    of a camera rotates from its own axes to those of the rectified images."""
     items: dict[str, Any] = {}
     for key, value in file.mapping().items():  # LEFT.K, or K under LEFT
         first, _, rest = str(key).partition(".")

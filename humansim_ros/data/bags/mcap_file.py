@@ -98,8 +98,8 @@ _DAMAGES = (McapError, struct.error, UnicodeDecodeError, ValueError, OverflowErr
 
 
 def mark(group: int, ends_group: bool, space: int = 0) -> bytes:
-    """The record after a chunk. It says that the chunk is complete, and its group. ``space``: zeros at the
-    end."""
+    """The record that follows a chunk. It says that the chunk is complete, to which group (the chunks of one
+    frame) the chunk belongs, and whether it is the last of the group. ``space``: number of zeros to add."""
     content = _MARK_CONTENT.pack(_MARK_NAME, group, ends_group) + bytes(space)
     return RECORD.pack(_MARK, len(content)) + content
 

@@ -253,7 +253,8 @@ class _Worker:
         return WorkerDiedError(f"worker process {self.number + 1} {reason} {doing}")
 
     def close(self) -> None:
-        """Wait for the end of the process after its socket is closed, or kill it."""
+        """Wait until the process has ended, and kill it if that takes too long. The caller must close the
+        connection first, which tells the process to end."""
         try:
             self.process.wait(_ENDING)
         except subprocess.TimeoutExpired:

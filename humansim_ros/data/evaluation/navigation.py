@@ -36,7 +36,14 @@ class Gap:
 
 @dataclass(frozen=True)
 class NavigationFrames:
-    """Numbers of frames of the truth: with a pose of the robot, and without. ``gaps`` lists the latter."""
+    """How many frames of the truth have a pose of the robot.
+
+    Attributes:
+        compared: Number of frames with a pose.
+        without_pose: Number of frames without a pose.
+        start, end: Stamps of the first and the last frame, nanoseconds.
+        gaps: The runs of consecutive frames without a pose.
+    """
 
     compared: int
     without_pose: int

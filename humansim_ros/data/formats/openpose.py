@@ -71,12 +71,14 @@ def openpose_keypoints(pixels: Array, visible: NDArray[np.uint8]) -> Array:
 
 
 def openpose_text(people: Sequence[Array], keypoints: KeypointSet) -> str:
-    """Text of the file of one image: keypoints (K, 3) of :func:`openpose_keypoints` of each.
+    """Text of the OpenPose file of one image.
 
-    Points of the face and the hands of the set of OpenPose are in fields of their own.
+    The file lists all people in the order given, and people out of sight with zeros, so that entry n is the
+    same person in all files. ``person_id`` counts from 1.
 
-    The file lists all people in the order given, those out of sight with zeros: entry n of all files is the
-    same person. ``person_id`` counts from 1.
+    Args:
+        people: Keypoints (K, 3) of each person, from :func:`openpose_keypoints`.
+        keypoints: Set of the keypoints. In ``openpose137``, the face and each hand have fields of their own.
     """
     entries = [
         {

@@ -174,7 +174,8 @@ class UsdStage:
         self._add_mesh(f"{path}/Surface", mesh)
 
     def _add_camera(self, path: str, item: tuple[Camera, PoseTrack]) -> None:
-        """Add a camera: a film of 36 mm. The principal point need not be in its middle."""
+        """Add a camera with a film 36 mm wide. The film is shifted if the principal point is not in the
+        middle of the image. ``item``: the camera, and its poses over time."""
         from pxr import Gf, UsdGeom
 
         calibrated, track = item

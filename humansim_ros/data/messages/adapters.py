@@ -77,16 +77,17 @@ VISION_MSGS, PEOPLE_MSGS, SPENCER_MSGS = (
 
 @dataclass(frozen=True)
 class AdapterTopic(Topic[Frame]):
-    """A topic of an adapter. Its messages are built from a frame.
+    """A topic of an adapter, which sends the truth as messages of another people stack. The messages of the
+    topic are built from a frame.
 
     Attributes:
         package: Package of its messages.
-        people: Whether it needs joints and vertices of the humans.
-        inputs: Topics of its camera that it needs, as names of :data:`CAMERA_INPUTS`.
-        posed: Camera with a pose that it needs. Empty for none.
-        repeated: Whether it is sent again while there are no frames, since its subscribers are volatile.
-        on_demand: Whether its inputs are received only while it has subscribers.
-        row: Name of its adapter in the table.
+        people: Whether the topic needs joints and vertices of the humans.
+        inputs: Other topics of its camera that the topic needs, as names of :data:`CAMERA_INPUTS`.
+        posed: Name of a camera. The topic needs its pose. Empty if the topic needs none.
+        repeated: Whether messages are sent again while there are no frames, since subscribers are volatile.
+        on_demand: Whether its inputs are received only while the topic has subscribers.
+        row: Name of the adapter, which is one row of the table of adapters.
     """
 
     package: MessagePackage = VISION_MSGS

@@ -84,8 +84,8 @@ class HriPerson:
         face_roi: Box (4,) of the landmarks inside the image. None if there are none.
         links: True poses (4, 4) of the links in ``map`` by name. Empty if the skeleton lacks bones that
             ROS4HRI needs.
-        angles: Nearest angles (20,) of the joints, radians.
-        urdf: Function that returns the URDF of the person for the id of a body.
+        angles: Joint angles (20,) of the model of ROS4HRI that come nearest to the true pose, radians.
+        urdf: Function that takes the id of a body in ROS4HRI, and returns the URDF of the person.
         linear: Velocity (3,) of the body in its own axes, m/s. None if unknown.
         angular: Angular velocity (3,) of the body, rad/s.
         face: Pose (4, 4) of the face in ``map``. None unless the camera sees the face.

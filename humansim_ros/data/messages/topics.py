@@ -115,7 +115,8 @@ def _sent_once(name: str, kind: type[Any], build: Callable[[], Any], **settings:
 
 
 def _label_legends(scene: Scene) -> dict[str, Callable[[], String]]:
-    """Builders of the legends of labels, by name of the labels."""
+    """Functions that build the legends of ``instance`` and ``part``, by these names. A legend says what each
+    number of a label means."""
     legends = {"instance": lambda: messages.instance_legend(scene.labels)}
     if scene.actors:
         skeleton = next(iter(scene.actors.values())).human.skeleton

@@ -49,7 +49,7 @@ class SparseValues(Part):
 
 
 class SparseIndices(SparseValues):
-    """Numbers of the rows that sparse values replace."""
+    """Where a sparse accessor stores the indices of the rows that it replaces, and their integer type."""
 
     componentType: Literal[5121, 5123, 5125]
 

@@ -203,8 +203,8 @@ class _Collapsing:
         return np.stack([around @ each for each in quadrics]), (around @ (areas.T / 3)).T
 
     def collapse(self, goal: int, largest: float = np.inf) -> bool:
-        """Collapse edges until ``goal`` triangles remain. Returns whether any edge could be collapsed.
-        ``largest``: squared error of a collapse."""
+        """Do one round: collapse the cheapest edges, but stop at about ``goal`` triangles. An edge with
+        a squared error above ``largest`` is not collapsed. Returns False if no edge is left to try."""
         count = self.poses.shape[1]
         gone, kept, sides, neighbours = self._edges()
         if not len(gone):

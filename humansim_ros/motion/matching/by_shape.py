@@ -88,7 +88,8 @@ class JointTree:
         return [joint, *ancestors(joint, self.parents)]
 
     def pairs(self) -> list[BranchPair]:
-        """All pairs of similar long branches of one joint. Joints at one place count as one."""
+        """Find all pairs of long branches that start at the same joint and are about equally long. Joints at
+        the same place count as one joint."""
         pairs = []
         for joint in range(len(self.parents)):
             branches = [child for child in self._branches(joint) if self.reach[child] > 0.15 * self.size]

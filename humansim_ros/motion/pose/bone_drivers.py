@@ -147,9 +147,13 @@ class BoneDrivers:
         return rotations
 
     def transfer(self, positions: Array, joint_rotations: Array, rest: Array) -> Array:
-        """Rotate bones (N, B, 3, 3) by the whole rotations of the joints, from a shared rest pose (B, 3, 3).
-        Bones with a link are then rotated onto it. ``positions``, ``joint_rotations``: the same as in
-        :meth:`swing`."""
+        """Compute rotations (N, B, 3, 3) of all bones from the full rotations of their joints, with twist.
+        Bones with a link are then rotated onto the link. Bones without a joint follow their parents.
+
+        Args:
+            positions, joint_rotations: The same as in :meth:`swing`.
+            rest: Rotations (B, 3, 3) of the bones when all joint rotations are zero.
+        """
         rotations = np.empty((len(positions), len(self.skeleton), 3, 3))
         links, joints, _ = self._transferred
         for driven in (links, joints):
@@ -219,7 +223,9 @@ class BoneDrivers:
 
     @cached_property
     def _from_links(self) -> Array | None:
-        """Rotations (B, 3, 3) from a bone that is parallel to its link at rest to the bone at rest."""
+        """Rotations (B, 3, 3) that restore the angle between a bone and its link at rest: the rotation of a
+        bone that lies along its link is multiplied by them on the right. Identity for bones that are parallel
+        to their links at rest. None if all bones are."""
         if not self.rest_links:
             return None
         out = np.tile(np.eye(3), (len(self.skeleton), 1, 1))

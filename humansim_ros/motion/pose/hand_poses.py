@@ -220,10 +220,10 @@ def _driven(match: JointMatch) -> frozenset[str]:
 
 @dataclass(frozen=True)
 class FreeFingers:
-    """Moves the finger bones of a skeleton that no joint drives. Given rotations decide, else the arm.
+    """Moves the finger bones of a skeleton that no joint drives. A hand with given rotations takes them.
 
-    A hand is relaxed by default. It opens, with fingers apart, while the arm is raised. ``free``: (30,)
-    whether no joint drives each bone.
+    Any other hand follows its arm: it is relaxed, and opens, with fingers apart, while the arm is raised.
+    ``free``: (30,) whether each finger bone is free, so that no joint drives any bone of its finger.
     """
 
     skeleton: Skeleton

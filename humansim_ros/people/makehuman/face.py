@@ -216,7 +216,8 @@ def _parts() -> _Parts:
 
 
 def _tile(group: str, shares: Array) -> Array:
-    """Places (..., 2) in the tile of the texture. ``shares``: (..., 2) of the width and height of a group."""
+    """Texture coordinates (..., 2) in the tile that teeth and tongue share, 0 to 1 across and down.
+    ``shares``: (..., 2) coordinates in the part of the tile that a group has, 0 to 1 across and down."""
     across, down = _TILE[2:]
     top, bottom = _ROWS[group]
     return (np.array([1, top]) + shares * [across - 2, bottom - top]) / [across, down]

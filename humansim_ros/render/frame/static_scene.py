@@ -456,9 +456,16 @@ class LightMap:
     def _light(
         self, points: moderngl.Texture, normals: moderngl.Texture, maps: moderngl.Texture
     ) -> list[moderngl.Texture]:
-        """Images of the light of sky and ground: visible and total on the front, then the same on the back.
-        Each texel tests one ninth of the directions, and its neighbours test the other eight. The texels of
-        one ninth are side by side: ninth (column, row) has the texels (3 x + column, 3 y + row)."""
+        """Render the light of sky and ground at each texel of the map.
+
+        A texel sums up only one ninth of the directions. The eight texels around it sum up the others. Texels
+        with the same directions are drawn together, so the images consist of 3 x 3 blocks: pixel (x, y) of
+        block (column, row) is texel (3 x + column, 3 y + row) of the map.
+
+        Returns:
+            Image of the sky, and image of the ground. Their channels are the visible and the total light on
+            the front of a surface, then the same on the back.
+        """
         width, height = (-(-side // 3) for side in points.size)
         switches = [f"COUNT {_SIDE * _SIDE // 9}", f"TEXELS {_TEXELS}"]
         program = link(self._ctx, "fullscreen.vert", "ambient_light.frag", switches)

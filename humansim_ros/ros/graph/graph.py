@@ -51,8 +51,8 @@ class TopicChoice:
         return cls(tuple(dict.fromkeys(patterns)))
 
     def has(self, topic: str) -> bool:
-        """Whether a topic is chosen. Patterns match neither hidden topics (``_``) nor topics of every
-        node."""
+        """Whether a topic is chosen. Hidden topics (``/_`` in the name), and the topics that every node has
+        (``/rosout``, ``/parameter_events``), are chosen only by their full names, not by patterns."""
         if topic in self.patterns:
             return True
         if topic in _OF_EVERY_NODE or "/_" in topic:

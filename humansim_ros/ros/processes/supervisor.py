@@ -206,7 +206,8 @@ _LONG_RUN = 30.0
 
 
 class RestartPolicy:
-    """Counts consecutive deaths of a node."""
+    """Decides how long to wait before a node that died is started again. The delay grows with each death in
+    a row. After too many, the node is given up."""
 
     def __init__(self) -> None:
         self._deaths = 0

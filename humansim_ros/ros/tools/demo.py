@@ -201,8 +201,9 @@ class _Recorder:
         self.thumbnails.clear()
 
     def complete_stamps(self) -> tuple[int, int]:
-        """Number of stamps with images of all cameras, and of stamps with any image, from the first complete
-        one to the last."""
+        """Count the stamps from the first to the last complete one. A stamp is complete if it has images of
+        all cameras. Returns the number of complete stamps, and the number of stamps with at least one image.
+        If no stamp is complete, the second number counts all stamps."""
         complete = self.thumbnails.whole()
         if not complete:
             return 0, len(self.thumbnails)

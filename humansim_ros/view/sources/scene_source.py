@@ -303,7 +303,7 @@ class _Frame:
 
     @property
     def so_far(self) -> Images:
-        """The images in the order of the cameras."""
+        """The images that have arrived until now, in the order of the cameras in the request."""
         found = {name: self.images[name] for name in self.request.cameras if name in self.images}
         return Images(self.request, found)
 

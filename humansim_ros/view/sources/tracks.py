@@ -482,11 +482,12 @@ def _joined(spans: Sequence[tuple[int, int]], count: int) -> list[tuple[int, int
 
 
 class TrackReader:
-    """Reads the tracks of the source of a page in the background.
+    """Reads the tracks of the timeline of a page in a background process, for the source that the page shows.
 
     Args:
-        publish: Called in a thread of its own with the number of a source, and its tracks or the reason why
-            there are none.
+        publish: Called in another thread whenever more of the tracks has been read. It takes the number of
+            the source, from :meth:`show`, and the tracks as far as they have been read. If they cannot be
+            read, it takes a text with the reason instead.
     """
 
     def __init__(self, publish: Callable[[int, Tracks | str], None]) -> None:

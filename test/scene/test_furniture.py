@@ -15,6 +15,7 @@ from conftest import ROOT
 from humansim_ros import Scene, Simulation
 from humansim_ros.cli.scene import list_meshes
 from humansim_ros.errors import SceneError
+from humansim_ros.files.mesh import Mesh
 from humansim_ros.scene.core.objects import BUILT_IN_MESHES, FURNITURE, SHAPES
 
 CAMERA = {"size": [96, 72], "position": [4, 0, 1.2], "look_at": [0, 0, 0.8]}
@@ -125,3 +126,22 @@ def test_moving_furniture_is_shown_by_rviz_as_triangles() -> None:
     np.testing.assert_allclose(pose.apply(points), expected, atol=1e-12)
     color = [message.color.r, message.color.g, message.color.b]
     np.testing.assert_allclose(np.multiply(color, 255), FURNITURE["chair"].color, atol=1e-4)
+
+
+@pytest.mark.parametrize("segments", [4, 40])
+def test_a_moving_mesh_without_a_file_is_shown_by_rviz_as_triangles(segments: int) -> None:
+    """Of a mesh with many triangles, its convex hull is shown."""
+    pytest.importorskip("rclpy")
+    from visualization_msgs.msg import Marker
+
+    from humansim_ros.data.messages.cameras import object_message
+
+    ball = trimesh.creation.uv_sphere(0.2, count=[segments, segments])
+    mesh = Mesh(np.asarray(ball.vertices), np.asarray(ball.faces, np.int32))
+    scene = Scene.build(cameras={"front": CAMERA}, objects={"thing": {"mesh": mesh}}, room=None)
+    thing = scene.objects["thing"]
+    message = object_message(thing, thing.initial_pose, 1)
+    assert message.type == Marker.TRIANGLE_LIST and message.mesh_resource == ""
+    corners = np.array([[p.x, p.y, p.z] for p in message.points]).reshape(-1, 3, 3)
+    shown = trimesh.Trimesh(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3))
+    assert shown.convex_hull.volume == pytest.approx(ball.convex_hull.volume, rel=1e-6)

@@ -6,6 +6,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+import scipy.spatial
 
 from humansim_ros.cameras.camera import Camera, Region
 from humansim_ros.data.messages.headers import WORLD_FRAME, header
@@ -24,6 +25,7 @@ from humansim_ros.data.messages.types import (
     Vector3,
 )
 from humansim_ros.errors import CameraError, RosError, within_bounds
+from humansim_ros.files.mesh import Mesh
 from humansim_ros.geometry import ObjectPose, Velocity, matrix_to_quaternion, unit_quaternions
 from humansim_ros.scene.core import FURNITURE, CameraPose, SceneObject
 from humansim_ros.types import Array
@@ -163,13 +165,18 @@ def projection_message(camera: Camera) -> Float64MultiArray:
     return message
 
 
+#: Most triangles of a mesh without a file that are sent with each frame.
+_MOST_TRIANGLES = 1000
 _MARKER_TYPES = {"box": Marker.CUBE, "sphere": Marker.SPHERE, "cylinder": Marker.CYLINDER}
 
 
 def object_message(scene_object: SceneObject, pose: ObjectPose, stamp: int) -> Marker:
-    """Build ``objects/<name>/marker``: a moving object with its pose and size, as RViz shows it."""
-    furniture = scene_object.shape in FURNITURE
-    other = Marker.TRIANGLE_LIST if furniture else Marker.MESH_RESOURCE
+    """Build ``objects/<name>/marker``: a moving object with its pose and size, as RViz shows it.
+
+    RViz reads a mesh file itself. A mesh without a file is sent as triangles, in one colour.
+    """
+    has_file = Path(scene_object.shape).is_absolute()
+    other = Marker.MESH_RESOURCE if has_file else Marker.TRIANGLE_LIST
     shape = _MARKER_TYPES.get(scene_object.shape, other)
     marker = Marker(header=header(stamp, WORLD_FRAME), ns=f"objects/{scene_object.name}", type=shape)
     marker.action = Marker.ADD
@@ -181,16 +188,24 @@ def object_message(scene_object: SceneObject, pose: ObjectPose, stamp: int) -> M
     marker.color = ColorRGBA(r=red, g=green, b=blue, a=1.0)
     if shape == Marker.MESH_RESOURCE:
         marker.mesh_resource = Path(scene_object.shape).as_uri()
-    elif furniture:
-        marker.points = _triangle_points(scene_object.shape)
+    elif shape == Marker.TRIANGLE_LIST:
+        known = scene_object.shape in FURNITURE
+        marker.points = _furniture(scene_object.shape) if known else _triangle_points(scene_object.mesh)
     return marker
 
 
 @lru_cache
-def _triangle_points(name: str) -> list[Point]:
+def _furniture(name: str) -> list[Point]:
     """Corners of the triangles of a built-in piece of furniture, three for each."""
-    mesh = FURNITURE[name].mesh()
-    return [Point(x=x, y=y, z=z) for x, y, z in mesh.vertices[mesh.triangles].reshape(-1, 3).tolist()]
+    return _triangle_points(FURNITURE[name].mesh())
+
+
+def _triangle_points(mesh: Mesh) -> list[Point]:
+    """Corners of the triangles of a mesh, three for each. If there are many, corners of its convex hull."""
+    triangles = mesh.triangles
+    if len(triangles) > _MOST_TRIANGLES:
+        triangles = scipy.spatial.ConvexHull(mesh.vertices).simplices
+    return [Point(x=x, y=y, z=z) for x, y, z in mesh.vertices[triangles].reshape(-1, 3).tolist()]
 
 
 def read_object(message: Marker) -> ObjectPose:

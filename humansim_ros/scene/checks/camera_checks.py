@@ -221,7 +221,7 @@ def _sees_nobody(name: str, samples: SceneSamples) -> str | None:
 
 
 def _measures_nobody(name: str, samples: SceneSamples) -> str | None:
-    """Finding about a depth sensor in whose view and range nobody ever is."""
+    """Finding about a depth sensor that never has a person in its view and range."""
     scene = samples.scene
     sensor = scene.scene_cameras[name].depth_sensor
     if sensor is None or len(samples.joints) < max(1, len(scene.actors)):

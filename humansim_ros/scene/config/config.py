@@ -247,8 +247,7 @@ class LightConfig(Section):
     )
 
     ambient_occlusion: bool = Field(
-        default=True,
-        description="darken corners that less light from sky and ground reaches",
+        default=True, description="darken corners that less light from sky and ground reaches"
     )
 
     @model_validator(mode="after")

@@ -52,9 +52,7 @@ class AboutConfig(Section):
 
 #: Name of a frame of tf.
 _Frame = Annotated[
-    str,
-    Field(pattern=r"^[A-Za-z_][A-Za-z0-9_/]*$", max_length=255),
-    Expected("a frame of tf, such as map"),
+    str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_/]*$", max_length=255), Expected("a frame of tf, such as map")
 ]
 
 

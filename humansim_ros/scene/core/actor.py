@@ -150,12 +150,12 @@ class Actor:
         return actor._fitted(config)
 
     def _fitted(self, config: MotionConfig) -> Actor:
-        """The same human, whose layers follow its motion."""
+        """The same human after its layers have been fitted to its motion."""
         actor = replace(self, layers=tuple(layer.fitted(self, config) for layer in self.layers))
         return actor._joined()
 
     def _joined(self) -> Actor:
-        """The same human, whose layers follow each other."""
+        """The same human after its layers have been fitted to each other."""
         return replace(self, layers=tuple(layer.joined(self) for layer in self.layers))
 
     @classmethod
@@ -194,7 +194,7 @@ class Actor:
         return Actor.build(self.name, self.instance, self.human, config, source, motion, self)
 
     def with_changed_keys(self, keys: Set[str], config: MotionConfig) -> Actor | None:
-        """The same human, whose motion goes on, after some keys of its section have changed.
+        """The same human after some keys of its section have changed. Its motion goes on.
 
         Returns:
             The human. None if no layer reads these keys alone: then another motion is needed.
@@ -245,7 +245,7 @@ class Actor:
         return fitted.placed_about(*world.placement.position)
 
     def _along(self, path: WalkPath, config: MotionConfig, source: SceneSource) -> Actor:
-        """The same human whose walk follows a path on the floor."""
+        """The same human with a walk along a path on the floor."""
 
         def make() -> Gait:
             with in_section("file"):
@@ -286,19 +286,15 @@ class Actor:
         return bones
 
     def state(self, poses: JointPoses) -> HumanState:
-        """State of the body from joint poses with N = 1, as the skinner publishes it.
-
-        The result is bit-identical with and without a message in between.
-        """
+        """State of the body from joint poses (N = 1), bit-identical with and without a message in between."""
         skeleton, poses = self.human.skeleton, poses.contiguous()
         linear = angular = None
         features: dict[str, Rated] = {}
         moving = poses.linear is not None
         body = self.posed(poses.extrapolate(AROUND) if moving else poses)
         for topic, (rest, values) in body.values.items():
-            features[topic] = (
-                rest.moving(values, 2 * VELOCITY_STEP) if moving else replace(rest, values=values[0])
-            )
+            still = replace(rest, values=values[0])
+            features[topic] = rest.moving(values, 2 * VELOCITY_STEP) if moving else still
         now = len(body.bones) // 2
         bones, joints, size = body.bones[now], body.joints[now], body.sizes[now]
         if moving:
@@ -338,17 +334,13 @@ class Actor:
         return self.state(self.joint_poses(seconds))
 
     def joint_paths(self, times: Array) -> Array:
-        """Joint positions (N, J, 3) at scene times (N,) in seconds, in the order of the skeleton's joints.
-
-        Hand poses and eyes rest.
-        """
+        """Positions (N, J, 3) of the joints of the skeleton at scene times (N,), seconds. Hands and eyes
+        rest."""
         return self.joints_at(times, BODY | {PoseStage.HEAD})[..., :3, 3]
 
     def joints_at(self, times: Array, stages: Set[PoseStage] = BODY) -> Array:
-        """Frames (N, J, 4, 4) of the joints at scene times (N,), made by some stages.
-
-        ``stages``: those of the motion and its space always count; of the others, ARMS and HEAD.
-        """
+        """Frames (N, J, 4, 4) of the joints at scene times (N,). ``stages``: stages that count, among ARMS,
+        SPACE and HEAD; MOTION and FLOOR always count."""
         chosen = [layer for layer in self.layers if layer.stage in stages]
         poses = self.motion.sample(times + self.offset, self.ahead)
         for layer in chosen:
@@ -370,11 +362,10 @@ class Actor:
         middle, left = self.retargeter.hips(poses), poses.positions[:, roles["LeftHip"]]
         left = unit_vectors(left - poses.positions[:, roles["RightHip"]])
         space = self.space_at(times)
-        if space is None:
-            return middle, left
-        return space.position + space.size[:, None] * rotate(space.rotation, middle), rotate(
-            space.rotation, left
-        )
+        if space is not None:
+            middle = space.position + space.size[:, None] * rotate(space.rotation, middle)
+            left = rotate(space.rotation, left)
+        return middle, left
 
     def palms_at(self, side: str, times: Array) -> Array:
         """Points (N, 3) of the skin of the ``left`` or ``right`` palm at scene times (N,)."""
@@ -391,20 +382,17 @@ class Actor:
 
     def eye_rays(self, times: Array) -> tuple[Array, Array]:
         """Middle of the eyes (N, 3) and direction ahead (N, 3) at scene times (N,), before the head turns.
-
-        Of a body without eyes, the middle of the head, and the direction of its top.
-        """
+        For a body without eyes: middle of the head, and direction of its top."""
         return self.rays(self.joints_at(times, WITHOUT_REACH))
 
     def rays(self, joints: Array) -> tuple[Array, Array]:
         """Middle of the eyes (N, 3) and direction ahead (N, 3) of frames (N, J, 4, 4) of the joints."""
         if self._eyes is not None:
             return self._eyes.rays(joints)
-        head = joints[:, self.human.skeleton.bone("vt3")]
+        bone = self.human.skeleton.bone("vt3")
+        head = joints[:, bone]
         along = head[:, :3, 1]
-        return head[:, :3, 3] + 0.5 * self.human.skeleton.lengths[
-            self.human.skeleton.bone("vt3")
-        ] * along, along
+        return head[:, :3, 3] + 0.5 * self.human.skeleton.lengths[bone] * along, along
 
     def played(self, times: Array) -> Array:
         """Seconds (N,) of the file of the motion that are played at scene times (N,)."""
@@ -468,7 +456,8 @@ class Actor:
         return self._before_fit(poses)[0].poses
 
     def _before_fit(self, poses: JointPoses) -> tuple[BodyPoses, list[tuple[PoseLayer, Any]]]:
-        """A body before its fit, and the data of the layers whose joints there are, the last one first."""
+        """A body before its fit, and each layer that has joints in the poses with its data, the last layer
+        first."""
         body, carried = BodyPoses(poses), []
         for layer in reversed(self.layers):
             rest, own = layer.take(body.poses)
@@ -479,7 +468,7 @@ class Actor:
 
 
 def joint_poses_of(actors: Mapping[str, Actor], seconds: float) -> dict[str, JointPoses]:
-    """Joint poses of humans by name at a scene time, the same as in :meth:`Actor.joint_poses`. Those who walk
+    """Joint poses of humans by name at a scene time, equal to :meth:`Actor.joint_poses`. Humans who walk
     along paths with one gait are computed together."""
     walking: dict[int, dict[str, PathMotion]] = defaultdict(dict)
     for name, actor in actors.items():

@@ -30,11 +30,10 @@ from humansim_ros.errors import CameraError, SceneError, in_section, unknown
 from humansim_ros.geometry import ObjectPose, Velocity, matrix_to_quaternion, quaternion_to_matrix, slerp
 from humansim_ros.render.interface import Backdrop
 from humansim_ros.scene.config.camera_config import CameraConfig, RigConfig
-from humansim_ros.scene.config.config import RandomiseConfig, SceneConfig, load_config
+from humansim_ros.scene.config.config import SceneConfig, load_config
 from humansim_ros.scene.config.timing import CameraTiming
 from humansim_ros.scene.core.environment import load_backdrop
 from humansim_ros.scene.core.faults import CalibrationError, FaultSchedule, FrameFaults
-from humansim_ros.scene.core.looks import random_numbers
 from humansim_ros.scene.core.objects import Carrier, Route, robot_of_mount
 from humansim_ros.scene.core.source import SceneSource
 from humansim_ros.scene.core.stereo import right_camera
@@ -63,9 +62,9 @@ class CameraPose:
 
     @classmethod
     def at(cls, position: Array, rotation: Array, velocity: Velocity | None = None) -> CameraPose:
-        """Pose with the optical frame at a position (3,) in ``map``, rotated by a unit quaternion (4,) xyzw.
+        """Pose of an optical frame at a position (3,) in ``map``, rotated by a unit quaternion (4,) xyzw.
 
-        Messages carry these numbers, so that a pose is the same to the last bit after it was sent.
+        Messages carry these numbers: the bits of a pose do not change on the way.
         """
         r = quaternion_to_matrix(rotation).T
         return cls(r, -r @ position, velocity, (position, rotation))
@@ -124,7 +123,7 @@ class SceneCamera:
         region: Binning and region of interest.
         sensor: Sensor model.
         route: Trajectory that moves the camera, if any.
-        mount: Pose of the optical frame in the robot's base_link, and the robot; None if it stands elsewhere.
+        mount: Pose of the optical frame in ``base_link`` of a robot, and the robot; None without a robot.
         backdrop: Image behind everything; a plain colour if None.
         faults: Its faults over time, or None.
         depth_sensor: Depth sensor of the camera, or None.
@@ -171,7 +170,7 @@ class SceneCamera:
         """Right camera of a stereo pair, with P of CameraInfo as image_geometry's StereoCameraModel needs it.
 
         ``baseline``: distance along the rows of the rectified images, metres. Raises CameraError if the
-        camera has a baseline of its own.
+        camera has a baseline already.
         """
         p = self.whole.rectified_projection.copy()
         if p[:, 3].any():
@@ -181,10 +180,8 @@ class SceneCamera:
         whole = replace(self.whole, rectified=p)
         sensor = Sensor(self.sensor.config, self.region.of(whole), name)
         offset = self.whole.rectification_matrix.T @ np.array([baseline, 0, 0])
-        camera = replace(
-            self, name=name, whole=whole, sensor=sensor, depth_sensor=None, left=self.name, beside_left=offset
-        )
-        return camera.placed_beside(self)
+        camera = replace(self, name=name, whole=whole, sensor=sensor, depth_sensor=None)
+        return replace(camera, left=self.name, beside_left=offset).placed_beside(self)
 
     def placed_beside(self, left: SceneCamera) -> SceneCamera:
         """The same right camera next to the left camera at its initial pose."""
@@ -205,10 +202,8 @@ class SceneCamera:
         return replace(self, whole=whole, sensor=sensor)
 
     def smaller(self, size: tuple[int, int]) -> SceneCamera:
-        """The same view in a smaller image (width, height), for pictures.
-
-        Its sensor has larger pixels, and no chromatic aberration, which is less than one of them.
-        """
+        """The same view in a smaller image (width, height), for pictures, without chromatic aberration, which
+        is smaller than one of the larger pixels."""
         raw = self.camera
         sx, sy = size[0] / raw.size[0], size[1] / raw.size[1]
         # the centre of the top-left pixel is (0, 0)
@@ -228,10 +223,8 @@ class SceneCamera:
         return self.route is not None or self.mount is not None
 
     def pose(self, seconds: float, robot: ObjectPose | None = None) -> CameraPose:
-        """Pose and velocity at a scene time in seconds.
-
-        ``robot``: pose of the body of the robot then; as its settings say if None.
-        """
+        """Pose and velocity at a scene time in seconds. ``robot``: pose of the body of the robot at this
+        time; if None, the robot computes it."""
         if self.mount is not None:
             place, carrier = self.mount
             return CameraPose.of_object((robot or carrier.body_at(seconds)).carry(place))
@@ -279,12 +272,8 @@ class SceneCamera:
         return None if self.faults is None else self.faults.calibration
 
     def light(self, scene_time: int, faults: FrameFaults) -> Float32Array | None:
-        """Light of each pixel relative to that without faults, (H, 1) or (H, W); None if it is the same.
-
-        Args:
-            scene_time: Scene time of the picture, nanoseconds.
-            faults: Faults of its frame.
-        """
+        """Light (H, 1) or (H, W) of each pixel as a share of the light without faults; None if faults do not
+        change the light. ``scene_time``: of the picture, nanoseconds."""
         if self.faults is None:
             return None
         config, sensor = self.faults.config, self.sensor.config
@@ -292,9 +281,8 @@ class SceneCamera:
         if config.flicker is None and config.exposure_steps is None:
             return dirt
         height = self.camera.size[1]
-        rows = (
-            scene_time * 1e-9 + (np.arange(height, dtype=float) - (height - 1) / 2) * sensor.rolling_shutter
-        )
+        from_middle = np.arange(height, dtype=float) - (height - 1) / 2
+        rows = scene_time * 1e-9 + from_middle * sensor.rolling_shutter
         lamp = self.faults.lamp(rows + faults.trigger_delay, sensor.exposure_time)
         light = (2**faults.stops * lamp[:, None]).astype(np.float32)
         return light if dirt is None else light * dirt
@@ -321,9 +309,7 @@ class SceneCamera:
         return self.sensor.config.encoding
 
     def rectify(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Make ``image_rect`` from ``image_raw`` as its calibration says; a Bayer mosaic becomes a colour
-        image.
-        """
+        """``image_rect`` from ``image_raw`` by the published calibration. A Bayer mosaic gets colours."""
         if self.encoding == "bayer_rggb8":
             image = np.asarray(cv2.cvtColor(image, cv2.COLOR_BayerBG2RGB), dtype=np.uint8)
         return image if self.rectified is None else self._published_rectified.to_ideal(image)
@@ -365,7 +351,7 @@ def _camera(name: str, config: CameraConfig, source: SceneSource) -> Camera:
 
 
 def _stated_pose(config: CameraConfig) -> tuple[Array, Array] | None:
-    """R (3, 3) and t (3,) of a section; None if it has no pose of its own."""
+    """R (3, 3) and t (3,) of a section; None for a section without a pose."""
     if config.R is not None and config.t is not None:
         return np.array(config.R), np.array(config.t)
     if config.position is not None and config.look_at is not None:
@@ -442,8 +428,8 @@ _DEFAULT_SIZE = (640, 480)
 def build_cameras(
     config: SceneConfig, source: SceneSource, robot: Carrier | None = None
 ) -> dict[str, SceneCamera]:
-    """Create the cameras of a scene and return them by name, those of its rig first. Raises HumansimError,
-    which names the key of the scene file. ``robot``: carries the cameras that are mounted on it."""
+    """Cameras of a scene by name, cameras of its rig first. ``robot``: carries the cameras that are mounted
+    on it. Raises HumansimError, which names the key of the scene file."""
     cameras: dict[str, SceneCamera] = {}
     if config.rig is not None:
         with in_section("rig"):
@@ -466,7 +452,7 @@ def build_cameras(
 
 
 def in_step(cameras: Mapping[str, SceneCamera]) -> list[str]:
-    """Names of the cameras with the most pictures per second, of those that take them in the same frames."""
+    """Names of the cameras that have the highest rate, and take their pictures in the same frames."""
     fastest = min((camera.timing for camera in cameras.values()), key=lambda timing: timing.step)
     return [name for name, camera in cameras.items() if camera.timing == fastest]
 
@@ -503,18 +489,12 @@ def _build_rig(rig: RigConfig, source: SceneSource, rate: float) -> dict[str, Sc
         backdrops = _backdrops(rig, originals, source)
     timings = _rig_timings(rig, originals, rate)
     depth = {name: _depth_sensor(name, rig.depth_sensor) for name in cameras}
-    return {
-        name: SceneCamera(
-            name,
-            whole,
-            region,
-            Sensor(rig.sensor, region.of(whole), name),
-            backdrop=backdrops.get(original),
-            depth_sensor=depth[name],
-            timing=timings[original],
-        )
-        for name, (original, whole) in cameras.items()
-    }
+    built = {}
+    for name, (original, whole) in cameras.items():
+        sensor, backdrop = Sensor(rig.sensor, region.of(whole), name), backdrops.get(original)
+        camera = SceneCamera(name, whole, region, sensor, backdrop=backdrop, timing=timings[original])
+        built[name] = replace(camera, depth_sensor=depth[name])
+    return built
 
 
 def _rig_timings(rig: RigConfig, names: Sequence[str], rate: float) -> dict[str, CameraTiming]:
@@ -581,8 +561,7 @@ def _with_poses(rig: RigConfig, read: Calibration, source: SceneSource) -> dict[
     missing = [name for name in read.cameras if name not in posed and name in (rig.cameras or read.cameras)]
     if not posed:
         hint = "give each of its cameras in 'cameras', with calibration and a pose"
-        message = f"{rig.file} has no extrinsics: {hint}"
-        raise CameraError(message, key="file")
+        raise CameraError(f"{rig.file} has no extrinsics: {hint}", key="file")
     if missing:
         source.warn("rig.file", f"left out, because they have no extrinsics: {', '.join(missing[:4])}")
     return posed
@@ -595,8 +574,8 @@ def _placement(rig: RigConfig, cameras: Sequence[Camera]) -> RigPlacement:
     turned = RigPlacement.from_degrees(rig.rotation_deg)
     point = common_point(turned.camera(camera) for camera in cameras)
     if point is None:
-        message = "the optical axes of the cameras do not meet in front of them: give position instead"
-        raise CameraError(message, key="look_at")
+        text = "the optical axes of the cameras do not meet in front of them: give position instead"
+        raise CameraError(text, key="look_at")
     return turned.moved(rig.look_at - point)
 
 
@@ -619,23 +598,3 @@ def _topic_name(name: str) -> str:
     """Name of a camera that is valid in ROS topics."""
     plain = re.sub(r"\W", "_", name, flags=re.ASCII).strip("_")
     return plain if plain[:1].isalpha() else f"camera_{plain}"
-
-
-def random_cameras(cameras: Mapping[str, SceneCamera], randomise: RandomiseConfig) -> dict[str, SceneCamera]:
-    """Cameras moved and rotated at random; cameras with a trajectory stay."""
-    jitter = randomise.camera_jitter
-    if not jitter.position and not jitter.rotation_deg:
-        return dict(cameras)
-    moved = {name: camera if camera.moves else _jitter(camera, randomise) for name, camera in cameras.items()}
-    return {
-        name: camera.placed_beside(moved[camera.left]) if camera.left and not camera.moves else camera
-        for name, camera in moved.items()
-    }
-
-
-def _jitter(camera: SceneCamera, randomise: RandomiseConfig) -> SceneCamera:
-    jitter, uniform = randomise.camera_jitter, random_numbers(randomise.seed, f"camera {camera.name}")
-    shift = np.array([jitter.position * (2 * uniform() - 1) for _ in range(3)])
-    turn = np.radians([jitter.rotation_deg * (2 * uniform() - 1) for _ in range(3)])
-    r = scipy.spatial.transform.Rotation.from_rotvec(turn).as_matrix() @ camera.whole.R
-    return replace(camera, whole=replace(camera.whole, R=r, t=-r @ (camera.whole.center + shift)))

@@ -61,11 +61,11 @@ class FrameFaults:
 
     @property
     def follows(self) -> bool:
-        """Whether its image is sent right after another message, whenever that is sent."""
+        """Whether its image is sent right after another message."""
         return bool({"out_of_order", "duplicate"} & self.kinds.keys())
 
     def stamp(self, stamp: int) -> int:
-        """Stamp of the image, nanoseconds, at least 1, of a frame with another."""
+        """Stamp of the image, nanoseconds, at least 1. ``stamp``: of the frame."""
         return max(1, stamp + self.stamp_error)
 
 
@@ -111,7 +111,7 @@ class FaultSchedule:
         return self._last[1]
 
     def pictured(self, index: int) -> int:
-        """Frame of the scene whose picture the camera shows in frame ``index``."""
+        """Frame of the scene in which the picture was taken that the camera shows in frame ``index``."""
         return self._timing.frame(max(0, self._timing.number(index)) - self.at(index).picture)
 
     def _seconds(self, number: NDArray[Any] | int) -> Any:
@@ -149,17 +149,15 @@ class FaultSchedule:
 
     @cached_property
     def calibration(self) -> CalibrationError | None:
-        """Error of the published calibration; None if it is exact."""
+        """Error of the published calibration; None for an exact one."""
         config = self.config.calibration
         if config is None:
             return None
         return CalibrationError.drawn(config, self._generator("calibration"))
 
     def lamp(self, times: Array, exposure: float = 0.0) -> Array:
-        """Light (N,) of a lamp that flickers, relative to its mean; cameras with the same seed see the same.
-
-        ``times``: scene times (N,), seconds; ``exposure``: seconds around them over which it is averaged.
-        """
+        """Light (N,) of a flickering lamp, relative to its mean, at scene times (N,) in seconds; equal for
+        cameras with one seed. ``exposure``: seconds around each time over which light is averaged."""
         flicker = self.config.flicker
         if flicker is None:
             return np.ones(len(times))
@@ -168,10 +166,8 @@ class FaultSchedule:
         return np.asarray(1 + depth * np.cos(2 * np.pi * flicker.frequency * times + phase), dtype=float)
 
     def transmission(self, size: tuple[int, int]) -> Float32Array | None:
-        """Share (H, W) of the light that passes the dirt on the lens; None if it is clean.
-
-        ``size``: width and height of the images, pixels.
-        """
+        """Share (H, W) of the light that passes the dirt on the lens; None for a clean lens. ``size``: width
+        and height of the images, pixels."""
         if self.config.dirt is None:
             return None
         if size not in self._transmissions:
@@ -211,7 +207,7 @@ class FaultSchedule:
         return bool(np.any((begins < drop.probability) & (index - np.arange(first, index + 1) < frames)))
 
     def _since(self, index: int, kind: str, event: FreezeFault | OutageFault | None) -> int | None:
-        """Number of frames since an event began that lasts; of several, the last one. None without any."""
+        """Frames since the begin of the present event, the latest of several; None without an event."""
         if event is None:
             return None
         time, before = self._seconds(index), self._timing.first / self._timing.step
@@ -246,7 +242,7 @@ class FaultSchedule:
         return (sent,)
 
     def _delay(self, index: int) -> int:
-        """Nanoseconds by which an image is late: it also waits for those before it."""
+        """Nanoseconds by which an image is late: an image also waits for the images before it."""
         late = self.config.late
         if late is None:
             return 0
@@ -347,7 +343,7 @@ class CalibrationError:
             ``rotation``: degrees; ``translation``: metres; ``focal``: share of the true focal length.
         """
         turned, shifted = self.moved(seconds)
-        # not from the trace, with a cosine that has no digits left at small angles
+        # the cosine alone, from the trace, has no digits left at small angles
         skew = self.rotation @ turned.T
         sine = np.linalg.norm([skew[2, 1] - skew[1, 2], skew[0, 2] - skew[2, 0], skew[1, 0] - skew[0, 1]]) / 2
         angle = np.arctan2(sine, (np.trace(skew) - 1) / 2)
@@ -363,13 +359,8 @@ _EDGE = 0.6
 
 
 def transmission(dirt: DirtFault, size: tuple[int, int], random: np.random.Generator) -> Float32Array:
-    """Share (H, W) of the light that passes the spots.
-
-    Args:
-        dirt: Settings.
-        size: Width and height of the image, pixels. The spots are the same in images of any size.
-        random: Draws places and sizes.
-    """
+    """Share (H, W) of the light that passes the spots. ``dirt``: settings. ``size``: width and height of the
+    image, pixels. The spots are the same in images of any size. ``random``: draws places and sizes."""
     width, height = size
     share = np.ones((height, width), np.float32)
     low, high = dirt.size

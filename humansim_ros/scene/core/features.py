@@ -13,14 +13,18 @@ from functools import cached_property
 from importlib import import_module
 from typing import Any
 
+import numpy as np
+import scipy
+
 from humansim_ros.errors import SceneError, in_section
 from humansim_ros.motion.files import KeyframeTrack
 from humansim_ros.motion.pose import Reach, Reaches, ReachingHand, WalkPath
 from humansim_ros.people.loading import levels_of
-from humansim_ros.scene.config.config import HumanConfig, ObjectConfig, SceneConfig
+from humansim_ros.scene.config.config import HumanConfig, ObjectConfig, RandomiseConfig, SceneConfig
 from humansim_ros.scene.core.actor import Actor
-from humansim_ros.scene.core.camera import SceneCamera, build_cameras, random_cameras
+from humansim_ros.scene.core.camera import SceneCamera, build_cameras
 from humansim_ros.scene.core.environment import Environment, Furnishing
+from humansim_ros.scene.core.looks import random_numbers
 from humansim_ros.scene.core.names import human_names
 from humansim_ros.scene.core.objects import Carrier, SceneObject
 from humansim_ros.scene.core.source import SceneSource
@@ -64,13 +68,8 @@ class Draft:
         self.world.people = self.actors
 
     def add_human(self, name: str, config: HumanConfig, path: WalkPath | None = None) -> None:
-        """Build a human. Raises HumansimError with the key.
-
-        Args:
-            name: Name in the scene.
-            config: Section of the human.
-            path: Path that its walk follows, if any.
-        """
+        """Build a human. Raises HumansimError, which names the key. ``name``: name in the scene. ``config``:
+        section of the human. ``path``: path that its walk follows, if any."""
         track = self.tracks.get(("humans", name))
         actor = Actor.load(name, len(self.actors) + 1, config, self.source, track, path)
         # at once, while what its shape is made of is kept in memory
@@ -127,7 +126,7 @@ class Draft:
             for name, camera in build_cameras(self.config, self.source, self.robot).items()
         }
         randomise = self.config.randomise
-        return cameras if randomise is None else random_cameras(cameras, randomise)
+        return cameras if randomise is None else _random_cameras(cameras, randomise)
 
 
 def _with_levels(actor: Actor, source: SceneSource) -> Actor:
@@ -137,6 +136,26 @@ def _with_levels(actor: Actor, source: SceneSource) -> Actor:
     human = actor.human
     levels = source.once(lambda: levels_of(human), "levels", id(human.mesh.vertices), human.skinning)
     return replace(actor, levels=levels)
+
+
+def _random_cameras(cameras: Mapping[str, SceneCamera], randomise: RandomiseConfig) -> dict[str, SceneCamera]:
+    """Cameras moved and rotated at random; cameras with a trajectory stay."""
+    jitter = randomise.camera_jitter
+    if not jitter.position and not jitter.rotation_deg:
+        return dict(cameras)
+    moved = {name: camera if camera.moves else _jitter(camera, randomise) for name, camera in cameras.items()}
+    return {
+        name: camera.placed_beside(moved[camera.left]) if camera.left and not camera.moves else camera
+        for name, camera in moved.items()
+    }
+
+
+def _jitter(camera: SceneCamera, randomise: RandomiseConfig) -> SceneCamera:
+    jitter, uniform = randomise.camera_jitter, random_numbers(randomise.seed, f"camera {camera.name}")
+    shift = np.array([jitter.position * (2 * uniform() - 1) for _ in range(3)])
+    turn = np.radians([jitter.rotation_deg * (2 * uniform() - 1) for _ in range(3)])
+    r = scipy.spatial.transform.Rotation.from_rotvec(turn).as_matrix() @ camera.whole.R
+    return replace(camera, whole=replace(camera.whole, R=r, t=-r @ (camera.whole.center + shift)))
 
 
 #: Features in the order in which they are called, with the condition under which a scene has them. Labels of

@@ -70,10 +70,8 @@ def volume(corners: Array) -> float:
 
 
 def points_inside(points: Array, corners: Array) -> NDArray[np.bool_]:
-    """Whether points (N, 3) are inside a closed part (T, 3, 3).
-
-    The winding number is the sum of the solid angles of the triangles [Van Oosterom 1983].
-    """
+    """Whether points (N, 3) are inside a closed part (T, 3, 3). The winding number is the sum of the solid
+    angles of the triangles [Van Oosterom 1983]."""
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     inside = ((points > low) & (points < high)).all(axis=1)
     candidates = np.flatnonzero(inside)
@@ -86,8 +84,7 @@ def _winding_numbers(points: Array, corners: Array) -> Array:
     a, b, c = (corners[None, :, i] - points[:, None] for i in range(3))
     la, lb, lc = (np.linalg.norm(side, axis=-1) for side in (a, b, c))
     triple = np.einsum("nti,nti->nt", a, np.cross(b, c))
-    dots = (np.einsum("nti,nti->nt", u, v) for u, v in ((a, b), (b, c), (c, a)))
-    ab, bc, ca = dots
+    ab, bc, ca = (np.einsum("nti,nti->nt", u, v) for u, v in ((a, b), (b, c), (c, a)))
     angles = 2 * np.arctan2(triple, la * lb * lc + ab * lc + bc * la + ca * lb)
     return np.asarray(angles.sum(axis=1) / (4 * np.pi))
 
@@ -122,9 +119,8 @@ class Finding:
 
     def located(self, source: SceneSource) -> Finding:
         """The same finding with the file of the scene and the line of the key."""
-        return replace(
-            self, path=None if source.path is None else str(source.path), line=source.line(self.key)
-        )
+        path = None if source.path is None else str(source.path)
+        return replace(self, path=path, line=source.line(self.key))
 
     def to_dict(self) -> dict[str, Any]:
         """Fields for ``humansim check --json``."""
@@ -168,10 +164,8 @@ class SceneSamples:
 
     @cached_property
     def joints(self) -> dict[str, Array]:
-        """Joint positions (N, J, 3) in ``map`` by human, without those that another node moves.
-
-        They are the joints of :meth:`joint_names`.
-        """
+        """Positions (N, J, 3) in ``map`` of the joints of :meth:`joint_names`, by human, without humans that
+        another node moves."""
         humans = self.scene.config.humans
         names = [name for name in self.scene.actors if humans[name].motion.file != LIVE]
         paths = {name: self.scene.actors[name].joint_paths(self.times) for name in names[: self.humans]}
@@ -322,11 +316,10 @@ class Obstacle:
     Attributes:
         key: Key of the scene.
         name: Name for messages, such as ``the object pillar``.
-        corners: (T, 3, 3) triangles: in ``map``, or of the mesh of a moving object.
+        mesh: Its mesh: in ``map``, or of a moving object.
         largest: Largest volume that counts as solid, cubic metres.
         surface: Whether the surface counts too, next to the solids that it encloses.
         moving: The moving object; None for what stands still.
-        solid_parts: Closed parts; searched in ``mesh`` if None.
     """
 
     key: str
@@ -358,10 +351,8 @@ class Obstacle:
         return vertices.min(axis=0), vertices.max(axis=0)
 
     def is_beside(self, low: Sequence[float], high: Sequence[float]) -> bool:
-        """Whether a box, from ``low`` (3,) to ``high`` (3,) in ``map``, does not touch that of the obstacle.
-
-        False for a moving one.
-        """
+        """Whether a box from ``low`` (3,) to ``high`` (3,) in ``map`` does not touch the box of the obstacle;
+        False for a moving obstacle."""
         if self.moving is not None:
             return False
         (left, front, bottom), (right, back, top) = self._sides
@@ -408,10 +399,8 @@ def find_obstacles(scene: Scene, room: bool = True) -> list[Obstacle]:
     environment = scene.environment
     if room and environment.room is not None:
         count = len(environment.meshes) - len(environment.mesh_files)
-        found += [
-            Obstacle("room", "furniture of the room", mesh, surface=False)
-            for mesh in environment.meshes[:count]
-        ]
+        furniture = environment.meshes[:count]
+        found += [Obstacle("room", "furniture of the room", mesh, surface=False) for mesh in furniture]
     for number, mesh in enumerate(environment.mesh_files):
         key = f"world.meshes.{number}" if len(scene.config.world.meshes) > number else "world.meshes"
         found.append(Obstacle(key, "a mesh of world.meshes", mesh, _FURNITURE))

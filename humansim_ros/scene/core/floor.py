@@ -32,7 +32,7 @@ _STILL, _SHORTEST = 0.15, 0.5
 _SAME = 0.2
 #: Height of the hips of the built-in sitting motions over a seat, metres, and the height of that seat.
 _FLESH, SEAT_HEIGHT = 0.09, 0.45
-#: Metres from the hips to the middle of a table in front, of a person of the size of the default human.
+#: Metres from the hips of the default human to the middle of a table in front.
 TO_TABLE = 0.68
 _LEGS = tuple(f"{side}_{part}" for part in ("hip", "knee", "ankle") for side in "lr")
 _TOP = "vl5"
@@ -61,13 +61,8 @@ class Sitting:
 
 
 def find_sittings(joints: Array, names: Sequence[str], times: Array) -> list[Sitting]:
-    """Places where a person sits, each once.
-
-    Args:
-        joints: Joints (N, J, 3) in ``map`` at evenly spaced times.
-        names: Names of the joints.
-        times: Seconds (N,).
-    """
+    """Places where a person sits, each once. ``joints``: joints (N, J, 3) in ``map`` at evenly spaced times.
+    ``names``: names of the joints. ``times``: seconds (N,)."""
     if not {*_LEGS, _TOP} <= set(names) or len(times) < 2:
         return []
     hips, knees, ankles = (
@@ -122,7 +117,7 @@ def seat_footprint(sitting: Sitting, table: bool) -> Array:
 
 #: Half of the distance between the two places of a sofa, and hips behind its front edge, metres.
 _SOFA_PLACES, _SOFA_DEPTH = 0.5, 0.375
-#: A seat fits who sits if it is lower, or higher, than this by less, metres: cushions give way by little.
+#: A seat fits a person if it is too low, or too high, by less than this, metres: cushions give way by little.
 _LOWER, _HIGHER = 0.07, 0.045
 
 
@@ -131,13 +126,12 @@ class Seat:
     """A place of a chair of the scene, or of the sofa of the room.
 
     Attributes:
-        place: Middle of the hips of a person of the size of the default human who sits there, (2,) metres in
-            ``map``.
-        yaw: Heading of who sits there, radians.
+        place: Middle of the hips of the default human on the seat, (2,) metres in ``map``.
+        yaw: Heading of a person on the seat, radians.
         height: Height of the seat, metres.
         middle: Middle of the chair or sofa, (2,).
         size: Its sides along the heading and across, (2,) metres.
-        depth: Metres from there to the front edge, at which knees bend; 0 where the seat is shallow.
+        depth: Metres from ``place`` to the front edge, where knees bend; 0 for a shallow seat.
     """
 
     place: Array
@@ -148,7 +142,7 @@ class Seat:
     depth: float = 0.0
 
     def place_of(self, sitting: Sitting) -> Array:
-        """Middle of the hips (2,) of a person: smaller people sit nearer to the edge."""
+        """Middle of the hips (2,) of a person. Small people sit nearer to the edge."""
         ahead = self.depth * (1 - sitting.size)
         return self.place + ahead * np.array([np.cos(self.yaw), np.sin(self.yaw)])
 
@@ -164,10 +158,8 @@ class Seat:
 
 
 def seats_of(config: SceneConfig, fixtures: Mapping[str, Fixture]) -> list[Seat]:
-    """Chairs that stand on the floor of a scene, and both places of the sofa of its room.
-
-    ``fixtures``: furniture of the room by name.
-    """
+    """Chairs that stand on the floor of a scene, and both places of the sofa of its room. ``fixtures``:
+    furniture of the room by name."""
     found = []
     for item in config.objects.values():
         level = item.rotation_deg[:2] == (0.0, 0.0) and abs(item.position[2]) < 0.02
@@ -178,10 +170,9 @@ def seats_of(config: SceneConfig, fixtures: Mapping[str, Fixture]) -> list[Seat]
     if (sofa := fixtures.get("sofa")) is not None and sofa.top is not None:
         (x, y), (depth, width), top = sofa.center, sofa.size, sofa.top
         middle, hips = np.array([x, y]), x + depth / 2 - _SOFA_DEPTH
-        found += [
-            Seat(np.array([hips, y + side]), 0.0, top, middle, np.array([depth, width]), _SOFA_DEPTH)
-            for side in (-_SOFA_PLACES, _SOFA_PLACES)
-        ]
+        for side in (-_SOFA_PLACES, _SOFA_PLACES):
+            place, size = np.array([hips, y + side]), np.array([depth, width])
+            found.append(Seat(place, 0.0, top, middle, size, _SOFA_DEPTH))
     return found
 
 
@@ -228,9 +219,7 @@ class Footprint:
     @classmethod
     def of_cycle(cls, actor: Actor, table: bool = False) -> Footprint:
         """Footprint of one cycle of a motion. If the motion repeats, the footprint does not grow later.
-
-        ``table``: whether a table is put in front of a human who sits.
-        """
+        ``table``: whether a table is put in front of a human who sits."""
         motion = actor.motion
         length = motion.duration if np.isfinite(motion.duration) else 0.0
         count = min(_MOST_POSES, 2 + int(length / _STEP))
@@ -385,7 +374,7 @@ def things_on_floor(draft: Draft, area: Array) -> Array:
             count.
 
     Raises:
-        HumansimError: With the key, if a mesh cannot be read.
+        HumansimError: A mesh cannot be read. The error names the key.
     """
     points = [np.zeros((0, 2)), *_furniture(draft), *_objects(draft, area)]
     points += [_seen_from_above(_samples(mesh), area) for mesh in draft.environment.mesh_files]
@@ -395,10 +384,8 @@ def things_on_floor(draft: Draft, area: Array) -> Array:
 def _furniture(draft: Draft) -> Iterator[Array]:
     """Points on the furniture of the room."""
     for each in draft.furnishing.fixtures.values():
-        x, y = (
-            np.linspace(c - s / 2, c + s / 2, 2 + int(s / _CELL))
-            for c, s in zip(each.center, each.size, strict=True)
-        )
+        sides = zip(each.center, each.size, strict=True)
+        x, y = (np.linspace(c - s / 2, c + s / 2, 2 + int(s / _CELL)) for c, s in sides)
         yield np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
 
 

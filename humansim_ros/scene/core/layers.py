@@ -150,11 +150,8 @@ class PoseLayer:
         return motion
 
     def fitted(self, human: Owner, config: MotionConfig) -> PoseLayer:
-        """This layer after the human has got the motion of a section.
-
-        Raises:
-            HumansimError: The layer does not fit the motion; ``key`` is relative to the section.
-        """
+        """This layer after the human has got the motion of a section. Raises HumansimError: the layer does
+        not fit the motion; ``key`` is relative to the section."""
         return self
 
     def joined(self, human: Owner) -> PoseLayer:
@@ -193,11 +190,8 @@ class PoseLayer:
         return False
 
     def sent(self, poses: JointPoses, human: Owner) -> tuple[str, ...]:
-        """Names of its joints in a message of any sender, in their order.
-
-        Raises:
-            MotionError: The joints cannot be decoded.
-        """
+        """Names of its joints in a message of any sender, in their order. Raises MotionError: the joints
+        cannot be decoded."""
         return tuple(name for name in poses.names if self.carries(name))
 
     def take(self, poses: JointPoses) -> tuple[JointPoses, JointPoses]:

@@ -110,8 +110,7 @@ class JointSource:
 
     def fits(self, poses: JointPoses) -> bool:
         """Whether a pose (N = 1) with these names has the limb lengths and the rotation convention of the
-        source.
-        """
+        source."""
         (links,) = _links(poses, self.retargeter.match)
         lengths = np.linalg.norm(self.links, axis=-1)
         off = abs(np.linalg.norm(links, axis=-1).sum() - lengths.sum())

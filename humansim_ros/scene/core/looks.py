@@ -141,11 +141,7 @@ def random_light(light: LightConfig, randomise: RandomiseConfig) -> LightConfig:
     height, azimuth = math.radians(25 + 50 * uniform()), 2 * math.pi * uniform()
     sun = (math.cos(height) * math.cos(azimuth), math.cos(height) * math.sin(azimuth), math.sin(height))
     colors = {}
-    for name, low, high in (
-        ("sun_color", 0.3, 1.0),
-        ("sky_color", 0.45, 0.95),
-        ("ground_color", 0.25, 0.6),
-    ):
+    for name, low, high in (("sun_color", 0.3, 1.0), ("sky_color", 0.45, 0.95), ("ground_color", 0.25, 0.6)):
         amount, warmth, green = low + (high - low) * uniform(), 0.5 * uniform() - 0.25, 0.1 * uniform() - 0.05
         colors[name] = (amount * (1 + warmth), amount * (1 + green), amount * (1 - warmth))
     return light.model_copy(update={"sun": sun, **colors})

@@ -53,8 +53,7 @@ class SceneNames:
 
 def read_names(path: str | os.PathLike[str]) -> SceneNames:
     """Read the names of a scene file. Raises SceneError for names that ROS does not accept, and for cameras
-    and scanners with the name of another node.
-    """
+    and scanners with the name of another node."""
     path = Path(path)
     content, _ = read_yaml(path, SceneError, "scene")
     if not isinstance(content, dict):

@@ -50,10 +50,10 @@ class SceneObject:
         color: Red, green, blue, sRGB; of furniture the main colour.
         mesh: Mesh at size 1 about its own origin.
         initial_pose: Pose without keyframes.
-        keyframes: Keyframes that move the object; None if it is static.
+        keyframes: Keyframes that move the object, if any.
         instance: Instance label; 0 for none.
-        pose_at: Pose and velocity at a scene time in seconds of an object that something else moves.
-        held_by: Name of the human who holds it in both hands; None if nobody does.
+        pose_at: If a human or a robot moves the object: pose and velocity at a scene time in seconds.
+        held_by: Name of the human who holds the object in both hands, if any.
         key: Key of the scene file that makes it.
     """
 
@@ -113,7 +113,7 @@ class SceneObject:
 
     @property
     def moves(self) -> bool:
-        """Whether keyframes, or something else, move it; a static object otherwise."""
+        """Whether keyframes, a human or a robot move the object."""
         return self.keyframes is not None or self.pose_at is not None
 
     def at(self, seconds: float) -> ObjectPose:
@@ -135,21 +135,20 @@ class SceneObject:
 
     def to_mesh(self, points: Array, times: Array) -> Array:
         """Transform points (N, P, 3) in ``map`` at scene times (N,) to the mesh at size 1."""
-        pose = self.initial_pose
+        pose, rotations = self.initial_pose, scipy.spatial.transform.Rotation.from_quat
         position, size = np.tile(pose.position, (len(times), 1)), np.tile(pose.size, (len(times), 1))
-        turn = scipy.spatial.transform.Rotation.from_quat(np.tile(pose.rotation, (len(times), 1)))
+        turn = rotations(np.tile(pose.rotation, (len(times), 1)))
         if self.pose_at is not None:
             poses = [self.pose_at(time) for time in times.tolist()]
             position = np.array([each.position for each in poses])
-            turn = scipy.spatial.transform.Rotation.from_quat(np.array([each.rotation for each in poses]))
+            turn = rotations(np.array([each.rotation for each in poses]))
         elif self.keyframes is not None:
             key = self.keyframes.at(times)
-            moved = scipy.spatial.transform.Rotation.from_quat(key.quaternion)
+            moved = rotations(key.quaternion)
             position = key.position + moved.apply(key.size * position)
             turn, size = moved * turn, key.size * size
-        return np.asarray(
-            np.einsum("nji,npj->npi", turn.as_matrix(), points - position[:, None]) / size[:, None]
-        )
+        turned = np.einsum("nji,npj->npi", turn.as_matrix(), points - position[:, None])
+        return np.asarray(turned / size[:, None])
 
     def body(self, pose: ObjectPose) -> Body:
         """Body for renderers, without parts."""
@@ -160,7 +159,7 @@ class SceneObject:
         return replace(self.mesh, vertices=self.initial_pose.apply(self.mesh.vertices))
 
     def static_body(self, mesh: Mesh) -> Body:
-        """Body of a static mesh (:meth:`static_mesh`, whose colours and texture may have been changed)."""
+        """Body of :meth:`static_mesh`, perhaps with other colours and another texture."""
         return self._body(replace(mesh, vertices=self.mesh.vertices), mesh.vertices)
 
     def _body(self, mesh: Mesh, vertices: Array) -> Body:
@@ -281,9 +280,7 @@ def _corners(part: _Part) -> Array:
 
 #: Built-in furniture by name.
 FURNITURE: dict[str, Furniture] = {
-    name: Furniture(
-        **{**row, "color": tuple(row["color"]), "parts": [_Part(**part) for part in row["parts"]]}
-    )
+    name: Furniture(**row | {"color": tuple(row["color"]), "parts": [_Part(**part) for part in row["parts"]]})
     for name, row in read_table("furniture").items()
 }
 #: Descriptions of all built-in meshes by name.
@@ -386,14 +383,12 @@ class Carrier(Protocol):
         """Pose of ``base_link`` at a scene time from the pose of its body, without velocity."""
 
     def drive(self) -> Drive | None:
-        """What moves it by commands; None if it takes none."""
+        """What moves the robot by commands; None if another thing moves the robot."""
 
 
 def robot_of_mount(mount: str | None, robot: Carrier | None) -> Carrier | None:
-    """The robot that carries a thing with a key ``mount``; None without the key.
-
-    ``robot``: the robot of the scene. Raises SceneError of this key if it has none.
-    """
+    """The robot that carries a thing with a key ``mount``; None without the key. ``robot``: the robot of the
+    scene. Raises SceneError of this key if it has none."""
     if mount is None:
         return None
     if robot is None:

@@ -31,9 +31,9 @@ from humansim_ros.types import Array
 
 #: Keys that describe the motion file; another file starts with their defaults.
 _FILE_KEYS = ("joint_names", "min_confidence", "unit", "up", "facing", "positions", "start", "end")
-#: Keys whose change restarts a motion; after other changes it continues.
+#: A change of these keys restarts a motion. After other changes the motion continues.
 _RESTART_KEYS = {"file", "start", "end", "offset"}
-#: Keys whose change keeps the time within the round and drops the number of rounds.
+#: After a change of these keys a motion continues at the same time of its first round.
 _ROUND_KEYS = {"loop", "blend"}
 #: Nanoseconds by which a frame may be early; at most a tenth of a period.
 _EARLY = 5_000_000
@@ -207,7 +207,7 @@ class Playback:
         self._shifts: dict[str, tuple[scipy.spatial.transform.Rotation, Array]] = {}
         robot = scene.robot
         self.drive = None if robot is None else robot.drive()
-        #: Moving objects by name; those that a human takes along follow its present motion.
+        #: Moving objects by name. An object that a human takes along follows the present motion.
         self._moving = {name: followed(item, self.world) for name, item in scene.moving_objects.items()}
 
     @property
@@ -217,9 +217,7 @@ class Playback:
 
     def show(self, elapsed: int, pace: float = 1.0) -> SceneState:
         """Poses at ``elapsed`` nanoseconds of the scene, with velocities per second of the wall clock.
-
-        ``pace``: seconds of the scene per second of the wall clock.
-        """
+        ``pace``: seconds of the scene per second of the wall clock."""
         self.elapsed = elapsed
         seconds = elapsed * 1e-9
         poses = {name: _paced(each, pace) for name, each in joint_poses_of(self.actors, seconds).items()}
@@ -307,7 +305,7 @@ class Playback:
             source: Finds the files; the source of the scene if None.
 
         Raises:
-            HumansimError: The motion cannot be played; with the key.
+            HumansimError: The motion cannot be played. The error names the key.
         """
         with in_section(f"humans.{name}.motion"):
             return self._prepare(name, settings, source or self.scene.source)
@@ -352,23 +350,16 @@ class Playback:
         if name not in self._shifts:
             return pose
         turn, offset = self._shifts[name]
-        position, rotation = (
-            turn.apply(pose.position) + offset,
-            multiply_quaternions(turn.as_quat(), normalised(pose.rotation)),
-        )
+        position = turn.apply(pose.position) + offset
+        rotation = multiply_quaternions(turn.as_quat(), normalised(pose.rotation))
         velocity = pose.velocity
         if velocity is not None:
             velocity = Velocity(turn.apply(velocity.linear), turn.apply(velocity.angular))
         return replace(pose, position=position, rotation=rotation, velocity=velocity)
 
     def place_object(self, name: str, position: Array, rotation: Array) -> None:
-        """Put a moving object somewhere else now. Its keyframes move it on from there.
-
-        Args:
-            name: Name of the object.
-            position: (3,) in ``map``, metres.
-            rotation: (4,) quaternion xyzw.
-        """
+        """Put a moving object somewhere else now. Its keyframes move it on from there. ``name``: name of the
+        object. ``position``: (3,) in ``map``, metres. ``rotation``: (4,) quaternion xyzw."""
         if name == ROBOT and self.drive is not None:
             yaw = scipy.spatial.transform.Rotation.from_quat(rotation).as_euler("xyz")[2]
             self.drive.place(self.elapsed * 1e-9, float(position[0]), float(position[1]), float(yaw))
@@ -411,9 +402,8 @@ class Playback:
         return {"position": tuple(anchor.tolist()), "yaw_deg": settings.yaw_deg + float(np.degrees(turn))}
 
     def rewind(self) -> None:
-        """Play all motions as if they had their present settings from the start of the scene; the robot
-        forgets its commands.
-        """
+        """Play all motions with their present settings from the start of the scene, without commands of the
+        robot."""
         self.world.version += 1
         if self.drive is not None:
             self.drive.reset()
@@ -478,22 +468,14 @@ class Entity:
 
 def scene_entities(scene: Scene) -> dict[str, Entity]:
     """Entities of a scene by name."""
-    entities = [
-        *(
-            Entity(
-                f"humans/{key}", "human", key, True, f"{scene.config.humans[key].body}, label {each.instance}"
-            )
-            for key, each in scene.actors.items()
-        ),
-        *(
-            Entity(f"objects/{key}", "object", key, each.moves, f"{each.shape}, label {each.instance}")
-            for key, each in scene.objects.items()
-        ),
-        *(
-            Entity(
-                key, "camera", key, each.moves, f"camera, {each.camera.size[0]}x{each.camera.size[1]} pixels"
-            )
-            for key, each in scene.scene_cameras.items()
-        ),
-    ]
+    entities = []
+    for key, human in scene.actors.items():
+        text = f"{scene.config.humans[key].body}, label {human.instance}"
+        entities.append(Entity(f"humans/{key}", "human", key, True, text))
+    for key, item in scene.objects.items():
+        text = f"{item.shape}, label {item.instance}"
+        entities.append(Entity(f"objects/{key}", "object", key, item.moves, text))
+    for key, camera in scene.scene_cameras.items():
+        text = "camera, {}x{} pixels".format(*camera.camera.size)
+        entities.append(Entity(key, "camera", key, camera.moves, text))
     return {entity.name: entity for entity in entities}

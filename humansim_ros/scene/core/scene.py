@@ -133,12 +133,12 @@ class Scene(Pictured):
                 Camera.
             humans: By name: a Human, a name or path, or the keys of a human in a scene file. Its ``body`` may
                 be a Human, its ``motion`` (or the ``file`` of its motion) a Motion.
-            objects: By name: a Mesh, a name or path, or the keys of an object, whose ``mesh`` may be a Mesh.
+            objects: By name: a Mesh, a name or path, or the keys of an object. Its ``mesh`` may be a Mesh.
             folder: Folder that relative file names start from.
             **sections: Other sections and keys of a scene file: ``rate``, ``room``, ``light`` …
 
         Raises:
-            HumansimError: With the key.
+            HumansimError: The mapping is not a valid scene. The error names the key.
 
         Example:
             >>> from humansim_ros import read_motion
@@ -218,10 +218,8 @@ class Scene(Pictured):
         return self.source.path
 
     def make_renderer(self, device: int | None = None) -> GLRenderer | PyrenderRenderer:
-        """Create the renderer of the scene with its static meshes.
-
-        ``device``: number of the GPU as EGL counts; the first that works if None. Raises RenderError.
-        """
+        """Create the renderer of the scene with its static meshes. ``device``: number of the GPU as EGL
+        counts; the first that works if None. Raises RenderError."""
         from humansim_ros.render.frame import make_renderer
 
         light = self.environment.lighting

@@ -59,7 +59,7 @@ _DIRECTIONS = dict(zip(ADJACENT_NAMES, (1, -1), strict=True))
 
 
 class SweepMaker(Protocol):
-    """What measures a scene in sweeps, which begin at times of their own: a laser scanner."""
+    """A laser scanner: it measures a scene in sweeps, which do not begin with frames."""
 
     @property
     def period(self) -> float:
@@ -128,10 +128,8 @@ class SceneStates:
         return state
 
     def adjacent(self, index: int, steps: Collection[int]) -> dict[int, Mapping[AdjacentName, SceneState]]:
-        """States some frames after and before a frame, as far as cameras compare with them.
-
-        ``steps``: numbers of frames between two pictures of a camera. The result is by step.
-        """
+        """States some frames after and before a frame, as far as cameras compare with them. ``steps``:
+        numbers of frames between two pictures of a camera. The result is by step."""
         self._forget(index)
         return {
             step: {name: self.at(index + sign * step) for name, sign in self._directions.items()}
@@ -229,10 +227,9 @@ class Frame(Pictured):
 
     @cached_property
     def keypoint_positions(self) -> Mapping[str, dict[str, Array]]:
-        """Keypoints (K, 3) in ``map``, metres, by set and human, as
-        ``frame.keypoint_positions["coco17"]["anna"]``.
+        """Keypoints (K, 3) in ``map``, metres: ``frame.keypoint_positions["coco17"]["anna"]``.
 
-        A set is computed on first access; KeypointError if there is no such set.
+        A set is computed on first access. Raises KeypointError if there is no such set.
         """
         return BySet(self._located)
 
@@ -248,8 +245,8 @@ class Frame(Pictured):
     def keypoints(self) -> Mapping[str, dict[str, dict[str, KeypointView]]]:
         """Keypoints by set, camera and human: ``frame.keypoints["coco17"]["camera_1"]["anna"]``.
 
-        A set is computed on first access; KeypointError if there is no such set, ChannelError without the
-        channels depth, instance and part.
+        A set is computed on first access. Raises KeypointError if there is no such set, and ChannelError
+        without the channels depth, instance and part.
         """
         return BySet(self._seen)
 
@@ -259,8 +256,7 @@ class Frame(Pictured):
     @property
     def boxes(self) -> dict[str, dict[str, BodyBox]]:
         """Boxes by camera, then human or labelled object; raises ChannelError unless the channels have
-        instance and amodal.
-        """
+        instance and amodal."""
         return {
             camera: {name: truth.boxes[name] for name in self.labels} for camera, truth in self.truth.items()
         }
@@ -285,9 +281,8 @@ class Frame(Pictured):
         return figure
 
     def visible_vertices(self, camera: str) -> dict[str, NDArray[np.bool_]]:
-        """Masks (V,) of the vertices that a camera sees, by human or labelled object; raises
-        ChannelError unless the channels have depth and instance.
-        """
+        """Masks (V,) of the vertices that a camera sees, by human or labelled object; raises ChannelError
+        unless the channels have depth and instance."""
         masks = self.truth[camera].visible_vertices
         return {name: masks[name] for name in self.labels}
 
@@ -364,7 +359,7 @@ class Simulation:
             index: Number of the frame, from 0.
             cameras: Names of the cameras to render; all if None. Those with a rate of their own are rendered
                 only in their frames.
-            rectified_depth: Names of the cameras whose depth without lens distortion is rendered, too.
+            rectified_depth: Names of the cameras with depth without lens distortion, too.
             scanners: Names of the laser scanners with sweeps that are made; all if None.
 
         Raises:

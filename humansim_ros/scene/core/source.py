@@ -26,7 +26,7 @@ from humansim_ros.scene.config.config import LIVE
 
 T = TypeVar("T")
 
-#: Motion whose first frame is a person who stands with hanging arms.
+#: In the first frame of this motion, a person stands with hanging arms.
 STANDING = "wave"
 
 
@@ -145,7 +145,7 @@ class SceneSource:
         return self.once(lambda: read_motion(path, positions), "motion", name, positions)
 
     def mesh(self, name: str) -> Mesh | None:
-        """A mesh in memory; None if it is the name of a file."""
+        """A mesh in memory; None for the name of a file."""
         return self._object(name, Mesh)
 
     def _object(self, name: str, kind: type[T]) -> T | None:
@@ -161,7 +161,7 @@ class SceneSource:
         return line_of(self.once(self._tree, "tree"), key.split("."))
 
     def _tree(self) -> yaml.Node | None:
-        """Nodes of the scene file; None if it cannot be read any more."""
+        """Nodes of the scene file; None for a file that cannot be read any more."""
         try:
             if self.text is not None:
                 return parse_yaml(self.text, SceneError, self.path or "scene")[1]

@@ -92,7 +92,7 @@ class SceneState:
         cameras: Poses of moving cameras by name.
         robot: Pose of the robot's ``base_link``, without vibration; None without a robot.
         index: Number of the frame, by which cameras with a rate of their own take their pictures.
-        is_preview: It is shown while no frame arrives, and is no frame itself: no flow leads to it.
+        is_preview: Whether it is shown while no frame arrives. It is no frame: no flow leads to it.
     """
 
     stamp: int = 0
@@ -131,7 +131,7 @@ class SceneState:
         return Exposure(self._bodies_at, lambda seconds: self._pose_at(camera, seconds), moving)
 
     def calibrated_pose(self, camera: SceneCamera) -> CameraPose:
-        """Pose at the stamp that the scene gives a camera; a camera that drifts has another."""
+        """Pose at the stamp that the scene gives a camera. A camera that drifts has another pose."""
         return self.cameras.get(camera.name, CameraPose.of(camera.camera))
 
     def _bodies_at(self, seconds: float) -> Sequence[Body]:
@@ -184,23 +184,13 @@ class CameraShot:
         if not rendered:
             return None
         taken = self.exposure
-        return RenderRequest(
-            taken.bodies_at(0.0),
-            self.posed,
-            rendered,
-            taken.moving,
-            taken.next_frame,
-            taken.previous_frame,
-            self.camera.backdrop,
-        )
+        around = taken.next_frame, taken.previous_frame
+        backdrop = self.camera.backdrop
+        return RenderRequest(taken.bodies_at(0.0), self.posed, rendered, taken.moving, *around, backdrop)
 
     def take(self, renderer: Renderer, scene_time: int) -> View:
-        """Render what the camera sees during its exposure, and apply its sensor to rgb.
-
-        Args:
-            renderer: Renderer of the scene.
-            scene_time: Nanoseconds; the sensor's noise depends on it.
-        """
+        """Render what the camera sees during its exposure, and apply its sensor to rgb. ``renderer``:
+        renderer of the scene. ``scene_time``: nanoseconds; the sensor's noise depends on it."""
         view = View() if self.request is None else renderer.render(self.request)
         if self.frozen is not None:
             return view.with_channels(rgb=self.frozen)
@@ -222,16 +212,13 @@ class CameraShot:
         taken, camera = self.exposure, self.camera
         for time in times:
             posed = camera.camera_at(taken.pose_at(time))
-            request = RenderRequest(
-                taken.bodies_at(time), posed, ("rgb",), taken.moving, backdrop=camera.backdrop
-            )
-            yield renderer.render(request).rgb
+            bodies, backdrop = taken.bodies_at(time), camera.backdrop
+            yield renderer.render(RenderRequest(bodies, posed, ("rgb",), taken.moving, backdrop=backdrop)).rgb
 
 
 def capture_rectified_depth(renderer: Renderer, camera: SceneCamera, exposure: Exposure) -> Float32Array:
-    """Depth (H, W) in metres along the axis of the camera of ``image_rect``, at the stamp. It is rendered
-    with this camera. Depth interpolated from another image would be wrong at edges, and depth of the nearest
-    pixel would be wrong on slanted surfaces. NaN where ``image_raw`` has no pixel."""
+    """Depth (H, W) in metres along the axis of ``image_rect`` at the stamp; NaN where ``image_raw`` has no
+    pixel. It is rendered, since interpolated depth would be wrong at edges."""
     pose = exposure.pose_at(0.0)
     seen = camera.rectified_at(pose)
     depth = renderer.render(exposure.bodies_at(0.0), seen, ("depth",), exposure.moving).depth

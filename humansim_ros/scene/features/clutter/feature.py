@@ -22,7 +22,7 @@ _FROM_HUMANS, _FROM_CAMERAS, _FROM_OBJECTS = 0.35, 0.4, 0.05
 _LOW, _HIGH = 0.05, 1.8
 #: Positions tried for an object: _TRIES times _BATCH at once.
 _TRIES, _BATCH = 20, 20
-#: Metres around humans, or around the origin without humans, in which clutter is if there is no room.
+#: Without a room, clutter is this far around humans, or around the origin if there are no humans, metres.
 _AROUND_HUMANS, _AROUND_ORIGIN = 2.0, 3.0
 
 
@@ -30,11 +30,8 @@ class Clutter(Feature):
     """Random objects where nobody walks."""
 
     def furnish(self, draft: Draft) -> None:
-        """Add the objects. A HumansimWarning says how many find no position.
-
-        Raises:
-            SceneError: The scene uses one of their names.
-        """
+        """Add the objects. A HumansimWarning says how many find no position. Raises SceneError if the scene
+        uses one of their names."""
         randomise = draft.config.randomise
         assert randomise is not None
         humans = _joints(draft)
@@ -56,16 +53,12 @@ class Clutter(Feature):
                     center = positions[np.argmax(free)]
                     centers, radii = np.vstack([centers, center]), np.append(radii, radius)
                     x, y = (round(float(value), 4) for value in center)
-                    placed[name] = item.model_copy(
-                        update={"position": (x, y, item.size[2] / 2), "label": randomise.clutter_label}
-                    )
+                    place = {"position": (x, y, item.size[2] / 2), "label": randomise.clutter_label}
+                    placed[name] = item.model_copy(update=place)
                     break
         if len(placed) < randomise.clutter:
-            draft.source.warn(
-                "randomise.clutter",
-                f"only {len(placed)} of {randomise.clutter} objects find a position on the floor where "
-                "nobody walks",
-            )
+            found = f"only {len(placed)} of {randomise.clutter} objects find a position"
+            draft.source.warn("randomise.clutter", f"{found} on the floor where nobody walks")
         draft.add_objects(placed, "randomise.clutter")
 
 
@@ -103,11 +96,9 @@ def _floor(draft: Draft, humans: Array) -> Floor:
 def _random_object(uniform: RandomNumbers) -> tuple[ObjectConfig, float]:
     """Object of random shape, size and colour, and its radius seen from above."""
     kind = ("box", "cylinder", "sphere")[min(int(3 * uniform()), 2)]
-    width, depth, height = (
-        round(low + more * uniform(), 3) for low, more in ((0.2, 0.5), (0.2, 0.5), (0.3, 1.3))
-    )
-    sizes = {"box": (width, depth, height), "cylinder": (width, width, height), "sphere": (width,) * 3}
-    size = sizes[kind]
+    ranges = ((0.2, 0.5), (0.2, 0.5), (0.3, 1.3))
+    width, depth, height = (round(low + more * uniform(), 3) for low, more in ranges)
+    size = {"box": (width, depth, height), "cylinder": (width, width, height), "sphere": (width,) * 3}[kind]
     color = (int(256 * uniform()), int(256 * uniform()), int(256 * uniform()))
     yaw = round(360 * uniform(), 2) if kind == "box" else 0.0
     item = ObjectConfig(mesh=kind, size=size, color=color, rotation_deg=(0.0, 0.0, yaw))
@@ -115,7 +106,7 @@ def _random_object(uniform: RandomNumbers) -> tuple[ObjectConfig, float]:
 
 
 def _area(draft: Draft, humans: Array) -> Array:
-    """Low and high corner (2, 2) of the floor: of the room. Without a room, around the humans."""
+    """Low and high corner (2, 2) of the floor of the room. Without a room, around the humans."""
     if draft.config.room is None and len(humans):
         return np.array([humans.min(axis=0) - _AROUND_HUMANS, humans.max(axis=0) + _AROUND_HUMANS])
     return floor_corners(draft.config, 2 * _AROUND_ORIGIN)

@@ -38,7 +38,7 @@ _PASSED, _ARRIVED = 0.5, 0.05
 _PATIENCE, _PROGRESS = 6.0, 0.3
 #: Factor of the time of the way home, and seconds that are added, for the others on it.
 _HOMEWARDS, _STANDING = 1.6, 5.0
-#: Factor of the duration of a round after which nobody is waited for.
+#: A round ends after at most this factor of its duration, whoever is not back.
 _LONGER = 1.5
 #: Sizes of groups, metres between people who walk side by side, and how far the outer ones fall back.
 _SIZES, _ABREAST, _BACK = (2, 2, 2, 3, 3, 4), 0.75, 0.15
@@ -52,7 +52,7 @@ _BESIDE = 1.0
 _FASTEST, _MOVE_UP, _CATCH_UP = 2.2, 2.5, 0.8
 #: Radians by which people pass each other to the right; least factor of the speed in a curve.
 _TO_THE_RIGHT, _CURVE = 0.04, 0.15
-#: Rounds in which people who would touch are moved apart; side of the square of a detour, metres.
+#: Number of times that people who would touch are moved apart; side of the square of a detour, metres.
 _SEPARATIONS, _DETOUR = 4, 5.0
 #: Side of the area of a crowd without a room, metres.
 _OPEN = 10.0
@@ -108,7 +108,7 @@ class _Person:
         uniform: Its random numbers.
         goals: Corners (2, 2) of the areas that it walks to in turn.
         leader: Number of the person that it walks next to; None for its own goals.
-        next to: Metres to the left of the leader.
+        aside: Metres to the left of the leader.
         facing: Heading if it never walks, radians.
         way: Corners (2,) of its way, the last one its goal; empty while it stands.
         turn: Number of the next goal.
@@ -123,7 +123,7 @@ class _Person:
     uniform: RandomNumbers
     goals: Sequence[Array] = ()
     leader: int | None = None
-    beside: float = 0.0
+    aside: float = 0.0
     facing: float = 0.0
     way: list[Array] = field(default_factory=list)
     turn: int = 0
@@ -143,7 +143,7 @@ class _Queue:
 
     Attributes:
         places: (Q, 2), the first one first.
-        next to: (2, 2) corners of the way from the first place back to the last one.
+        way_back: (2, 2) corners of the way from the first place back to the last one.
         line: Numbers of the people in line.
         service: Seconds that one is served.
         services: How many are served in a round: in the end all are where they began.
@@ -152,7 +152,7 @@ class _Queue:
     """
 
     places: Array
-    beside: Array
+    way_back: Array
     line: list[int]
     service: float
     services: int
@@ -170,10 +170,7 @@ class _Starts:
         self._whole = [np.stack([floor.low, floor.high])]
         self._taken = np.zeros((0, 2))
         self._areas = [
-            [
-                self._area(f"crowd.flows.{number}.{end}", corners)
-                for end, corners in (("start", flow.start), ("goal", flow.goal))
-            ]
+            [self._area(f"crowd.flows.{number}.{end}", getattr(flow, end)) for end in ("start", "goal")]
             for number, flow in enumerate(crowd.flows)
         ]
 
@@ -202,9 +199,8 @@ class _Starts:
                 key=f"{key}.position",
             )
         sides = [_BESIDE * np.array([-back[1], back[0]]), _BESIDE * np.array([back[1], -back[0]])]
-        beside = max(
-            (places[[0, -1]] + side for side in sides), key=lambda ends: int(self._floor.free(ends).sum())
-        )
+        ways = [places[[0, -1]] + side for side in sides]
+        way_back = max(ways, key=lambda ends: int(self._floor.free(ends).sum()))
         line = list(range(len(people), len(people) + config.count))
         for place in places:
             person = self._person(len(people), place)
@@ -214,7 +210,7 @@ class _Starts:
         slowest = min(people[one].speed for one in line)
         walk = (config.spacing * config.count + 2 * _BESIDE) / slowest * _HOMEWARDS + _STANDING
         rounds = (self._crowd.duration - walk) // (config.count * (config.service + _MOVE_UP))
-        return _Queue(places, beside, line, config.service, max(0, int(rounds)) * config.count)
+        return _Queue(places, way_back, line, config.service, max(0, int(rounds)) * config.count)
 
     def group(self, people: list[_Person]) -> None:
         """Add a person, or people who walk together."""
@@ -238,7 +234,7 @@ class _Starts:
             member.goals, member.turn, member.speed = goals, turn, speed
             # the leader walks in the middle: the others to its left and right
             member.leader = first if number else None
-            member.beside = (
+            member.aside = (
                 max(_ABREAST, 2 * crowd.radius + _APART) * ((number + 1) // 2) * (1 if number % 2 else -1)
             )
         people += members
@@ -373,9 +369,8 @@ class _Plan:
         self._velocities = (after - before) / STEP
         self._at = after
         fast = np.linalg.norm(self._velocities, axis=1) > _SLOWEST / 2
-        self._headings[fast] = (
-            self._velocities[fast] / np.linalg.norm(self._velocities[fast], axis=1)[:, None]
-        )
+        walking = self._velocities[fast]
+        self._headings[fast] = walking / np.linalg.norm(walking, axis=1)[:, None]
 
     def _turned(self, preferred: Array) -> Array:
         """Preferred velocities (N, 2) of people who turn in a curve, and pass on the right."""
@@ -397,7 +392,7 @@ class _Plan:
             queue.since = time if queue.since is None else queue.since
             if time - queue.since >= queue.service:
                 queue.line.append(queue.line.pop(0))
-                self.people[first].go([*queue.beside, queue.places[-1]], time, stays=True)
+                self.people[first].go([*queue.way_back, queue.places[-1]], time, stays=True)
                 queue.served, queue.since = queue.served + 1, None
         for number, place in zip(queue.line, queue.places, strict=True):
             person = self.people[number]
@@ -460,19 +455,16 @@ class _Plan:
             person.best = distance, time
         elif time - person.best[1] > _PATIENCE:
             self._give_up(number, person, time)
-        slow = (
-            min(person.speed, distance / (2 * STEP))
-            if person.stays and len(person.way) == 1
-            else person.speed
-        )
-        return slow * line / max(distance, 1e-9)
+        arrives = person.stays and len(person.way) == 1
+        speed = min(person.speed, distance / (2 * STEP)) if arrives else person.speed
+        return speed * line / max(distance, 1e-9)
 
     def _has_passed(self, at: Array, way: list[Array]) -> bool:
         """Whether somebody is at a corner, or sees the next one."""
         return bool(math.hypot(*(way[0] - at)) < _PASSED or self._floor.sees(at[None], way[1][None])[0])
 
     def _give_up(self, number: int, person: _Person, time: float) -> None:
-        """Another goal for somebody who gets nowhere, or a detour of who must get there."""
+        """Give a person who gets nowhere another goal, or a detour if the person must get there."""
         person.best = (np.inf, time)
         if not person.stays:
             person.way = []
@@ -486,9 +478,9 @@ class _Plan:
         assert person.leader is not None
         chief, ahead = self._at[person.leader], self._headings[person.leader]
         left = np.array([-ahead[1], ahead[0]])
-        place = chief + person.beside * left - _BACK * abs(person.beside) * ahead
+        place = chief + person.aside * left - _BACK * abs(person.aside) * ahead
         if not self._floor.free(place):
-            place = chief - abs(person.beside) * ahead
+            place = chief - abs(person.aside) * ahead
         velocity = self._velocities[person.leader]
         gap = place - at
         if not velocity.any() and math.hypot(*gap) < _PASSED:
@@ -503,13 +495,8 @@ class Crowd(Feature):
     """The section ``crowd``."""
 
     def expand(self, draft: Draft) -> None:
-        """Add the people of the section ``crowd``, each with its path.
-
-        A HumansimWarning names the people who get nowhere.
-
-        Raises:
-            SceneError: With the key, if there is no room for the people, or no floor at a goal.
-        """
+        """Add the people of the crowd with their paths. A HumansimWarning names the people who get nowhere.
+        Raises SceneError: the people have no room, or a goal has no floor. The error names the key."""
         crowd, source = draft.config.crowd, draft.source
         if crowd is None or not crowd.count:
             return

@@ -157,15 +157,13 @@ def nearest_allowed(preferred: Array, normals: Array, offsets: Array, speeds: Ar
         n, c = normals[:, number], offsets[:, number]
         left = np.flatnonzero(((n * velocity).sum(-1) < c - _EXACT) & ~failed)
         if len(left):
-            found, ok = _on_line(
-                goal[left], normals[left, : number + 1], offsets[left, : number + 1], speeds[left]
-            )
+            upto = slice(number + 1)
+            found, ok = _on_line(goal[left], normals[left, upto], offsets[left, upto], speeds[left])
             velocity[left[ok]] = found[ok]
             failed[left[~ok]] = True
     if failed.any():
-        velocity[failed] = _least_violation(
-            velocity[failed], normals[failed], offsets[failed], speeds[failed], fixed
-        )
+        violating = velocity[failed], normals[failed], offsets[failed], speeds[failed]
+        velocity[failed] = _least_violation(*violating, fixed)
     return velocity
 
 
@@ -208,11 +206,11 @@ def _det(a: Array, b: Array) -> Array:
 
 #: Size of a cell, metres; most cells along a side: a longer side has larger cells.
 _CELL, _MOST_CELLS = 0.1, 800
-#: Distance, metres, from a person at which obstacles are looked for, and the number of directions.
+#: Obstacles are searched around points at this distance from a person, metres, in this number of directions.
 _LOOK, _DIRECTIONS = 0.5, 6
 #: Metres between the points of a line that must be free.
 _ALONG = 0.1
-#: Steps from a cell to its neighbours; each stands for its opposite, too.
+#: Steps from a cell to its neighbours. Each step also stands for the opposite step.
 _STEPS = ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (2, 1), (1, -2), (2, -1))
 
 
@@ -259,7 +257,7 @@ class WalkGrid:
 
     @property
     def margin(self) -> float:
-        """Half of a cell, metres: what is covered reaches that far from the middle of its cell."""
+        """Half of a cell, metres: a covered thing reaches this far from the middle of its cell."""
         return self.cell / 2
 
     def _cells(self, points: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -319,7 +317,7 @@ class WalkGrid:
         return number, scipy.sparse.csr_matrix(edges, shape=(count, count))
 
     def way(self, start: Array, end: Array) -> list[Array] | None:
-        """Corners (2,) of a short way from ``start`` to ``end``, the last one; None if there is no way."""
+        """Corners (2,) of a short way from ``start`` to ``end``, with ``end``; None if there is no way."""
         if self.sees(start[None], end[None])[0]:
             return [end]
         number, graph = self._graph

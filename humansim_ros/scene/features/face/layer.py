@@ -78,7 +78,7 @@ VOWELS: Mapping[str, Mapping[str, float]] = read_table("faces")["vowels"]
 
 
 def linear(share: Array) -> Array:
-    """Share of a linear change, as between the frames of recordings."""
+    """Share of a linear change, such as between the frames of recordings."""
     return share
 
 
@@ -279,11 +279,8 @@ class Face:
     @cached_property
     def joints(self) -> tuple[str, ...]:
         """Names of the joints that carry the face."""
-        names = tuple(FACE_JOINT + ACTIONS[action] for action in self._actions)
-        return (
-            *names,
-            *((GAZE_JOINT, HEAD_JOINT) if self.turns_head else (GAZE_JOINT,) if self.gazes else ()),
-        )
+        attended = (GAZE_JOINT, HEAD_JOINT) if self.turns_head else (GAZE_JOINT,) if self.gazes else ()
+        return (*(FACE_JOINT + ACTIONS[action] for action in self._actions), *attended)
 
     @property
     def turns_head(self) -> bool:
@@ -422,10 +419,9 @@ def key_tracks(keys: Sequence[FaceKey], numbers: Callable[[str], Uniform]) -> tu
         if key.expression is not None
     ]
     actions = [(key.time, key.blend, face_weights(key.actions)) for key in keys if key.actions is not None]
-    spoken = [
-        speech(key.time, key.speak, numbers(f"speech {key.time:g}")) for key in keys if key.speak is not None
-    ]
-    return (*(key_track(each) for each in (expressions, actions) if each), *spoken)
+    spoken = [(key.time, key.speak) for key in keys if key.speak is not None]
+    mouths = [speech(time, seconds, numbers(f"speech {time:g}")) for time, seconds in spoken]
+    return (*(key_track(each) for each in (expressions, actions) if each), *mouths)
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,21 +22,16 @@ _THICK = 0.018
 
 @dataclass(frozen=True, eq=False)
 class Hold(Follower):
-    """A human that takes an object along, in the hands or on the path.
+    """A human that takes an object along in both hands or on the path; ``config``: when, and by what.
 
     ``own`` is the pose of the object in the frame between the palms, or below the hips.
-
-    Attributes:
-        config: When, and by what.
     """
 
     config: HoldConfig
 
     def frames(self, times: Array) -> tuple[Array, Array]:
-        """Middles of the palms (N, 3), and axes (N, 3, 3): x ahead, y to the left palm.
-
-        Of a path, points of the floor below the hips, without the sway of steps; y to the left.
-        """
+        """Middles of the palms (N, 3), and axes (N, 3, 3): x ahead, y to the left palm; or
+        :func:`path_frames`."""
         if self.config.by == "path":
             return path_frames(self.actor, self._held(times), self._held)
         left, right = self.palms(self._held(times))
@@ -49,9 +44,8 @@ class Hold(Follower):
         """Left and right palm (N, 3) at scene times (N,)."""
         joints = self.actor.joints_at(times, WITHOUT_REACH)[..., :3, 3]
         names = self.actor.human.skeleton.joint_names
-        wrists, tips = (
-            joints[:, [names.index(f"{side}_{part}") for side in "lr"]] for part in ("wrist", "wrist_end")
-        )
+        parts = ([names.index(f"{side}_{part}") for side in "lr"] for part in ("wrist", "wrist_end"))
+        wrists, tips = (joints[:, numbers] for numbers in parts)
         left, right = np.moveaxis((1 - PALM) * wrists + PALM * tips, 1, 0)
         return left, right
 
@@ -72,11 +66,8 @@ class Hold(Follower):
 
 
 def held(item: SceneObject, config: HoldConfig, world: World) -> SceneObject:
-    """An object that a human takes along; a built-in shape in hands becomes as wide as these are apart.
-
-    Raises:
-        SceneError: There is no such human, or it has no hands.
-    """
+    """An object that a human takes along. A built-in shape becomes as wide as the hands are apart. Raises
+    SceneError if there is no such human, or if it has no hands."""
     actors = world.people
     if config.human not in actors:
         raise SceneError(unknown("human", config.human, actors))

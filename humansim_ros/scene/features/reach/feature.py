@@ -161,26 +161,25 @@ class _ArmAt:
         left, right = (joints[:, skeleton.bone(f"{each}_shoulder"), :3, 3] for each in "lr")
         upper, lower, hand = (skeleton.bone(f"{side[0]}_{part}") for part in ("shoulder", "elbow", "wrist"))
         lengths = skeleton.lengths
-        length = others.size(name, float(times[0])) * float(
-            lengths[upper] + lengths[lower] + PALM * lengths[hand]
-        )
+        length = float(lengths[upper] + lengths[lower] + PALM * lengths[hand])
+        length = others.size(name, float(times[0])) * length
         ahead = unit_vectors(np.cross(left - right, _UP))
         return cls(left if side == "left" else right, ahead, length)
 
 
 @dataclass(frozen=True, eq=False)
 class MeetingGoal:
-    """The hand of another human, who reaches for this one: both palms meet between both shoulders.
+    """The hand of another human who reaches for this human: both palms meet between both shoulders.
 
-    The place is a function of both arms as the motions have them, and the same one for both. Hands of one
-    side shake: thumbs are up. A right and a left hand hold each other: next to each other they hang, face to
-    face one is on the other.
+    The place follows from both arms in their motions, so that it is the same for both humans. Two right hands
+    shake with the thumbs up, as two left hands do. A right and a left hand hold each other: they hang if the
+    humans face the same way. If the humans face each other, one hand is on the other.
 
     Attributes:
         hands: This human and its hand, then the other one and its hand.
         holds: Scene times from and to which the hands hold, seconds.
-        repeat: Seconds after which they meet again; infinite for once.
-        shake: Metres by which they go up and down; 0 for hands that hold still.
+        repeat: Seconds after which the hands meet again; infinite for once.
+        shake: Metres by which the hands go up and down; 0 for hands that hold still.
     """
 
     hands: tuple[tuple[str, str], tuple[str, str]]
@@ -245,7 +244,7 @@ class ReachingHands(CheckedFeature):
     """The key ``reach`` of humans."""
 
     def furnish(self, draft: Draft) -> None:
-        """Let hands reach for what the sections say. Raises HumansimError, which names the key, as of an
+        """Let hands reach for what the sections say. Raises HumansimError, which names the key, such as of an
         unknown object."""
         configs, objects = draft.config.humans, draft.objects
         makes = _Goals(draft.actors, configs, objects)
@@ -256,9 +255,8 @@ class ReachingHands(CheckedFeature):
                 if config.motion.file == LIVE:
                     raise SceneError(f"another node moves {name}, and its hands")
                 if held := [item.name for item in objects.values() if item.held_by == name]:
-                    raise SceneError(
-                        f"{name} holds {some_of(held)} in both hands: they reach for nothing else"
-                    )
+                    text = f"{name} holds {some_of(held)} in both hands: they reach for nothing else"
+                    raise SceneError(text)
                 _refuse_overlaps(config.reach)
                 reaches = []
                 for number, each in enumerate(config.reach):
@@ -267,11 +265,8 @@ class ReachingHands(CheckedFeature):
                     times = each.start, each.until, each.blend
                     repeat = each.repeat or math.inf
                     reaches.append(Reach(each.hand, *times, goal, repeat, f"reach.{number}.to"))
-                poses = [
-                    ReachingHand(each.side, own.pose, each.shares)
-                    for each, own in zip(reaches, config.reach, strict=True)
-                    if own.pose is not None
-                ]
+                both = zip(reaches, config.reach, strict=True)
+                poses = [ReachingHand(each.side, own.pose, each.shares) for each, own in both if own.pose]
                 draft.reach(name, reaches, poses)
         makes.refuse_circles()
 
@@ -285,9 +280,8 @@ class ReachingHands(CheckedFeature):
             for reach in all_reaches.reaches:
                 first = reach.start + reach.blend
                 times = np.linspace(first, min(reach.end - reach.blend, first + _LONGEST), _MEASURED)
-                lacks = np.linalg.norm(
-                    actor.palms_at(reach.side, times) - reach.goal(times, actor.others).place, axis=-1
-                )
+                places = reach.goal(times, actor.others).place
+                lacks = np.linalg.norm(actor.palms_at(reach.side, times) - places, axis=-1)
                 if lacks.max() < _TOUCHES:
                     continue
                 worst, never = int(np.argmax(lacks)), bool(lacks.min() >= _TOUCHES)
@@ -328,7 +322,7 @@ def _refuse_overlaps(reaches: tuple[ReachConfig, ...]) -> None:
 
 @dataclass(frozen=True)
 class _Goals:
-    """Makes the goals of reaches; from the humans by name, their sections, and the objects by name."""
+    """Makes the goals of reaches. It needs the humans and objects by name, and the sections of the humans."""
 
     people: Mapping[str, Actor]
     configs: Mapping[str, HumanConfig]
@@ -393,11 +387,9 @@ class _Goals:
         if config.palm is not None or config.fingers is not None:
             key = "palm" if config.palm is not None else "fingers"
             raise SceneError("hands that meet turn to each other: remove it", key=key)
-        holds = (
-            max(config.start + config.blend, other.start + other.blend),
-            min(config.until - config.blend, other.until - other.blend),
-        )
-        if holds[1] < holds[0] or config.repeat != other.repeat:
+        start = max(config.start + config.blend, other.start + other.blend)
+        end = min(config.until - config.blend, other.until - other.blend)
+        if end < start or config.repeat != other.repeat:
             raise SceneError(
                 f"{name} ({config.span}) and {target} ({other.span}) are not there together: give both the "
                 "same start, end, blend and repeat",
@@ -405,10 +397,10 @@ class _Goals:
             )
         shake = min(config.shake, other.shake) if config.hand == other.hand else 0.0
         hands = ((name, config.hand), (target, other.hand))
-        return MeetingGoal(hands, holds, config.repeat or math.inf, shake)
+        return MeetingGoal(hands, (start, end), config.repeat or math.inf, shake)
 
     def refuse_circles(self) -> None:
-        """Raise SceneError for humans who reach for each other's joints all around."""
+        """Raise SceneError for humans who reach for each other's joints in a circle."""
         follows = {
             name: {each.to for each in config.reach if isinstance(each.to, str) and isinstance(each.at, str)}
             for name, config in self.configs.items()

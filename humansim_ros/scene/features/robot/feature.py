@@ -107,7 +107,7 @@ class Robot:
         return self.route is None and self.config.odometry is None
 
     def drive(self) -> CommandedDrive | None:
-        """What moves it by commands; None if it takes none."""
+        """What moves the robot by commands; None if another thing moves the robot."""
         return CommandedDrive(self) if self.takes_commands else None
 
     @cached_property
@@ -122,10 +122,8 @@ class Robot:
         return ObjectPose.on_floor(*self.config.position, math.radians(self.config.yaw_deg))
 
     def body_at(self, seconds: float, base: ObjectPose | None = None) -> ObjectPose:
-        """Pose and velocity of its body at a scene time, with vibration.
-
-        ``base``: where ``base_link`` is then; as :meth:`base_at` says if None.
-        """
+        """Pose and velocity of its body at a scene time, with vibration. ``base``: where ``base_link`` is
+        then; as :meth:`base_at` says if None."""
         base = self.base_at(seconds) if base is None else base
         return base if self._vibration is None else base.carry(self._vibration.at(seconds))
 

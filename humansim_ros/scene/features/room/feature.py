@@ -73,7 +73,7 @@ def fixtures(size: tuple[float, float]) -> dict[str, Fixture]:
     return {name: Fixture(*place, _TOPS.get(name)) for name, place in plan.items()}
 
 
-#: Heights of the furniture that has a free surface; of the sofa its seat.
+#: Heights of furniture with a free surface, and of the seat of the sofa, metres.
 _TOPS = {"table": 0.74, "sofa": 0.40, "cabinet": 0.9, "carton": 0.44, "small carton": 0.34}
 
 
@@ -201,9 +201,8 @@ def _rug(rng: Rng) -> Image:
             for radius, color in ((46, (196, 176, 140)), (34, (70, 84, 104)), (18, (206, 196, 176))):
                 diamond = centre + radius * np.array([[1, 0], [0, 1.15], [-1, 0], [0, -1.15]])
                 cv2.fillPoly(image, [np.rint(diamond).astype(np.int32)], color, cv2.LINE_AA)
-    return np.clip(
-        image * (1 + 0.06 * noise(rng, shape, 1.5) + 0.03 * noise(rng, shape, 20))[..., None], 0, 255
-    ).astype(np.uint8)
+    light = 1 + 0.06 * noise(rng, shape, 1.5) + 0.03 * noise(rng, shape, 20)
+    return np.clip(image * light[..., None], 0, 255).astype(np.uint8)
 
 
 def _cardboard(rng: Rng) -> Image:
@@ -231,7 +230,7 @@ class Room(Feature):
 
 @lru_cache(maxsize=2)
 def _furnished(size: tuple[float, float, float], seed: int) -> tuple[Mesh, ...]:
-    """Meshes of a room; kept, because an editor makes a scene again after each edit."""
+    """Meshes of a room, cached for editors, which make a scene again after each edit."""
     return tuple(furnished_room(size, seed))
 
 

@@ -118,10 +118,8 @@ class SceneScanner:
         return self.mount is not None or len(self.route.path.times) > 1
 
     def poses(self, seconds: Array, robot: Poses | None = None) -> Poses:
-        """Poses at scene times (N,) in seconds; one for all if it does not move.
-
-        ``robot``: poses of the body of the robot then; as its settings say if None.
-        """
+        """Poses at scene times (N,) in seconds; one for all times if the scanner does not move. ``robot``:
+        poses of the body of the robot at these times; if None, the robot computes them."""
         if self.mount is None:
             times = self.route.speed * (seconds[: None if self.moves else 1] + self.route.offset)
             return Poses(*self.route.path.in_map(times))
@@ -131,10 +129,7 @@ class SceneScanner:
         return Poses(*compose_poses((robot.positions, robot.rotations), (place.positions, place.rotations)))
 
     def pose(self, seconds: float, robot: ObjectPose | None = None) -> ObjectPose:
-        """Pose in ``map`` at a scene time in seconds.
-
-        ``robot``: pose of the body of the robot then; as its settings say if None.
-        """
+        """Pose in ``map`` at a scene time in seconds. ``robot``: as in :meth:`poses`."""
         here = self.poses(np.array([seconds]), None if robot is None else poses_of([robot]))
         return ObjectPose(here.positions[0], here.rotations[0])
 
@@ -152,24 +147,14 @@ def _model(config: ScannerConfig) -> ScannerModel:
     assert own is not None and config.rate is not None and config.range is not None
     rays = own.columns * len(own.elevations_deg)
     _check_count(rays, config.rate, "pattern.columns")
-    if own.kind == "raster":
-        return ScannerModel(
-            "pattern",
-            "scene",
-            config.rate,
-            lambda rate: raster(rate, own.elevations_deg, own.columns, [own.azimuth_deg]),
-            config.range,
-            0.0,
-        )
     times = own.firing_us * 1e-6, own.channel_us * 1e-6
-    return ScannerModel(
-        "pattern",
-        "scene",
-        config.rate,
-        lambda rate: spinning(rate, own.elevations_deg, own.columns, own.azimuth_deg, *times),
-        config.range,
-        0.0,
-    )
+
+    def pattern(rate: float) -> Pattern:
+        if own.kind == "raster":
+            return raster(rate, own.elevations_deg, own.columns, [own.azimuth_deg])
+        return spinning(rate, own.elevations_deg, own.columns, own.azimuth_deg, *times)
+
+    return ScannerModel("pattern", "scene", config.rate, pattern, config.range, 0.0)
 
 
 def _check(pattern: Pattern, config: ScannerConfig) -> None:
@@ -212,8 +197,8 @@ def _route(config: ScannerConfig, source: SceneSource) -> Route:
 def build_scanners(
     config: SceneConfig, source: SceneSource, robot: Carrier | None = None
 ) -> dict[str, SceneScanner]:
-    """Create the scanners of a scene by name. Raises HumansimError, which names the key. ``robot``: carries
-    the scanners that are mounted on it."""
+    """Scanners of a scene by name. ``robot``: carries the scanners that are mounted on it. Raises
+    HumansimError, which names the key."""
     with in_section("scanners"):
         for name in config.scanners:
             if name in config.cameras:

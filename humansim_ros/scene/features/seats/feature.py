@@ -29,12 +29,8 @@ _BELOW = (0.02, 0.28)
 
 
 def is_above(point: Array, meshes: Sequence[Mesh]) -> bool:
-    """Whether a surface is below hips, from 0.02 to 0.28 m.
-
-    Args:
-        point: Middle of the hips, (3,) in the axes of the meshes.
-        meshes: Things that somebody may sit on.
-    """
+    """Whether a surface is below hips, from 0.02 to 0.28 m. ``point``: middle of the hips, (3,) in the axes
+    of the meshes. ``meshes``: things that somebody may sit on."""
     start, end = (point[None] - (0.0, 0.0, below) for below in _BELOW)
     corners = (np.asarray(mesh.vertices, dtype=float)[mesh.triangles] for mesh in meshes)
     return any(segments_crossing(start, end, each)[0] for each in corners)
@@ -77,7 +73,7 @@ def _sized(item: SceneObject) -> Mesh:
 
 
 def sittings_of(actor: Actor, source: SceneSource, config: MotionConfig) -> list[Sitting]:
-    """Places where a human of a scene sits; none for people of a crowd, and for those whom a node moves."""
+    """Places where a human of a scene sits; none for people of a crowd and humans that a node moves."""
     if isinstance(actor.motion, PathMotion) or config.file == LIVE:
         return []
     length = actor.motion.duration if actor.motion.loop != "continue" and actor.keyframes is None else 60.0
@@ -91,23 +87,20 @@ def sittings_of(actor: Actor, source: SceneSource, config: MotionConfig) -> list
 
 
 def _bends(actor: Actor, times: Array) -> bool:
-    """Whether the hips of a motion are low at any time: whoever's hips are not low does not sit."""
+    """Whether the hips of a motion are low at any time, as when a person sits."""
     roles = actor.motion.match.roles
     ankles = [roles.get(f"{side}Ankle", roles[f"{side}Knee"]) for side in ("Left", "Right")]
     positions = actor.motion.sample(times, actor.ahead).positions
     height = positions[:, roles["Hips"], 2] - positions[:, ankles, 2].mean(axis=1)
-    return bool(
-        height.min() < HIGHEST_HIPS * 1.15 * actor.motion.frame.ankle_to_head * actor.motion.frame.unit / 2
-    )
+    frame = actor.motion.frame
+    return bool(height.min() < HIGHEST_HIPS * 1.15 * frame.ankle_to_head * frame.unit / 2)
 
 
 def furniture_for(
     actors: Mapping[str, Actor], seats: Seats, source: SceneSource
 ) -> Iterator[tuple[str, str, ObjectConfig]]:
-    """Chairs and tables for those who sit where nothing is below them: who needs it, its name, and itself.
-
-    The chair is as high as the person sits. Somebody who writes or eats gets a table in front.
-    """
+    """Chairs and tables for people who sit where nothing is below them: the human, the name of the furniture
+    and its section. A chair is as high as the person sits. People who write or eat get a table in front."""
     for name, actor in actors.items():
         human = seats.config.humans[name]
         if human.seat == "none":
@@ -121,11 +114,8 @@ def furniture_for(
             factor = max(sitting.height, 0.1) / SEAT_HEIGHT
             yield name, _free(f"{name}_chair{suffix}", seats.objects), _at(sitting, "chair", 0.0, factor)
             if needs_table(human.motion.file):
-                yield (
-                    name,
-                    _free(f"{name}_table{suffix}", seats.objects),
-                    _at(sitting, "table", TO_TABLE, factor),
-                )
+                table = _at(sitting, "table", TO_TABLE, factor)
+                yield name, _free(f"{name}_table{suffix}", seats.objects), table
 
 
 def _free(name: str, taken: Mapping[str, object]) -> str:
@@ -139,9 +129,8 @@ def _at(sitting: Sitting, mesh: str, ahead: float, factor: float) -> ObjectConfi
     way = np.array([np.cos(sitting.yaw), np.sin(sitting.yaw)])
     x, y = np.round(sitting.hips[:2] + ahead * sitting.size * way, 4).tolist()
     yaw = round(float(np.degrees(sitting.yaw)), 2)
-    return ObjectConfig(
-        mesh=mesh, size=(1.0, 1.0, round(factor, 4)), position=(x, y, 0.0), rotation_deg=(0.0, 0.0, yaw)
-    )
+    size = 1.0, 1.0, round(factor, 4)
+    return ObjectConfig(mesh=mesh, size=size, position=(x, y, 0.0), rotation_deg=(0.0, 0.0, yaw))
 
 
 class ChairsAndTables(CheckedFeature):

@@ -38,7 +38,7 @@ from humansim_ros.types import Array
 
 #: Least distances in metres of joints, which are inside the body, from walls, things and joints of others.
 _FROM_WALLS, _FROM_THINGS, _FROM_HUMANS = 0.2, 0.2, 0.2
-#: Metres from the hips of who sits to what of them is above the seat.
+#: Joints of a person who sits are above the seat up to this distance from its place, metres.
 _SEATED = 0.5
 #: Built-in motions that can be repeated without a visible jump.
 MOTIONS = ("walk", "run", "wave", "pick_up", "sit_stand", "turn_in_place")
@@ -117,22 +117,15 @@ class _Placing:
         low, high = variety.speed
         speed = low + (high - low) * uniform()
         motion, position, yaw = self._find_place(name, body, motions, mirror, uniform)
-        return HumanConfig(
-            body=body,
-            outfit=outfit,
-            motion=MotionConfig(
-                file=motion,
-                position=position,
-                yaw_deg=yaw,
-                offset=round(ahead, 3),
-                speed=round(speed, 4),
-                mirror=mirror,
-            ),
-            face=living_face(variety.alive, variety.seed),
+        ahead, speed = round(ahead, 3), round(speed, 4)
+        played = MotionConfig(
+            file=motion, position=position, yaw_deg=yaw, offset=ahead, speed=speed, mirror=mirror
         )
+        face = living_face(variety.alive, variety.seed)
+        return HumanConfig(body=body, outfit=outfit, motion=played, face=face)
 
     def _own_activities(self, name: str, motions: Sequence[str]) -> list[str]:
-        """Motions with activities of a human's own in place of ``activity``; one may need less floor."""
+        """Motions, with several own activities in place of ``activity``: one of them may need less floor."""
         uniform = random_numbers(self.variety.seed, f"{name} {ACTIVITY}")
         own = [f"{ACTIVITY}#{int(1e6 * uniform())}" for _ in range(_ACTIVITIES)]
         return [each for motion in motions for each in (own if motion == ACTIVITY else [motion])]
@@ -168,9 +161,9 @@ class _Placing:
     def _take_seat(
         self, motion: str, body: str, mirror: bool, uniform: RandomNumbers
     ) -> tuple[str, tuple[float, float], float] | None:
-        """Motion, start position and heading in degrees of who takes a free seat; None if there is none.
+        """Motion, start position and heading in degrees of a human on a free seat; None without a free seat.
 
-        Who needs a table brings it, and the chair with it.
+        A human who needs a table gets a chair and a table later.
         """
         origin = self._path(body, motion, mirror)
         if len(origin.sittings) != 1 or needs_table(motion):
@@ -192,7 +185,7 @@ class _Placing:
     def _try(
         self, origin: Footprint, uniform: RandomNumbers, humans: bool = True, thoroughly: int = 1
     ) -> tuple[Footprint, Array, float] | None:
-        """A free place for a path: the turned path, its move (2,) and its heading; None if none is found.
+        """Find a free place: the turned path, its move (2,) and its heading; None if all tries fail.
 
         ``origin``: the path from the origin along +x. ``humans``: keep away from the paths of others.
         ``thoroughly``: factor of the number of tries.
@@ -295,7 +288,7 @@ class Variety(Feature):
         A human depends on the seed and its number only: more humans do not change the first ones.
 
         Raises:
-            SceneError: With the key, if there is no space for the humans.
+            SceneError: The humans find no space. The error names the key.
         """
         variety = draft.config.variety
         assert variety is not None

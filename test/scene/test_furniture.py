@@ -15,7 +15,7 @@ from conftest import ROOT
 from humansim_ros import Scene, Simulation
 from humansim_ros.cli.scene import list_meshes
 from humansim_ros.errors import SceneError
-from humansim_ros.files.mesh import Mesh
+from humansim_ros.files.mesh import Mesh, padded
 from humansim_ros.scene.core.objects import BUILT_IN_MESHES, FURNITURE, SHAPES
 
 CAMERA = {"size": [96, 72], "position": [4, 0, 1.2], "look_at": [0, 0, 0.8]}
@@ -137,7 +137,7 @@ def test_a_moving_mesh_without_a_file_is_shown_by_rviz_as_triangles(segments: in
     from humansim_ros.data.messages.cameras import object_message
 
     ball = trimesh.creation.uv_sphere(0.2, count=[segments, segments])
-    mesh = Mesh(np.asarray(ball.vertices), np.asarray(ball.faces, np.int32))
+    mesh = Mesh(np.asarray(ball.vertices), padded(np.asarray(ball.faces, np.int32)))
     scene = Scene.build(cameras={"front": CAMERA}, objects={"thing": {"mesh": mesh}}, room=None)
     thing = scene.objects["thing"]
     message = object_message(thing, thing.initial_pose, 1)

@@ -1,4 +1,4 @@
-"""Data sets of recipes, and what describes them."""
+"""Data sets that are written from recipes, and the pages that describe them."""
 
 from humansim_ros.lazy import lazy_exports
 

@@ -1,7 +1,8 @@
 """Export of the scenes of a recipe as one data set, with any number of processes or on a cluster.
 
-Each scene is a separate export in a folder of its split. When all scenes are written, the files of the whole
-data set follow: index, hashes, data card, datasheet and the page of Hugging Face.
+Each scene is a separate export, in a folder below the folder of its split (such as ``train``). After the last
+scene, the files about the whole data set are written: index, hashes, data card, datasheet and the page of
+Hugging Face.
 """
 
 from __future__ import annotations
@@ -36,13 +37,13 @@ from humansim_ros.render.device import OpenGLContext
 from humansim_ros.scene.config import map_files
 from humansim_ros.scene.core import found_name
 
-#: Version of the layout of the index.
+#: Version of the keys in the index file of a data set.
 _LAYOUT = 1
 #: Files of the whole data set: hashes for ``sha256sum -c``, page of Hugging Face, datasheet.
 HASHES, README, DATASHEET = "SHA256SUMS", "README.md", "datasheet.html"
 #: Name of the scene file in the folder of a scene.
 SCENE_FILE = "scene.yaml"
-#: Keys of a recipe, by option of an export of one scene.
+#: Options of the export of one scene, with the key of a recipe that replaces each of them.
 _RECIPE_KEYS = {
     "--format": "formats",
     "--frames": "frames",
@@ -51,27 +52,27 @@ _RECIPE_KEYS = {
     "--images": "images",
     "--license": "about.license",
 }
-#: Values of options that are not given. Other options are then empty.
+#: Default values of some options. All other options are empty by default.
 _NOT_GIVEN = {
     "--keypoints": "coco17",
     "--images": "png",
     "--shard-size": SHARD_SIZE,
     "--shard-frames": PART_FRAMES,
 }
-#: Scenes of a task of a cluster.
+#: Number of scenes that one task on a cluster writes.
 _PART_SCENES = 10
-#: A data set is given up if all of the first scenes fail (first number), or if more than half of so many
-#: scenes fail (second number).
+#: Writing is given up if this number of first scenes all fail; or if, from the second number of failures on,
+#: more than half of all scenes have failed.
 _ALL_FAIL, _MOST_FAIL = 4, 10
 
 
 @dataclass(frozen=True)
 class SceneResult:
-    """A scene that has been written, or could not be.
+    """Result for one scene: it has been written, or it failed.
 
     Attributes:
-        number: Its number.
-        size: Bytes of its files.
+        number: Number of the scene.
+        size: Size of all files of the scene, bytes.
         failure: Why the scene could not be drawn or written. Empty if it was written.
     """
 
@@ -82,24 +83,24 @@ class SceneResult:
 
 @dataclass(frozen=True)
 class ScenesResult:
-    """Scenes of a task of a cluster."""
+    """Results of the scenes that one task on a cluster has written."""
 
     scenes: tuple[SceneResult, ...]
 
     @property
     def size(self) -> int:
-        """Number of bytes."""
+        """Size of the files of all these scenes, bytes."""
         return sum(each.size for each in self.scenes)
 
 
 @dataclass(frozen=True)
 class DataSet:
-    """A data set to write: a job on scenes, which can be copied.
+    """A data set that shall be written: a job for worker processes, to which it can be copied.
 
     Attributes:
-        recipe: What is drawn.
-        root: Its folder; absolute on a cluster.
-        device: Device that renders. Other devices round differently.
+        recipe: Recipe that the scenes are drawn from.
+        root: Folder of the data set; an absolute path on a cluster.
+        device: Device that renders. Each host must have this device, since others round differently.
     """
 
     recipe: Recipe
@@ -115,7 +116,7 @@ class DataSet:
 
     @property
     def plan(self) -> dict[str, Any]:
-        """Everything that determines the files of a scene."""
+        """Recipe, seed, formats, device and version: everything that determines the files of a scene."""
         recipe = self.recipe
         return {
             "recipe": recipe.config.recipe,
@@ -132,19 +133,19 @@ class DataSet:
         return f"{self.root} {self.plan}"
 
     def start(self) -> SceneWorker:
-        """Start to write scenes. Raises RenderError if this machine has another device."""
+        """Return a worker that writes scenes. Raises RenderError if this machine has another device."""
         if DataSet.of(self.recipe, self.root).device != self.device:
             raise RenderError(f"this machine does not render on {self.device}: pixels would differ")
         return SceneWorker(self)
 
     def write_part(self, worker: FrameWorker, part: ClusterPart) -> PartResult:
-        """Write some scenes; this runs in a task of a cluster."""
+        """Write the scenes of one task on a cluster. Raises ExportError without the shared folder."""
         if not (self.root / INDEX).exists():
             raise ExportError("all hosts must share this folder", path=self.root)
         return ScenesResult(tuple(worker.work(number).value for number in part.frames))
 
     def is_written(self, number: int) -> bool:
-        """Whether a scene is complete."""
+        """Whether all files of a scene have been written."""
         folder = self.root / self.recipe.name(number)
         return (folder / INDEX).is_file() and bool(read_index(folder)["finished"])
 
@@ -153,7 +154,7 @@ class SceneWorker:
     """Draws and exports scenes.
 
     Attributes:
-        costs: Seconds of processor time by step.
+        costs: Processor time of each step, seconds.
     """
 
     def __init__(self, data_set: DataSet) -> None:
@@ -161,7 +162,7 @@ class SceneWorker:
         self.costs = Costs()
 
     def work(self, number: int) -> FrameResult:
-        """Write a scene. A scene that cannot be drawn is a result, too.
+        """Write a scene. If it cannot be drawn or written, the result has the reason.
 
         Raises:
             RenderError: This machine cannot render.
@@ -184,7 +185,7 @@ class SceneWorker:
 
 
 def check_options(options: Mapping[str, Any]) -> None:
-    """Raise ExportError if an option for one scene is given, since a recipe has keys in place of options.
+    """Raise ExportError for options that only an export of one scene has. A recipe has keys in place of them.
     ``options``: values by name, such as ``--format``."""
     for name, value in options.items():
         if not value or value == _NOT_GIVEN.get(name):
@@ -200,7 +201,7 @@ def check_options(options: Mapping[str, Any]) -> None:
 
 
 def _export_scene(data_set: DataSet, drawn: DrawnScene) -> int:
-    """Write a scene, or what is missing of it. Returns the number of bytes of its files."""
+    """Export a scene, or the rest of one that was begun. Returns the size of its files, bytes."""
     recipe, config = data_set.recipe, data_set.recipe.config
     name = recipe.name(drawn.number)
     folder = data_set.root / name
@@ -221,7 +222,7 @@ def _export_scene(data_set: DataSet, drawn: DrawnScene) -> int:
 
 
 def _remove(folder: Path) -> None:
-    """Remove a folder of a scene, if it is there. Raises ExportError if it cannot be removed."""
+    """Remove the folder of a scene, if the folder exists. Raises ExportError if that fails."""
     try:
         shutil.rmtree(folder)
     except FileNotFoundError:
@@ -231,7 +232,7 @@ def _remove(folder: Path) -> None:
 
 
 def _scene_text(data_set: DataSet, drawn: DrawnScene, folder: Path) -> str:
-    """Content of the scene file of a folder, with the names of files relative to the folder."""
+    """Text of the scene file in ``folder``. File names in the text are relative to this folder."""
     recipe, place = data_set.recipe, folder.resolve()
 
     def renamed(name: str) -> str:
@@ -255,18 +256,18 @@ def write_data_set(
 ) -> FrameProgress:
     """Write a data set. Its files do not depend on ``jobs``, on the cluster, or on interruptions.
 
-    A scene that cannot be drawn does not stop the others, and is left out.
+    If a scene cannot be drawn, the scene is left out, and the other scenes are written.
 
     Args:
-        data_set: What is written. Its folder must not exist unless ``resume``.
+        data_set: The data set. Its folder must not exist unless ``resume`` is set.
         jobs: Number of processes that render. If 1, this process renders.
-        resume: Whether a data set that has begun is continued. More scenes of the same recipe may be added.
-        on_progress: Called with the number of scenes after some scenes.
-        ray: Address of a Ray cluster. If None, this machine writes.
+        resume: Whether to continue a data set that was begun. The recipe may have more scenes than before.
+        on_progress: Called from time to time with the number of finished scenes.
+        ray: Address of a Ray cluster that renders. If None, this machine renders.
 
     Raises:
-        ExportError: The folder exists, or has another data set; or scenes could not be drawn or written,
-            after all others are.
+        ExportError: The folder exists, or has another data set; or some scenes failed (this is raised after
+            all other scenes are written).
         WorkerDiedError: A worker process has died.
     """
     numbers = _unwritten(data_set, resume)
@@ -295,7 +296,7 @@ def write_data_set(
 
 
 def _failed_text(failures: Mapping[int, str], count: int) -> str:
-    """Text about scenes that failed. ``count``: number of scenes that were tried."""
+    """Error message about scenes that failed. ``count``: number of scenes that were tried."""
     listed = some_of(sorted(failures))
     others = "; the others are whole" if len(failures) < count else ""
     text = f"{len(failures)} of {count} scenes could not be written ({listed}){others}"
@@ -310,7 +311,7 @@ def _write_on_cluster(
     progress: FrameProgress,
     on_progress: Callable[[FrameProgress], None],
 ) -> dict[int, str]:
-    """Write scenes on a Ray cluster. Returns the reasons of failures, by scene."""
+    """Write scenes on a Ray cluster. Returns the reason of each failure, by number of the scene."""
     parts = []
     for start in range(0, len(numbers), _PART_SCENES):
         some = tuple(numbers[start : start + _PART_SCENES])
@@ -360,7 +361,7 @@ def read_data_set(root: Path) -> dict[str, Any]:
 
 
 def _begin(data_set: DataSet) -> None:
-    """Make the folder, with the plan. Raises HumansimError if it cannot be made."""
+    """Make the folder, with an index that has only the plan. Raises HumansimError if that fails."""
     if not data_set.root.exists():
         try:
             _write_index(data_set, ExportFolder(data_set.root), finished=False)
@@ -454,5 +455,5 @@ def _counts(parts: Mapping[str, Totals]) -> dict[str, dict[str, int]]:
 
 
 def _named(failures: Mapping[int, str], folder: Path) -> dict[str, str]:
-    """Reasons by scene. The folder of the recipe is removed from their texts."""
+    """Reason of each failure, by name of the scene. Paths in the texts lose the folder of the recipe."""
     return {f"scene_{number:06d}": failures[number].replace(f"{folder}/", "") for number in sorted(failures)}

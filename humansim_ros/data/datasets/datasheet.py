@@ -1,8 +1,8 @@
 """Datasheet of a data set [Gebru 2021]: one HTML page, and the README of Hugging Face with the same answers.
 
-Gebru et al., Datasheets for datasets, Communications of the ACM 64(12), 2021: questions on motivation,
-composition, collection, processing, uses, distribution and maintenance. Their order is kept; questions about
-living people are answered together, as there are none.
+Gebru et al., Datasheets for datasets, Communications of the ACM 64(12), 2021, ask about motivation,
+composition, collection, processing, uses, distribution and maintenance. The pages keep this order. All
+questions about living people get one answer, since the people are simulated.
 """
 
 from __future__ import annotations
@@ -27,35 +27,35 @@ from humansim_ros.errors import ExportError
 from humansim_ros.files.reading import ANY_SIZE, read_bytes
 from humansim_ros.people.makehuman import MONK_TONES
 
-#: The paper of the questions.
+#: Address of the paper by Gebru et al.
 _PAPER = "https://doi.org/10.1145/3458723"
 _INK, _PALE, _BAR, _LINE = "#1d2433", "#6b7385", "#2f6fab", "#dfe3ea"
-#: Size of a plot, and its margins, pixels.
+#: Width, height and margins (sides, top, bottom) of a plot, pixels.
 _WIDTH, _HEIGHT, _MARGIN, _TOP, _BOTTOM = 330, 170, 12, 30, 34
-#: Example images, and their width in pixels.
+#: Number of example images, and their width in pixels.
 _EXAMPLES, _EXAMPLE_WIDTH = 8, 264
-#: Traits of people as quantities.
+#: Histograms of the traits of people that are numbers.
 _TRAITS = {
     "age": Histogram("Age", "years", "people", 0, 10, 9),
     "stature": Histogram("Stature", "m", "people", 0.6, 0.1, 17),
 }
-#: Rows of a list of counts.
+#: Most rows in a chart of words.
 _MOST_ROWS = 10
 
 
 @dataclass(frozen=True)
 class DataSetSummary:
-    """What the pages of a data set say.
+    """Facts about a data set that its pages show.
 
     Attributes:
-        config: Its recipe.
-        totals: Counts of all scenes.
-        parts: Counts by split.
-        own_licenses: Licences of the data set: that of the recipe, or those that its scenes state.
-        licenses: Licences of the bodies.
+        config: Content of the recipe.
+        totals: Statistics of all scenes.
+        parts: Statistics by split.
+        own_licenses: Licences of the data set, as the recipe or its scenes state them.
+        licenses: Licences of the human bodies.
         versions: Versions of programs, and the device that rendered.
-        examples: Paths of some images.
-        suffix: Suffix of the images.
+        examples: Paths of example images.
+        suffix: Suffix of the image files.
     """
 
     config: RecipeConfig
@@ -74,7 +74,7 @@ class DataSetSummary:
 
     @property
     def made(self) -> str:
-        """What it has, and how it was made, in a sentence."""
+        """One sentence on what the data set has, and how it was made."""
         totals = self.totals
         return (
             f"{totals.images} synthetic images with ground truth of {len(totals.people)} people in "
@@ -83,20 +83,20 @@ class DataSetSummary:
 
     @cached_property
     def license_links(self) -> dict[str, str]:
-        """Licence of the data set, then of its bodies, with the addresses of their texts."""
+        """Address of each licence text, by licence: those of the data set, then those of the bodies."""
         names = dict.fromkeys([*self.own_licenses, *self.licenses])
         return {name: LICENSES.get(name, name) for name in names}
 
     @cached_property
     def card(self) -> dict[str, Any]:
-        """Properties of the data card."""
+        """Properties of the data set for the header of a data card."""
         return card_header(self.config.about, self.config.recipe, self.made, self.license_links)
 
 
 # -- answers, for both pages
 
 
-#: What holds for all data sets.
+#: Sentence for all data sets.
 _TRUTH = "The truth is computed; images have the noise of the sensors."
 _PURPOSE = "Training and tests of detectors, trackers, and pose estimators with one or many cameras."
 _LIMITS = """People are rendered: skin, cloth and light are simpler than in photographs, so test on real
@@ -105,7 +105,7 @@ and clothes are spread without a source. Motions are a small number of recording
 
 
 def _answers(summary: DataSetSummary) -> dict[str, dict[str, str]]:
-    """Answers by section and question."""
+    """Answers to the questions of the datasheet, by section and question."""
     config, totals, about = summary.config, summary.totals, summary.config.about
     unknown, require, missing = "The recipe does not say.", config.require, config.scenes - totals.scenes
     drawn = sum("age" in person for person in totals.people.values())
@@ -173,7 +173,7 @@ _SPLIT_HEADER = ("split", "scenes", "images", "people")
 
 
 def datasheet(summary: DataSetSummary) -> str:
-    """The page, which loads nothing else."""
+    """Datasheet as one HTML page, which loads no other files."""
     totals = summary.totals
     about = summary.config.about
     cameras = sum(totals.histograms["fov"].values())
@@ -214,7 +214,7 @@ def datasheet(summary: DataSetSummary) -> str:
 
 
 def _answered(title: str, rows: Mapping[str, str], summary: DataSetSummary) -> Markup:
-    """A section with questions and answers."""
+    """HTML of a section of the datasheet. ``rows``: answers by question."""
     parts = [joined([element("h3", question), element("p", text)]) for question, text in rows.items()]
     if title == "Composition":
         parts.append(table(_SPLIT_HEADER, _split_rows(summary)))
@@ -234,13 +234,13 @@ def _examples(paths: Iterable[Path]) -> Iterator[Markup]:
 
 
 def example_paths(root: Path, scenes: Mapping[str, Sequence[str]], frames: int, suffix: str) -> list[Path]:
-    """Images of some scenes, spread evenly.
+    """Paths of example images, taken at even distances from all scenes, cameras and frames.
 
     Args:
         root: Folder of the data set.
-        scenes: Cameras of each scene by the folder of the scene.
-        frames: Frames of a scene.
-        suffix: Suffix of the images.
+        scenes: Names of the cameras, by folder of the scene.
+        frames: Number of frames of each scene.
+        suffix: Suffix of the image files.
     """
     names = list(scenes)
     count = max(_EXAMPLES, len(names)) if names else 0
@@ -289,7 +289,7 @@ def _histogram(name: str, totals: Totals) -> Markup:
 
 
 def _columns(row: Histogram, counts: Mapping[int, int], span: tuple[int, int]) -> Markup:
-    """Columns of the bins from the first up to, but not including, the last of a span."""
+    """Columns of a histogram for the bins from ``span[0]`` up to, but not including, ``span[1]``."""
     first, last = span
     most = max((counts.get(number, 0) for number in range(*span)), default=0) or 1
     step, bottom = (_WIDTH - 2 * _MARGIN) / (last - first), _HEIGHT - _BOTTOM
@@ -320,7 +320,7 @@ def _text(text: str, x: float, y: float, anchor: str = "start", color: str = _PA
 
 
 def _note(counts: Mapping[int, int], most: int, of: str, unit: str = "") -> Markup:
-    """Text below columns."""
+    """Text below a plot with columns: unit, total number, and number in the highest column."""
     total = sum(counts.values())
     text = (
         f"{f'{unit}, ' if unit else ''}{total:,} {of}, {most:,} in the highest column" if total else "no data"
@@ -329,7 +329,7 @@ def _note(counts: Mapping[int, int], most: int, of: str, unit: str = "") -> Mark
 
 
 def _bars(title: str, counts: Mapping[str, int]) -> Markup:
-    """Bars of the most frequent words."""
+    """Chart with a bar for each of the most frequent words. ``counts``: number by word."""
     rows = sorted(counts.items(), key=lambda item: (-item[1], item[0]))
     if len(rows) > _MOST_ROWS + 1:
         left = sum(count for _, count in rows[_MOST_ROWS:])
@@ -345,7 +345,7 @@ def _bars(title: str, counts: Mapping[str, int]) -> Markup:
 
 
 def _skin(counts: Mapping[int, int]) -> Markup:
-    """Numbers of people by tone of the Monk scale, in its colours."""
+    """Chart of the number of people by skin tone of the Monk scale, in the colours of the scale."""
     most, step = max(counts.values(), default=0) or 1, (_WIDTH - 2 * _MARGIN) / len(MONK_TONES)
     bottom = _HEIGHT - _BOTTOM - 6
     shapes = [_title("Skin tone, Monk scale")]
@@ -370,7 +370,7 @@ def _skin(counts: Mapping[int, int]) -> Markup:
 
 
 def _ranges(totals: Totals) -> Markup:
-    """Spread of the angles of joints: from the 5th to the 95th percentile, and the median."""
+    """Chart of the angles of each joint: a bar from the 5th to the 95th percentile, and the median."""
     width, left, right, low, high = 2 * _WIDTH + 24, 140, 90, -90, 180
     scale = (width - left - right) / (high - low)
     known = [name for name in ANGLES if totals.histograms[name]]
@@ -399,7 +399,7 @@ def _ranges(totals: Totals) -> Markup:
 
 
 def readme(summary: DataSetSummary) -> str:
-    """README.md with the header that ``datasets`` reads: splits, licence and sizes."""
+    """Text of README.md. Its header has splits, licence and sizes for the Python package ``datasets``."""
     text = [f"---\n{yaml.safe_dump(_front_matter(summary), sort_keys=False, allow_unicode=True)}---"]
     text += [f"# {summary.title}", summary.card["description"]]
     rows = [_SPLIT_HEADER, ("---",) * len(_SPLIT_HEADER), *_split_rows(summary)]
@@ -422,7 +422,7 @@ def readme(summary: DataSetSummary) -> str:
     return "\n\n".join(text) + "\n"
 
 
-#: Most images of each class of sizes of Hugging Face.
+#: Size classes of Hugging Face; a class has fewer images than its number.
 _SIZES = {"n<1K": 1e3, "1K<n<10K": 1e4, "10K<n<100K": 1e5, "100K<n<1M": 1e6, "1M<n<10M": 1e7}
 
 

@@ -1,4 +1,4 @@
-"""Distributions that can replace values in a recipe."""
+"""Random distributions that can replace values in a recipe."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from humansim_ros.errors import ExportError
 from humansim_ros.files.yaml import Expected, Section, validated
 from humansim_ros.scene.core import RandomNumbers
 
-#: Most options of a choice, and options that are tried when a recipe is read.
+#: Most options of a choice; and most of them that are checked when a recipe is read.
 MAX_OPTIONS, _TRIED = 10_000, 50
 
 
@@ -112,12 +112,12 @@ class ChoiceDraw(Section):
 
     @property
     def likely(self) -> Sequence[tuple[int, Any]]:
-        """Numbers and values of the options that can be drawn. If there are many options, only some."""
+        """Numbers and values of the options with a weight above 0; at most the first 50."""
         pairs = enumerate(self._weighted())
         return [(number, value) for number, (value, weight) in pairs if weight > 0][:_TRIED]
 
     def among(self, is_allowed: Callable[[Any], bool]) -> ChoiceDraw | None:
-        """The same choice, reduced to some of the values; None if no value is left."""
+        """The same choice with only the values for which ``is_allowed`` is true; None if no value is left."""
         kept = [(value, weight) for value, weight in self._weighted() if is_allowed(value)]
         if not sum(weight for _, weight in kept) > 0:
             return None
@@ -151,14 +151,14 @@ DRAWS: dict[str, type[Draw]] = {
 
 
 def values_at_ends(value: Any, keys: Keys = ()) -> Iterator[tuple[Keys, Any, Any]]:
-    """A value with each of its distributions set to each of its ends in turn. Its other distributions stay.
+    """Copies of a value; in each copy, one distribution is replaced by its smallest or largest value.
 
     Args:
-        value: A value, or a distribution in its place.
-        keys: Key of the value.
+        value: A value of a recipe, which may be or contain distributions.
+        keys: Path of keys to the value.
 
     Yields:
-        Key of the distribution, its value at the end, and the whole value with it.
+        Path of keys to the replaced distribution, the value in its place, and the copy.
 
     Raises:
         ExportError: A distribution is wrong.
@@ -183,7 +183,7 @@ def values_at_ends(value: Any, keys: Keys = ()) -> Iterator[tuple[Keys, Any, Any
 
 
 def draw_at(value: Any) -> Draw | None:
-    """The distribution that replaces a value; None for a plain value.
+    """The distribution that a value of a recipe stands for; None for a plain value.
 
     Raises:
         ExportError: The distribution is wrong.

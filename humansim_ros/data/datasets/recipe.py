@@ -62,17 +62,18 @@ if TYPE_CHECKING:
 
 #: Most scenes of a data set, and frames of a scene.
 MAX_SCENES, MAX_SCENE_FRAMES = 1_000_000, 100_000
-#: Seeds are below this number. They are whole numbers in JSON, and two scenes hardly ever have the same seed.
+#: Seeds of scenes are below this number: JSON can hold such whole numbers exactly, and two scenes hardly ever
+#: get the same seed.
 _SEEDS = 2**53
-#: Number of frames of a scene that ``require`` is checked in.
+#: In this number of frames of a scene, the conditions of ``require`` are checked.
 _CHECKED_FRAMES = 10
-#: Number of people in the pool that a scene draws from.
+#: Most people of the pool that one scene can choose from.
 _MAX_BODIES = 200
-#: Distance of the cameras of a ring from walls and ceiling, metres.
+#: Smallest distance of the cameras of a ring from walls and ceiling, metres.
 _FROM_WALLS = 0.3
-#: Formats that each scene of a data set has.
+#: Formats that are always written for each scene.
 ALWAYS = ("images", "statistics", "huggingface")
-#: Errors of a draw. After such an error, the scene is drawn again.
+#: Errors that drawn values can cause. After such an error, the scene is drawn again.
 _DRAW_ERRORS = (SceneError, MotionError, MeshError, CameraError)
 
 _Name = Annotated[
@@ -172,9 +173,9 @@ class DrawnScene:
     """A scene of a recipe.
 
     Attributes:
-        number: Its number, from 0.
-        split: Name of its split.
-        attempt: Number of draws that did not fulfil the recipe.
+        number: Number of the scene, from 0.
+        split: Name of the split of the scene.
+        attempt: Number of earlier draws of this scene that did not fulfil the recipe.
         scene: The scene.
     """
 
@@ -197,10 +198,11 @@ class Recipe:
     """A recipe that is ready to be drawn. It can be copied to another process.
 
     Attributes:
-        path: Its file, absolute.
-        config: Its content.
-        tree: YAML nodes of the file.
-        split_of_body: Split of each body that the recipe names. Those of drawn people are all different.
+        path: Absolute path of the recipe file.
+        config: Content of the file.
+        tree: YAML nodes of the file, for the lines in errors.
+        split_of_body: Split of each body that the recipe names. Drawn people need none: their bodies are
+            never the same.
     """
 
     path: Path
@@ -213,7 +215,7 @@ class Recipe:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], scenes: int | None = None) -> Recipe:
-        """Read a recipe, and check the ends of its distributions.
+        """Read a recipe, and check scenes with the smallest and largest value of each distribution.
 
         ``scenes``: number of scenes in place of the number in the file.
 
@@ -241,32 +243,34 @@ class Recipe:
 
     @cached_property
     def formats(self) -> tuple[ExportFormat, ...]:
-        """Rows of the formats of each scene."""
+        """The formats that are written for each scene."""
         if "croissant" in self.config.formats:
             raise ExportError("croissant.json of the data set is always written: leave croissant out")
         return tuple(chosen_formats([*ALWAYS, *self.config.formats]))
 
     @cached_property
     def splits(self) -> tuple[str, ...]:
-        """Split of each scene. The first n scenes have the shares of the splits, for each n, within one."""
+        """Split of each scene. The first n scenes have the shares of the recipe, for any n, up to
+        rounding."""
         return tuple(_shared(self.config.splits, self.config.scenes))
 
     @cached_property
     def hash(self) -> str:
-        """Hash that is equal for recipes with the same scenes, as far as both have them."""
+        """Hash of everything that determines the scenes. The number of scenes does not change the hash."""
         content = self.config.model_dump(mode="json", exclude={"about", "scenes"})
         text = json.dumps([content, self.config.about.license], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
     def name(self, number: int) -> str:
-        """Folder of a scene in the folder of the data set."""
+        """Path of the folder of a scene, relative to the folder of the data set."""
         return f"{self.splits[number]}/scene_{number:06d}"
 
     def draw(self, number: int) -> DrawnScene:
         """Draw a scene that fulfils the recipe.
 
         Raises:
-            ExportError: No draw fulfils it. The error names the line of the key that most draws failed at.
+            ExportError: No draw fulfils the recipe. The error names the line of the condition that failed
+                most.
             RenderError: This machine cannot render.
         """
         failed: Counter[str] = Counter()
@@ -297,11 +301,11 @@ class Recipe:
 
     @property
     def source(self) -> SceneSource:
-        """Source that finds the files named by the recipe."""
+        """Source of the scene that finds the files which the recipe names."""
         return SceneSource(folder=self.path.parent)
 
     def scene(self, number: int, attempt: int, given: Mapping[Keys, Any] | None = None) -> SceneConfig:
-        """Configuration of a draw of a scene.
+        """Draw the configuration of a scene, without a check of the conditions of the recipe.
 
         Args:
             number: Number of the scene.
@@ -348,7 +352,7 @@ class Recipe:
         return of
 
     def _named_bodies(self) -> Iterator[tuple[Keys, list[str]]]:
-        """Bodies to choose from, by key. Those of drawn people have no names."""
+        """Names of the bodies that can be drawn, by key of the recipe. New random people have none."""
         for section in ("variety", "crowd"):
             content = self.config.scene.get(section)
             if isinstance(content, dict) and content.get("people") is None:
@@ -360,7 +364,7 @@ class Recipe:
             yield ("scene", "humans", name, "body"), sorted(set(_texts(body)))
 
     def is_of_split(self, body: str, number: int) -> bool:
-        """Whether a body may be in a scene."""
+        """Whether a body may be in a scene: the body belongs to the split of the scene, or to no split."""
         return self.split_of_body.get(body, self.splits[number]) == self.splits[number]
 
     def _check_pool(self) -> None:
@@ -375,7 +379,7 @@ class Recipe:
             raise self.error_at("pool", f"nobody is left for the split {missing[0]}: give a larger pool")
 
     def _share_pool(self, variety: Any, number: int) -> None:
-        """Give a scene those people of the pool that belong to its split, in place of new people."""
+        """Replace ``people`` in ``variety`` by people of the pool that belong to the split of a scene."""
         if (
             self.config.pool is None
             or not isinstance(variety, dict)
@@ -396,7 +400,7 @@ class Recipe:
         variety["bodies"] = [person_name(self.config.seed, each, limits) for each in chosen]
 
     def _share_bodies(self, section: Any, name: str, number: int) -> None:
-        """Keep only those bodies of a section that belong to the split of a scene."""
+        """Remove bodies that do not belong to the split of a scene from a section called ``name``."""
         if self.split_of_body and isinstance(section, dict) and section.get("people") is None:
             bodies = section.get("bodies") or built_in_names("humans")
             kept = [body for body in bodies if self.is_of_split(body, number)]
@@ -415,15 +419,15 @@ class Recipe:
     # -- checks
 
     def _check_ends(self, draws: Sequence[tuple[Keys, Any]]) -> None:
-        """Check the scene with each distribution at its ends. Raises ExportError with line and key."""
+        """Check the smallest and largest value of each distribution. Raises ExportError at line and key."""
         self._try({}, (), None)
         for keys, content in draws:
             for place, end, value in values_at_ends(content, keys):
                 self._try({keys: value}, place, end)
 
     def _draws(self) -> Iterator[tuple[Keys, Any]]:
-        """Distributions by key. A distribution in a choice is part of the choice. Raises ExportError if one
-        is wrong."""
+        """Distributions of the recipe, by key, without those in a choice. Raises ExportError if one is
+        wrong."""
         pending: list[tuple[Keys, Any, bool]] = [(("scene",), self.config.scene, False)]
         if self.config.ring is not None:
             pending.append((("ring",), dict(self.config.ring), False))
@@ -443,12 +447,12 @@ class Recipe:
                 pending += [((*keys, number), part, is_inner) for number, part in enumerate(value)]
 
     def _try(self, given: Mapping[Keys, Any], place: Keys, end: Any) -> None:
-        """Check a scene, and that its files exist.
+        """Check a scene, maybe with one value replaced; and check that its files exist.
 
         Args:
-            given: A value in place of a drawn one, by key; empty: all are drawn.
-            place: Key of the distribution that has an end there.
-            end: Its value.
+            given: The value that replaces a drawn one, by key. If empty, all values are drawn.
+            place: Key of the distribution that has its smallest or largest value, for messages.
+            end: This value.
         """
         number = 0
         if given and self.split_of_body:  # a body of another split would be an error of this one
@@ -487,7 +491,7 @@ class Recipe:
             self.source.find(name.split("#")[0])
 
     def _hint(self, key: str) -> str:
-        """End of a message about a mapping that may be meant as a distribution."""
+        """Advice for the end of an error message, if the mapping at a key may be meant as a distribution."""
         value: Any = self.config.model_dump()
         for word in key.split("."):
             value = value.get(word) if isinstance(value, dict) else None
@@ -495,7 +499,7 @@ class Recipe:
         return did_you_mean(str(words[0]), DRAWS) if len(words) == 1 and words[0] not in DRAWS else ""
 
     def _check(self, scene: Scene) -> None:
-        """Check that a scene fulfils the recipe; raises _Unmet."""
+        """Check the conditions of the recipe for a scene. Raises _Unmet, which names the condition."""
         require = self.config.require
         if require.clean and (findings := check_scene(scene, quick=True)):
             raise _Unmet("require.clean", str(findings[0]))
@@ -536,7 +540,7 @@ class Recipe:
         )
 
     def _key_of(self, key: str | None) -> str:
-        """Key of the recipe that corresponds to a key of a drawn scene."""
+        """Key of the recipe that a key of a drawn scene comes from."""
         words = (key or "").split(".")
         given = self.config.scene.get("cameras")
         named = given if isinstance(given, dict) else {}
@@ -550,12 +554,12 @@ class Recipe:
         return ".".join(["scene", *filter(None, words)])
 
     def error_at(self, key: str, message: str) -> ExportError:
-        """An error at a key of the recipe, or at the deepest key above it that the file has."""
+        """Return an error that names a key of the recipe, or the nearest key above that the file has."""
         line = line_of(self.tree, key.split("."))
         return ExportError(message, path=self.path, line=line, key=self._known(key) or None)
 
     def _known(self, key: str) -> str:
-        """The deepest key that the file contains: this key, or one above it."""
+        """The part of a key that exists in the file, such as ``scene.humans`` of ``scene.humans.anna``."""
         content: Any = self.config.model_dump()
         known: list[str] = []
         for word in key.split("."):
@@ -587,7 +591,7 @@ class _Draws:
         return random_numbers(self._recipe.config.seed, f"{self._place} {'.'.join(map(str, keys))}")
 
     def seed(self, keys: Keys) -> int:
-        """A seed for a key that the recipe leaves out."""
+        """A random seed for a key ``seed`` that the recipe leaves out."""
         return int(_SEEDS * self._random(keys)())
 
     def value(self, value: Any, keys: Keys, purpose: Keys | None = None) -> Any:
@@ -595,8 +599,9 @@ class _Draws:
 
         Args:
             value: The value, or the distribution in its place.
-            keys: Key of the recipe.
-            purpose: Key of its random numbers, if a distribution is drawn more than once.
+            keys: Key of the value in the recipe.
+            purpose: Key that the random numbers depend on, if the same distribution is drawn more than once.
+                If None, ``keys``.
         """
         purpose = purpose or keys
         if keys in self._given:
@@ -640,14 +645,14 @@ class _Draws:
 
 
 def _mapping(value: Any, key: str) -> dict[str, Any]:
-    """A drawn value that must be a mapping. Raises SceneError with a key."""
+    """Return a drawn value that must be a mapping. Raises SceneError, which names ``key``, if it is not."""
     if not isinstance(value, dict):
         raise SceneError(f"give a mapping of keys to values; found {show_value(value)}", key=key)
     return value
 
 
 def _of_ring(model: type[Any], values: Mapping[str, Any]) -> Any:
-    """Checked values of a ring."""
+    """Check the values of a ring. Returns them as an instance of ``model``."""
     try:
         return validated(model, values, SceneError)
     except SceneError as error:
@@ -668,7 +673,7 @@ def _inside_room(point: Sequence[float], scene: Mapping[str, Any]) -> list[float
 
 
 def _shared(shares: Mapping[str, float], count: int) -> Iterator[str]:
-    """Names in proportion to their shares. The next name is always the one that is most behind."""
+    """Yield names in proportion to their shares. The name that lacks most of its share is next."""
     whole = sum(shares.values())
     given = dict.fromkeys(shares, 0)
     for number in range(1, count + 1):
@@ -682,7 +687,7 @@ def _order(seed: int, body: str) -> float:
 
 
 def _texts(value: Any) -> Iterator[str]:
-    """Texts in a value, and in the values of a choice."""
+    """All texts in a value, including those among the values of a choice."""
     if isinstance(value, str):
         yield value
     elif isinstance(value, dict):
@@ -694,14 +699,14 @@ def _texts(value: Any) -> Iterator[str]:
 
 
 def _is_part(key: str, keys: Keys) -> bool:
-    """Whether one of two key paths is equal to the other one or a part of it."""
+    """Whether two paths of keys are equal, or one is the beginning of the other."""
     words, others = key.split("."), [str(part) for part in keys]
     least = min(len(words), len(others))
     return words[:least] == others[:least]
 
 
 def _without_options(keys: Keys) -> Keys:
-    """Key in a scene for a key of a recipe: without the numbers of options of choices."""
+    """Remove ``choice`` and option number from a key of a recipe, to get the key in a drawn scene."""
     words = list(keys)
     while "choice" in words:
         at = words.index("choice")
@@ -710,7 +715,7 @@ def _without_options(keys: Keys) -> Keys:
 
 
 def _with_seeds(section: Section, keys: Keys, seed: Callable[[Keys], int]) -> Section:
-    """A section with a seed for each key ``seed`` in it that is left out."""
+    """Return a copy of a section, with a value of ``seed`` for each key ``seed`` that is left out."""
     changes: dict[str, Any] = {}
     for name in type(section).model_fields:
         value = getattr(section, name)

@@ -1,4 +1,4 @@
-"""Errors of trackers: estimates compared with the truth."""
+"""Evaluation of trackers: their estimates are compared with the truth, and errors are computed."""
 
 from humansim_ros.lazy import lazy_exports
 

@@ -15,9 +15,9 @@ from humansim_ros.data.evaluation.pose_sequence import People, PoseSequence
 from humansim_ros.errors import EvaluationError
 from humansim_ros.types import Array, Indices
 
-#: Names of axes of files. Each stands for the axes of the file that are x, y, z of map.
+#: Axes of files by name. The value lists the axes of the file that become x, y and z of ``map``.
 AXES = {"z-up": "x,y,z", "y-up": "z,x,y", "y-down": "x,z,-y"}
-#: If the sizes of bodies differ by more than this factor, their units differ.
+#: If people of truth and estimate differ in size by more than this factor, the units must differ.
 _UNIT_FACTOR = 2.0
 #: Number of frames that the checks of unit and axes use.
 _CHECKED_FRAMES = 50
@@ -28,21 +28,21 @@ MAX_OFFSET = 1.0
 #: Number of poses of the estimate that are compared to measure the offset.
 _SAMPLES = 300
 _STEPS = 101
-#: Largest cost of a wrong offset, metres, so that people who are not found do not decide.
+#: Limit of each distance in the cost of an offset, metres, so that missed people do not dominate.
 _MOST = 1.0
-#: Around the best offset, within ``_AROUND`` seconds, the cost must rise by this distance, metres. If it does
-#: not, people hardly move.
+#: ``_AROUND`` seconds away from the best offset, the cost must be higher by at least ``_LEAST_RISE`` metres.
+#: If not, people hardly move, and the offset is unknown.
 _LEAST_RISE, _AROUND = 0.001, 0.1
 
 
 @dataclass(frozen=True)
 class FramePairs:
-    """Frames that are compared.
+    """Frames of truth and estimate that are compared with each other.
 
     Attributes:
-        truth: (N,) frames of the truth.
-        estimate: (N,) frame of the estimate for each frame of the truth. -1 where the estimate has none.
-        without_truth: Number of frames of the estimate without a frame of the truth.
+        truth: (N,) frame numbers in the truth.
+        estimate: (N,) frame number in the estimate for each of them, -1 where the estimate has no frame.
+        without_truth: Number of frames of the estimate that have no frame of the truth.
     """
 
     truth: Indices
@@ -80,10 +80,9 @@ def seconds(nanoseconds: int) -> str:
 def pair_frames(truth: PoseSequence, estimate: PoseSequence) -> FramePairs:
     """Pair each frame of the estimate with the nearest one of the truth, within half a period of the truth.
 
-    Between the first and the last pair, frames of the truth without a frame of the estimate are compared as
-    well, since everybody in them is missed. If the estimate has fewer frames per second than the truth, gaps
-    are compared at the rate of the estimate. If the estimate has no frame, all frames of the truth are
-    compared.
+    Between the first and the last pair, frames of the truth without a frame of the estimate count, too:
+    everybody in them is missed. If the estimate has fewer frames per second than the truth, such gaps are
+    filled at the rate of the estimate. If the estimate has no frame, all frames of the truth are compared.
 
     Raises:
         EvaluationError: Truth and estimate do not overlap in time.
@@ -161,7 +160,7 @@ def check_unit(truth: PoseSequence, estimate: PoseSequence, pairs: FramePairs) -
 
 
 def body_size(people: Iterable[Array]) -> float:
-    """Median spread of the joints of people, metres. NaN if there are no people."""
+    """Median size of people, measured as the spread of their joints, metres. NaN if there are no people."""
     spreads = [
         float(np.sqrt(np.nanvar(pose, axis=0).sum()))
         for pose in people
@@ -171,16 +170,16 @@ def body_size(people: Iterable[Array]) -> float:
 
 
 def check_axes(truth: PoseSequence, estimate: PoseSequence, pairs: FramePairs, gate: float) -> None:
-    """Check the axes of the estimate: people must not match only after a swap of axes.
+    """Check that the people of the estimate do not match the truth only after a swap of axes.
 
     Args:
         truth: The true poses.
         estimate: The poses to judge, with the same joints.
-        pairs: Frames of both.
+        pairs: Frames to compare.
         gate: Greatest mean joint distance of a match, metres.
 
     Raises:
-        EvaluationError: People match only after a swap. The message names the right axes.
+        EvaluationError: People match only after a swap of axes. The message names the right axes.
     """
     both = _paired(pairs)
     samples = [
@@ -222,7 +221,7 @@ def _all_axes() -> list[str]:
 
 
 def _paired(pairs: FramePairs) -> NDArray[np.intp]:
-    """At most :data:`_CHECKED_FRAMES` frames (N, 2) that both have, spread over the whole time."""
+    """At most :data:`_CHECKED_FRAMES` pairs (N, 2) of frames of truth and estimate, at even distances."""
     both = np.stack([pairs.truth, pairs.estimate], axis=1)[pairs.estimate >= 0]
     return both[_spread(len(both))]
 
@@ -238,9 +237,9 @@ def _spread(count: int) -> Indices:
 
 
 def measure_offset(truth: PoseSequence, estimate: PoseSequence) -> float | None:
-    """Delay of the stamps of the estimate, seconds, at most :data:`MAX_OFFSET`; None if unknown. At this
-    offset the mean joint distance to the nearest person of the truth is smallest. The truth is interpolated
-    linearly. The offset is unknown if people hardly move. Truth and estimate must have the same joints."""
+    """Measure the delay of the stamps of the estimate, seconds, at most :data:`MAX_OFFSET`; None if people
+    hardly move. With this delay removed, the mean joint distance to the nearest person of the truth is
+    smallest. The truth is interpolated linearly. Truth and estimate must have the same joints."""
     cost = _cost(truth, estimate)
     if cost is None:
         return None
@@ -272,7 +271,7 @@ def _cost(truth: PoseSequence, estimate: PoseSequence) -> Callable[[float], floa
     paths = np.stack([[people.get(name, absent) for name in names] for people in truth.people])
 
     def cost(late: float) -> float:
-        """Mean distance if the estimate is late by some seconds. NaN if most times are outside the truth."""
+        """Mean distance, metres, at a delay of ``late`` seconds. NaN if most times are outside the truth."""
         at = times - late
         inside = (at >= known[0]) & (at <= known[-1])
         if inside.mean() < 0.5:
@@ -291,8 +290,8 @@ def _cost(truth: PoseSequence, estimate: PoseSequence) -> Callable[[float], floa
 
 
 def pair_distances(truth: Sequence[Array], estimate: Sequence[Array]) -> Array:
-    """Mean distances (T, E) of the joints that two people both have. inf if they have no joint in common.
-    ``truth`` and ``estimate``: joints (C, 3) of each person, NaN where one is absent."""
+    """Mean joint distance (T, E) of each true person to each estimated person. inf without common joints.
+    ``truth`` and ``estimate``: joints (C, 3) of each person, NaN where absent."""
     if not truth or not estimate:
         return np.zeros((len(truth), len(estimate)))
     errors = np.linalg.norm(np.stack(truth)[:, None] - np.stack(estimate)[None], axis=3)
@@ -303,7 +302,7 @@ def pair_distances(truth: Sequence[Array], estimate: Sequence[Array]) -> Array:
 
 
 def match_people(distances: Array, gate: float) -> list[tuple[int, int]]:
-    """Pairs (truth, estimate) with the smallest sum of distances, as many pairs as possible within a gate.
+    """Index pairs (truth, estimate) of matching people: as many as possible, with the least sum of distances.
 
     Args:
         distances: (T, E) mean joint distances, metres.

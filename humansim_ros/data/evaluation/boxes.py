@@ -1,4 +1,4 @@
-"""Compare upright 3D boxes of people in ``map`` with the truth, like track 1 of the AI City Challenge."""
+"""Compare upright 3D boxes of people in ``map`` with the truth, as in track 1 of the AI City Challenge."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from humansim_ros.errors import EvaluationError
 from humansim_ros.scene.core import Scene, SceneStates
 from humansim_ros.types import Array, Indices
 
-#: Half of the distance on the floor where the similarity of the challenge of 2024 becomes 0, metres.
+#: Largest distance on the floor of a found person, metres. At twice this distance, similarity is 0.
 DEFAULT_GATE = 1.0
 
 
@@ -33,9 +33,9 @@ class BoxTracks:
     Attributes:
         frames: By frame number: identities (N,) and boxes (N, 7). A box is its centre in ``map``, its sizes
             along its own axes (metres), and the yaw of its x axis (radians).
-        source: Where they come from, for messages.
-        names: Names by identity. A person without a name is shown by number.
-        lines: First line of each frame in a file.
+        source: Where the boxes come from, for messages.
+        names: Name of a person by identity. A person without a name is shown by the identity number.
+        lines: By frame number: the first line about the frame in the file.
     """
 
     frames: Mapping[int, tuple[Indices, Array]]
@@ -44,14 +44,14 @@ class BoxTracks:
     lines: Mapping[int, int] = field(default_factory=dict)
 
     def at(self, frame: int) -> tuple[Indices, Array]:
-        """Identities and boxes of a frame. Empty if the frame is missing."""
+        """Identities (N,) and boxes (N, 7) of a frame. Both are empty if the frame is missing."""
         return self.frames.get(frame, (np.zeros(0, np.intp), np.zeros((0, 7))))
 
 
 @dataclass(frozen=True)
 class BoxErrors:
-    """Mean errors of the boxes of people who were found. They are errors of the centre and of the sizes
-    (length, width, height) in metres, and of the yaw in degrees, and the mean 3D IoU."""
+    """Mean errors of the boxes of people who were found: of the centre and of the sizes (length, width,
+    height) in metres, and of the yaw in degrees. Also the mean 3D IoU."""
 
     center: float | None
     size: tuple[float, float, float] | None
@@ -61,8 +61,8 @@ class BoxErrors:
 
 @dataclass(frozen=True)
 class PersonBoxes:
-    """One person of the truth: number of frames, number of frames where it was found, mean error of the
-    centre."""
+    """Scores of one person: number of frames in the truth, number of frames where the person was found, mean
+    error of the centre in metres."""
 
     present: int
     found: int
@@ -71,11 +71,12 @@ class PersonBoxes:
 
 @dataclass(frozen=True)
 class BoxEvaluation:
-    """Result of a comparison. People are found if their centres on the floor are within ``gate`` metres.
+    """Result of a comparison of boxes. A person is found if the centres on the floor are within ``gate``
+    metres.
 
-    ``tracking`` has the scores of identities by kind of similarity. ``iou`` is the 3D IoU, as in the
-    challenge of 2025. ``distance`` is 1 - d / (2 gate) of the centres on the floor, as in 2024, with a gate
-    of 1 m.
+    ``tracking`` has the tracking scores by the similarity that they use. ``iou`` is the 3D IoU, as in the
+    challenge of 2025. ``distance`` is 1 - d / (2 gate), where d is the distance of the centres on the floor,
+    as in 2024 with a gate of 1 m.
     """
 
     truth: str
@@ -93,7 +94,7 @@ def evaluate_boxes(truth: BoxTracks, estimate: BoxTracks, gate: float = DEFAULT_
 
     Args:
         truth: True boxes.
-        estimate: The boxes to judge, of frames of the truth.
+        estimate: The boxes to judge. The truth must have all their frames.
         gate: Greatest distance of the centres on the floor of a person who counts as found, metres.
 
     Raises:
@@ -154,7 +155,7 @@ def evaluate_boxes(truth: BoxTracks, estimate: BoxTracks, gate: float = DEFAULT_
 
 
 def _errors(box: Array, guess: Array, overlap: float) -> Array:
-    """Errors (6,) of a box: centre, three sizes, yaw in radians, and the 3D IoU."""
+    """Errors (6,) of an estimated box: centre, three sizes (metres), yaw (radians); and the 3D IoU."""
     yaw = abs(np.mod(guess[6] - box[6] + np.pi, 2 * np.pi) - np.pi)
     return np.array([np.linalg.norm(guess[:3] - box[:3]), *np.abs(guess[3:6] - box[3:6]), yaw, overlap])
 
@@ -170,7 +171,7 @@ def scene_boxes(scene: Scene, frames: range) -> BoxTracks:
     """Boxes of all people of a scene, computed without rendering.
 
     Raises:
-        EvaluationError: The scene has no people or one that is moved live, or there are too many frames.
+        EvaluationError: The scene has no people or a live human, or there are too many frames.
     """
     check_motions(scene)
     if len(frames) > MAX_TRUTH_FRAMES:

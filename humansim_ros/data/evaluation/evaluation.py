@@ -1,4 +1,4 @@
-"""Compare an estimate with the truth: all metrics of 3D poses in one result."""
+"""Compare estimated 3D poses with the true poses. The result has all metrics."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ from humansim_ros.errors import EvaluationError, warn_about
 from humansim_ros.scene.core import HIPS
 from humansim_ros.types import Array, Indices
 
-#: Largest mean joint distance of a person who counts as found, metres, as for the recall of [Tu 2020].
+#: Largest mean joint distance of a person who counts as found, metres. The recall of [Tu 2020] uses the same.
 DEFAULT_GATE = 0.5
-#: Threshold of PCK, metres [Mehta 2017].
+#: Largest error of a correct joint in PCK, metres [Mehta 2017].
 PCK_THRESHOLD = 0.15
-#: Thresholds of AP and recall, metres [Tu 2020].
+#: Largest mean joint distances of a found person in AP and recall, metres [Tu 2020].
 AP_THRESHOLDS = (0.025, 0.05, 0.075, 0.1, 0.125, 0.15)
-#: Number of worst poses that are listed.
+#: Number of poses with the largest errors that a result lists.
 WORST = 10
 #: Matrix that projects positions to the floor.
 _ON_FLOOR = np.diag([1.0, 1.0, 0.0])
@@ -53,7 +53,7 @@ _ON_FLOOR = np.diag([1.0, 1.0, 0.0])
 @dataclass(frozen=True)
 class FrameCounts:
     """Numbers of frames: compared, compared without an estimate, and frames of the estimate without truth.
-    ``start`` and ``end`` are the first and last stamp that were compared, nanoseconds."""
+    ``start`` and ``end`` are the first and the last compared stamp, nanoseconds."""
 
     compared: int
     without_estimate: int
@@ -64,7 +64,7 @@ class FrameCounts:
 
 @dataclass(frozen=True)
 class TimeOffset:
-    """Delay of the stamps of the estimate, seconds: measured (None if unknown), and corrected."""
+    """Delay of the stamps of the estimate, seconds: as measured (None if unknown), and as subtracted."""
 
     measured: float | None
     applied: float
@@ -72,8 +72,8 @@ class TimeOffset:
 
 @dataclass(frozen=True)
 class PeopleCounts:
-    """Numbers of people in all frames: in the truth, found, missed; and people of the estimate who match
-    nobody."""
+    """Numbers of people, added up over all frames: in the truth, found, missed; and false, which are people
+    of the estimate who match nobody."""
 
     present: int
     found: int
@@ -107,7 +107,7 @@ class MotionErrors:
 
 @dataclass(frozen=True)
 class PartScores:
-    """PCP of all limbs, by group of limbs, and by person; shares."""
+    """Share of correct limbs (PCP, 0 to 1): of all limbs, by limb group, and by person."""
 
     all: float | None
     by_limb: dict[str, float]
@@ -117,7 +117,7 @@ class PartScores:
 
 @dataclass(frozen=True)
 class DetectionScores:
-    """AP and recall by distance in millimetres, and mean of the APs."""
+    """Average precision (AP) and recall by distance threshold in millimetres, and the mean of all AP."""
 
     ap: dict[str, float | None]
     recall: dict[str, float | None]
@@ -136,7 +136,8 @@ class JointScore:
 
 @dataclass(frozen=True)
 class PersonScore:
-    """One person of the truth: number of frames, those where it was found, and errors in metres."""
+    """Scores of one person: number of frames in the truth, number of frames where the person was found, and
+    errors in metres."""
 
     present: int
     found: int
@@ -147,7 +148,7 @@ class PersonScore:
 
 @dataclass(frozen=True)
 class CameraCountScore:
-    """Errors of joints that are in the images of a given number of cameras: number of joints, metres."""
+    """Number and mean error (metres) of the joints that are in the images of a certain number of cameras."""
 
     joints: int
     mpjpe: float | None
@@ -165,15 +166,15 @@ class WorstPose:
 
 @dataclass(frozen=True)
 class Matches:
-    """All pairs of people, in the order of the frames.
+    """All M pairs of a true and an estimated person who match, in the order of the frames.
 
     Attributes:
-        frame: (M,) number among the compared frames.
+        frame: (M,) index of the frame among the compared frames.
         stamp: (M,) stamp of the truth, nanoseconds.
-        person: Names in the truth.
-        estimate_person: Names in the estimate.
-        truth: (M, C, 3) metres.
-        estimate: (M, C, 3) metres.
+        person: Name of each person in the truth.
+        estimate_person: Name of each person in the estimate.
+        truth: (M, C, 3) true joints, metres.
+        estimate: (M, C, 3) estimated joints, metres.
     """
 
     frame: Indices
@@ -186,14 +187,14 @@ class Matches:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Result of a comparison. Lengths are metres, times seconds, shares 0 to 1; docs/evaluation.md.
+    """Result of a comparison, see docs/evaluation.md. Lengths are metres, times seconds, shares 0 to 1.
 
-    ``by_cameras``: if the truth is a scene, errors by number of cameras that have the joint in their image.
+    ``by_cameras`` has errors by the number of cameras with the joint in their image, if the truth is a scene.
     ``tracking`` is None if the estimate has no identities or no people. ``live`` is None for files. The
-    fields from ``matches`` to ``missed_joints`` are for plots, and not in JSON. They are the stamps of the
-    compared frames (N,), the numbers of people found, missed and false in them (N, 3), the errors of all
-    matches (M, C), the same errors with inf for joints that the estimate lacks, and the number of joints of
-    missed people.
+    fields from ``matches`` to ``missed_joints`` are for plots, and are left out of JSON. After ``matches``
+    they are: stamps (N,) of the compared frames; people found, missed and false in each frame (N, 3); joint
+    errors of all matches (M, C); the same with inf for joints that the estimate lacks; and the number of
+    joints of missed people.
     """
 
     truth: str
@@ -262,9 +263,9 @@ def evaluate_poses(
 def _with_common_joints(
     truth: PoseSequence, estimate: PoseSequence, names: Mapping[str, str] | None
 ) -> tuple[PoseSequence, PoseSequence]:
-    """Reduce truth and estimate to the joints that both have, with the names of the truth. An estimate with
-    one point per person is compared on the floor. If the estimate has no people, the truth keeps all
-    joints."""
+    """Reduce truth and estimate to the joints that both have, with the names of the truth. If the estimate
+    has one point per person, the truth is reduced to a point on the floor. If the estimate has no people, the
+    truth keeps all joints."""
     truth = truth.checked()
     if estimate.names == (GROUND,):
         truth, estimate = _below_hips(truth), estimate.mapped(_ON_FLOOR)
@@ -312,12 +313,12 @@ def below_hips(names: Sequence[str], positions: Array) -> Array:
 
 @dataclass(frozen=True)
 class PersonErrors:
-    """Errors of the people who are found, frame by frame.
+    """Errors of the people who were found, frame by frame.
 
     Attributes:
-        frames: For each compared frame, the mean joint error of each person of the truth, metres.
+        frames: For each compared frame: mean joint error by true person who was found, metres.
         strangers: Names of people of the estimate who match nobody in any frame.
-        false: Number of people of the estimate who match nobody, in all frames.
+        false: Number of estimated people who match nobody, added up over all frames.
     """
 
     frames: Sequence[Mapping[str, float]]
@@ -355,7 +356,7 @@ def person_errors(
 
 
 class _Comparison:
-    """Everything that the metrics of an evaluation are computed from."""
+    """Matches, errors and counts of all frames. All metrics of an evaluation are computed from them."""
 
     def __init__(self, truth: PoseSequence, estimate: PoseSequence, pairs: FramePairs, gate: float) -> None:
         self.truth, self.estimate, self.pairs, self.gate = truth, estimate, pairs, gate
@@ -387,7 +388,7 @@ class _Comparison:
         self.aligned_errors = joint_errors(self.matches.truth, aligned)
 
     def _match(self, frame: int, t: int, e: int) -> list[tuple[str, str]]:
-        """Count the people of a frame. Returns the names of matching pairs."""
+        """Match and count people of frames ``t`` (truth) and ``e`` (estimate). Returns pairs of names."""
         truth = self.truth.people[t]
         estimate = self.estimate.people[e] if e >= 0 else {}
         people, own = list(truth), list(estimate)
@@ -465,7 +466,7 @@ class _Comparison:
         )
 
     def _counted_errors(self) -> Array:
-        """Errors, with inf for joints that the truth has but the estimate lacks."""
+        """Joint errors (M, C), with inf for joints that the truth has but the estimate lacks."""
         absent = np.isfinite(self.matches.truth).all(axis=2) & np.isnan(self.errors)
         return np.where(absent, np.inf, self.errors)
 
@@ -490,8 +491,8 @@ class _Comparison:
         return np.flatnonzero(np.array([person == name for person in self.matches.person], dtype=bool))
 
     def _motion(self, person: str | None) -> MotionErrors:
-        """Errors of one person, or of all people. They are computed within runs of one identity without a
-        gap."""
+        """Errors of velocity and acceleration of one person, or of all people if None. They are computed
+        within parts of a track without a gap or a change of identity."""
         velocity, acceleration = [np.zeros(0)], [np.zeros(0)]
         matches = self.matches
         groups: dict[tuple[str, str], list[int]] = defaultdict(list)
@@ -586,7 +587,7 @@ class _Comparison:
 
 
 def share(part: int, whole: int) -> float | None:
-    """A part of a whole, as a share. None if the whole is 0."""
+    """``part / whole``; None if ``whole`` is 0."""
     return part / whole if whole else None
 
 

@@ -1,4 +1,4 @@
-"""Ground truth from exports, and from the images of scenes, for evaluations."""
+"""Ground truth for evaluations: read from exports, or rendered as images of scenes."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ from humansim_ros.scene.config import FIRST_STAMP
 from humansim_ros.scene.core import Scene, Simulation
 from humansim_ros.types import Image
 
-#: Formats with 3D poses, each with its keypoint set. None stands for the set of the export.
+#: Export formats with 3D poses, and the keypoint set of each format. If None, the set of the export.
 _POSES: dict[str, str | None] = {"trc": None, "c3d": None, "panoptic": "panoptic19"}
 _COCO = "coco/instances.json"
-#: Largest file of truth, bytes.
+#: Largest file of ground truth that is read, bytes.
 _MAX_BYTES = 1 << 32
-#: Most frames of a scene that are rendered as truth: an hour at 30 Hz.
+#: Most frames of a scene that are rendered for ground truth: an hour at 30 Hz.
 MAX_RENDERED_FRAMES = 108_000
 
 
@@ -49,7 +49,7 @@ class ExportTruth:
     """Ground truth of a finished export: 3D poses from TRC, C3D or Panoptic files, and images from its COCO
     file.
 
-    Files are checked against the hashes of the index.
+    Each file is compared with its hash in the index.
 
     Raises:
         ExportError: The folder has no index.
@@ -74,8 +74,8 @@ class ExportTruth:
             raise EvaluationError(f"the index is damaged: {reason}", path=folder / INDEX) from None
 
     def poses(self, span: tuple[int, int], around: float, keypoints: KeypointSet | None) -> PoseSequence:
-        """All poses of the export, with the keypoint set if the export has it. Raises EvaluationError if it
-        has no poses."""
+        """All poses of the export, with ``keypoints`` if the export has this set. The other parameters are
+        ignored. Raises EvaluationError if the export has no poses."""
         found = {name: _POSES[name] or self.keypoints.name for name in _POSES if name in self.formats}
         chosen = sorted(found, key=lambda name: keypoints is not None and found[name] != keypoints.name)
         if not chosen:
@@ -106,7 +106,7 @@ class ExportTruth:
         return self._frames.start
 
     def images(self, numbers: Collection[int], keypoints: KeypointSet | None = None) -> ImageTruth:
-        """Truth of all images of the COCO file. The parameters are used for scenes only."""
+        """Truth of all images of the COCO file. The parameters are ignored, since only scenes need them."""
         document = self._document
         return ImageTruth(
             document["images"],
@@ -132,7 +132,7 @@ class ExportTruth:
         return BoxTracks(frames, str(self.folder), names)
 
     def pictures(self) -> ExportPictures:
-        """Images of the export."""
+        """Colour images of the export, for reports."""
         rows = self._document["images"] if _COCO in self._files else ()
         return ExportPictures(self.folder, rows, self.period)
 
@@ -157,7 +157,7 @@ class ExportTruth:
         return {row["id"]: (row["width"], row["height"]) for row in self._document["images"]}
 
     def _check(self, name: str) -> None:
-        """Check that a file is the one that the index lists."""
+        """Raise EvaluationError unless a file is the same as when the index was written."""
         data = read_bytes(self.folder / name, EvaluationError, "exported", _MAX_BYTES)
         if hashlib.sha256(data).hexdigest() != self._files[name].get("sha256"):
             raise EvaluationError(
@@ -169,11 +169,11 @@ class ExportTruth:
 class ExportPictures:
     """Colour images of an export.
 
-    Stamps of 3D files are rounded, so an image belongs to a stamp if it is the nearest one.
+    Stamps in files of 3D poses are rounded. So a stamp gets the image with the nearest stamp.
 
     Args:
         folder: Folder of the export.
-        rows: Images of its COCO file. May be empty.
+        rows: List of the images in the COCO file of the export. May be empty.
         period: Nanoseconds between frames.
     """
 
@@ -188,7 +188,7 @@ class ExportPictures:
         return self._rows.get(nearest, {}) if abs(nearest - stamp) <= self._period // 2 else {}
 
     def cameras(self, stamp: int) -> dict[str, Camera]:
-        """Cameras with an image at a stamp, from the COCO file."""
+        """Cameras with an image at a stamp, by name, as the COCO file describes them."""
         return {
             name: Camera(
                 (row["width"], row["height"]),
@@ -218,10 +218,10 @@ class ExportPictures:
 class SceneImages:
     """Ground truth of the images of a scene. The scene is rendered without colours.
 
-    Images have the same numbers as in an export from frame 0 on. Numbers begin at 1 and go frame by frame, in
-    each frame in the order of the cameras.
+    Images are numbered in the same way as in an export that begins at frame 0: from 1 on, frame by frame, and
+    within a frame in the order of the cameras.
 
-    ``keypoints``: set of the keypoints of an estimate without names.
+    ``keypoints``: keypoint set of the estimate, if its keypoints have no names.
     """
 
     def __init__(self, scene: Scene, keypoints: KeypointSet) -> None:
@@ -251,20 +251,21 @@ class SceneImages:
         return [name for name, camera in self.scene.scene_cameras.items() if frame in camera.timing]
 
     def _first(self, frame: int) -> int:
-        """Number of the first image at or after a frame."""
+        """Number of the first image of a frame or, if no camera captures this frame, of a later frame."""
         return 1 + sum(camera.timing.number(frame - 1) + 1 for camera in self.scene.scene_cameras.values())
 
     def _frame_of(self, number: int) -> int:
-        """Frame of an image."""
+        """Number of the frame that the image with a number belongs to."""
         timings = [camera.timing for camera in self.scene.scene_cameras.values()]
         last = (number + 1) * max(timing.step for timing in timings)
         return bisect_right(range(last), number, key=self._first) - 1
 
     def images(self, numbers: Collection[int], keypoints: KeypointSet | None = None) -> ImageTruth:
-        """Render the frames from the first to the last of some images (at least one). Needs OpenGL.
+        """Render all frames from the first to the last of the images with these numbers, and return their
+        truth.
 
-        ``keypoints``: set of the estimate. The truth uses it if its OKS constants are published, or else its
-        own set, or else coco17.
+        ``keypoints``: set of the estimate. The truth has this set if it has published OKS constants;
+        otherwise the set of the scene or, without such constants, coco17.
 
         Raises:
             EvaluationError: There are too many frames.
@@ -295,14 +296,14 @@ class SceneImages:
         return ImageTruth(document["images"], document["annotations"], document["categories"], judged, source)
 
     def pictures(self) -> ScenePictures:
-        """Images of the scene."""
+        """Colour images of the scene, for reports."""
         return ScenePictures(self.scene)
 
 
 def open_image_truth(path: Path, keypoints: str | None) -> ExportTruth | SceneImages:
-    """Open the truth of images: an export, or a scene that is rendered.
+    """Open the truth for detections in images: an export, or a scene that will be rendered.
 
-    ``keypoints``: name of the keypoint set for a scene. If None, coco17.
+    ``keypoints``: name of the keypoint set, used for a scene only. If None, coco17.
 
     Raises:
         HumansimError: The scene or export is wrong, or the path is a bag.
@@ -319,8 +320,8 @@ def open_image_truth(path: Path, keypoints: str | None) -> ExportTruth | SceneIm
 
 
 def open_box_truth(path: Path, estimate: BoxTracks) -> BoxTracks:
-    """Open the truth of boxes: an export with the format ``aicity``, or a scene at the frames of the
-    estimate.
+    """Open the true 3D boxes: those of an export with the format ``aicity``, or those of a scene in the
+    frames of the estimate.
 
     Raises:
         HumansimError: The scene or export is wrong or has no boxes, or the path is a bag.

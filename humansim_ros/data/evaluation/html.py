@@ -51,20 +51,20 @@ _LEFT, _RIGHT, _TOP, _BOTTOM = 56, 12, 14, 34
 COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 #: Most intervals between the ticks of an axis.
 _INTERVALS = 5
-#: Most points of a line. More would not be visible on a screen.
+#: Most points of a line in a plot, since a screen cannot show more.
 _MOST_POINTS = 1000
 
 
 def line_plot(
     lines: Mapping[str, tuple[Array, Array]], x_label: str, y_label: str, top: float = 0.0
 ) -> Markup:
-    """Plot of lines; empty if no value is finite.
+    """Draw lines in a plot. Returns SVG, which is empty if no value is finite.
 
     Args:
         lines: x (N,) and y (N,) by name. NaN in y breaks a line.
         x_label: Quantity and unit of x.
         y_label: Quantity and unit of y.
-        top: Largest y of the axis. If 0, the largest y of the lines.
+        top: Upper end of the y axis. If 0, the largest y of the lines.
     """
     known = [(x, y) for x, y in lines.values() if np.isfinite(y).any()]
     if not known:
@@ -82,7 +82,7 @@ def line_plot(
 
 
 def bar_plot(values: Mapping[str, float | None], unit: str) -> Markup:
-    """Plot with a horizontal bar and its value for each name. A value of None has no bar."""
+    """Plot with a horizontal bar and a number for each name. If the value is None, the bar is missing."""
     widest = max((value for value in values.values() if value is not None), default=0.0) or 1.0
     shapes = []
     for row, (name, value) in enumerate(values.items()):
@@ -96,8 +96,8 @@ def bar_plot(values: Mapping[str, float | None], unit: str) -> Markup:
 
 
 def pose_plot(truth: Array, estimate: Array, edges: Sequence[tuple[int, int]]) -> Markup:
-    """A pose (C, 3) and its estimate, seen from the front (y to the left, z up) and from above (y left, x
-    up)."""
+    """Draw a true pose (C, 3) and the estimated pose, seen from the front (y to the left, z up) and from
+    above (y to the left, x up)."""
     known = np.concatenate([truth, estimate])
     known = known[np.isfinite(known).all(axis=1)]
     centre = (known.min(axis=0) + known.max(axis=0)) / 2
@@ -150,7 +150,7 @@ def _pixels(x: Array, y: Array, span: tuple[float, float], highest: float) -> Ar
 
 
 def _finite_parts(points: Array) -> list[Array]:
-    """Runs of finite points (N, 2)."""
+    """Divide a line of points (N, 2) into parts without points that are not finite."""
     finite = np.isfinite(points).all(axis=1)
     ends = np.flatnonzero(np.diff(finite)) + 1
     parts = zip(np.split(points, ends), np.split(finite, ends), strict=True)
@@ -161,7 +161,7 @@ def _plot(shapes: Sequence[str], height: int, width: int = WIDTH) -> Markup:
     return svg(shapes, width, height, font_family="sans-serif", font_size="11", fill="#3c4048")
 
 
-#: Lines between joints of the package's skeleton, for drawn poses.
+#: Pairs of joints of the package's skeleton that are connected by a line in drawn poses.
 _LINES = (
     "vt3_end vt3 l_shoulder l_elbow l_wrist",
     "vt3 r_shoulder r_elbow r_wrist",
@@ -173,9 +173,9 @@ _LINES = (
 
 
 def html_report(evaluation: Evaluation, pictures: Pictures | None = None) -> str:
-    """The page with tables, errors over time and by joint, PCK curve, people by frame, and the worst poses.
+    """HTML page with tables, errors over time and by joint, PCK curve, people by frame, and worst poses.
 
-    ``pictures``: images. The worst poses are also drawn over them.
+    ``pictures``: images of the cameras, to draw the worst poses over. If None, the page has no images.
 
     Raises:
         HumansimError: An image cannot be rendered or read.
@@ -211,13 +211,13 @@ def table_html_report(
     header: Sequence[str],
     people: Iterable[Sequence[str]],
 ) -> str:
-    """A page of two tables.
+    """HTML page with two tables: metrics and people.
 
     Args:
-        evaluation: The result.
-        metrics: Rows of the metrics.
-        header: Names of the columns of the people.
-        people: Rows of the people.
+        evaluation: The result; the page shows where truth and estimate come from.
+        metrics: Rows of the table of metrics.
+        header: Names of the columns of the table of people.
+        people: Rows of the table of people.
     """
     figures = section("Metrics", table((), metrics)), section("People", table(header, people))
     return _page(evaluation, element("div", *figures, class_="row"))
@@ -300,7 +300,7 @@ def _worst(e: Evaluation, pictures: Pictures | None) -> list[Markup]:
 def _over_image(
     pictures: Pictures, pose: WorstPose, truth: Array, estimate: Array, edges: Sequence[tuple[int, int]]
 ) -> Markup:
-    """A pose drawn over the image of the camera that shows most of it. Empty if no camera shows the pose."""
+    """Draw a pose over the image of the camera that shows most of its joints. Empty without such a camera."""
     best, found = (0, 0.0), ""
     pixels: dict[str, tuple[Array, Array]] = {}
     for name, camera in pictures.cameras(pose.stamp).items():
@@ -321,7 +321,7 @@ def _over_image(
 
 
 def image_html_report(evaluation: ImageEvaluation, pictures: Pictures | None = None) -> str:
-    """The page with tables, and the worst frames of each kind of detection, drawn over the images.
+    """HTML page with tables and, for each kind of detection, the worst detections drawn over the images.
 
     ``pictures``: images to draw over. If None, no images are shown.
 
@@ -375,7 +375,7 @@ def _picture(evaluation: ImageEvaluation, kind: str, worst: WorstImage, pictures
 def _shape(
     evaluation: ImageEvaluation, kind: str, row: Mapping[str, Any], color: tuple[int, int, int]
 ) -> Shape:
-    """Shape to draw for an annotation or a detection."""
+    """Shape to draw for an annotation or a detection ``row`` of COCO."""
     nothing = np.zeros((0, 2))
     if kind == "keypoints":
         points = np.reshape(np.asarray(row["keypoints"], float), (-1, 3))

@@ -1,7 +1,7 @@
 """Compare detections in images with the truth: keypoints, boxes and masks of each camera.
 
-pycocotools computes average precision [Lin 2014]. For all other numbers, people and objects are matched with
-the Hungarian method on the same similarities.
+pycocotools computes average precision [Lin 2014]. For all other scores, people and objects are matched by the
+Hungarian method with the similarities of pycocotools (OKS or IoU).
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from humansim_ros.types import Array
 MATCH = 0.5
 #: Number of worst matches that are listed.
 WORST = 10
-#: Key of the annotations for each kind of detection.
+#: Key in annotations of COCO, by kind of detection.
 KEYS = {"keypoints": "keypoints", "boxes": "bbox", "masks": "segmentation"}
 #: Names of the kinds in pycocotools.
 _TYPES = {"keypoints": "keypoints", "boxes": "bbox", "masks": "segm"}
-#: Scores in the order of pycocotools.
+#: Names of the scores of boxes and masks, in the order of pycocotools.
 _REGION_SCORES = (
     *("ap", "ap50", "ap75", "ap_small", "ap_medium", "ap_large"),
     *("ar1", "ar10", "ar100", "ar_small", "ar_medium", "ar_large"),
@@ -39,7 +39,7 @@ _KEYPOINT_SCORES = (
     *("ap", "ap50", "ap75", "ap_medium", "ap_large"),
     *("ar", "ar50", "ar75", "ar_medium", "ar_large"),
 )
-#: Visibility of keypoints in COCO.
+#: Values of COCO for the visibility of keypoints.
 _OCCLUDED, _VISIBLE = 1, 2
 #: Outer corners of the eyes among the 68 points of a face. Their distance is the unit of the NME [300-W].
 _EYE_CORNERS = (45, 36)
@@ -58,7 +58,7 @@ class ImageTruth:
         annotations: Annotations of COCO, with the ``name`` of the person or object.
         categories: Categories of COCO.
         keypoints: Set of the keypoints.
-        source: Where it comes from, for messages.
+        source: Where the truth comes from, for messages.
     """
 
     images: Sequence[_Record]
@@ -75,11 +75,11 @@ class Detections2D:
     Attributes:
         results: ``image_id``, ``score``, ``category_id`` (absent in label images), and ``keypoints``,
             ``bbox`` or ``segmentation`` (compressed RLE).
-        images: Numbers of the images that were searched. If None, all.
-        source: Where they come from, for messages.
-        keypoints: Set of the keypoints. If None, that of the truth.
-        kinds: Kinds of detections that are scored even if there are no detections.
-        cameras: Cameras with images that were searched. If None, all.
+        images: Numbers of the images in which the detector searched. If None, all images.
+        source: Where the detections come from, for messages.
+        keypoints: Set of the keypoints. If None, the set of the truth.
+        kinds: Kinds that are scored even if there is no detection of the kind.
+        cameras: Cameras with images in which the detector searched. If None, all cameras.
     """
 
     results: Sequence[_Record]
@@ -92,7 +92,7 @@ class Detections2D:
 
 @dataclass(frozen=True)
 class PixelErrors:
-    """Mean distances of keypoints of people who were found, pixels: all, visible ones, occluded ones."""
+    """Mean errors of the keypoints of found people, pixels: of all, visible and occluded keypoints."""
 
     mean: float | None
     median: float | None
@@ -102,14 +102,14 @@ class PixelErrors:
 
 @dataclass(frozen=True)
 class ImageScores:
-    """Scores of detections of one kind, in all images or in the images of a camera.
+    """Scores for one kind of detection, in all images or in the images of one camera.
 
     Attributes:
         precision: Average precision and recall of pycocotools. None where pycocotools has no value.
-        present: Number of people and objects in the images.
-        found: Number of these with a detection that has an OKS or IoU of at least 0.5.
-        false: Number of detections that match nobody.
-        similarity: Mean OKS or IoU. A person or object without a match counts as 0.
+        present: Number of true people and objects, added up over the images.
+        found: Number of true people and objects with a detection of an OKS or IoU of at least 0.5.
+        false: Number of detections that match no person or object.
+        similarity: Mean OKS or IoU. A person or object without a detection counts as 0.
         error: Errors of keypoints. None for boxes and masks.
     """
 
@@ -123,7 +123,7 @@ class ImageScores:
 
 @dataclass(frozen=True)
 class NamedScore:
-    """One person or object: number of images, number of images where it was found, mean OKS or IoU."""
+    """Scores of one person or object: number of images, number of images with a match, mean OKS or IoU."""
 
     present: int
     found: int
@@ -132,7 +132,7 @@ class NamedScore:
 
 @dataclass(frozen=True)
 class KeypointScore:
-    """One keypoint: mean distance and mean difference (x, y) in pixels. None if never found."""
+    """Errors of one keypoint: mean distance and mean difference (x, y) in pixels; None if never detected."""
 
     error: float | None
     bias: tuple[float, float] | None
@@ -171,8 +171,8 @@ class WorstImage:
 
 @dataclass(frozen=True)
 class KindScores:
-    """All scores of detections of one kind. ``by_keypoint`` is empty for boxes and masks. ``by_part`` (face,
-    left_hand, right_hand) is empty for keypoint sets without these."""
+    """All scores for one kind of detection. ``by_keypoint`` is empty for boxes and masks. ``by_part`` (face,
+    left_hand, right_hand) is empty for keypoint sets without face and hands."""
 
     all: ImageScores
     by_camera: dict[str, ImageScores]
@@ -184,8 +184,8 @@ class KindScores:
 
 @dataclass(frozen=True)
 class ImageEvaluation:
-    """Result of a comparison in images. Kinds that the estimate lacks are None. ``matches`` is for pictures,
-    and not in JSON. By kind, image and name it has the annotation and the detection (None if missed)."""
+    """Result of a comparison in images. Kinds of detections that the estimate lacks are None. ``matches``
+    (for pictures, not in JSON) has annotation and detection (None if missed), by kind, image and name."""
 
     truth: str
     estimate: str
@@ -207,11 +207,11 @@ class ImageEvaluation:
 def evaluate_images(truth: ImageTruth, estimate: Detections2D, min_score: float = 0.0) -> ImageEvaluation:
     """Compare detections with the truth. pycocotools must be installed.
 
-    ``min_score``: detections with a lower score count only for average precision.
+    ``min_score``: detections with a lower score are ignored, except for average precision.
 
     Raises:
-        EvaluationError: The detections belong to no image or category of the truth, or no keypoint with a
-            published OKS constant is in both.
+        EvaluationError: The detections belong to no image or category of the truth, or truth and estimate
+            have no common keypoint with a published OKS constant.
     """
     images = [
         row
@@ -253,8 +253,8 @@ def evaluate_images(truth: ImageTruth, estimate: Detections2D, min_score: float 
 def _with_common_keypoints(
     truth: ImageTruth, results: list[_Record], estimate: Detections2D
 ) -> tuple[ImageTruth, list[_Record]]:
-    """Reduce truth and results to keypoints that are the same anatomical point in both sets and have an OKS
-    constant. The constants are those of the set of the truth, or of coco17 if that set has none."""
+    """Reduce truth and results to the anatomical points that both keypoint sets have and that have an OKS
+    constant. The constants come from the set of the truth or, if this set has none, from coco17."""
     own, found = truth.keypoints, estimate.keypoints or truth.keypoints
     if found == own and own.sigmas is not None:
         return truth, results
@@ -295,7 +295,7 @@ def _of_known_categories(truth: ImageTruth, results: list[_Record], source: str)
 
 @dataclass
 class _Group:
-    """Counts of all images, or of the images of one camera."""
+    """Counts and sums over all images, or over the images of one camera."""
 
     similarities: list[float] = field(default_factory=list)
     found: int = 0
@@ -329,7 +329,7 @@ class _Comparison:
         self._of_all = _Group()
         self._of_camera: dict[str, _Group] = defaultdict(_Group)
         self._of_name: dict[str, _Group] = defaultdict(_Group)
-        #: Differences (N, K, 2) between keypoints and the truth; NaN where there is none.
+        #: Differences (N, K, 2) of keypoints from the truth, pixels; NaN where one is absent.
         self._differences: list[Array] = []
         #: True keypoints (K, 3) of people who were found: x, y, visibility.
         self._found: list[Array] = []
@@ -381,8 +381,7 @@ class _Comparison:
             self._worst.append(WorstImage(image, camera, row["frame"], row["stamp"], name, similarity, error))
 
     def _difference(self, annotation: _Record, detection: _Record) -> Array:
-        """Difference and visibility (K, 3) of keypoints; NaN where the annotation or the detection lacks
-        one."""
+        """Difference (x, y) and visibility (K, 3) of keypoints; NaN where one is absent."""
         if self.kind != "keypoints":
             return np.zeros((0, 3))
         truth = np.reshape(np.asarray(annotation["keypoints"], float), (-1, 3))
@@ -482,7 +481,7 @@ def _pixel_errors(differences: Sequence[Array]) -> PixelErrors:
 
 
 class _Judge:
-    """pycocotools for detections of one kind. ``coarse``: categories are ignored."""
+    """Calls pycocotools for one kind of detection. ``coarse``: whether categories are ignored."""
 
     def __init__(self, truth: ImageTruth, results: list[_Record], kind: str, coarse: bool) -> None:
         coco_class, self._evaluation_class = _pycocotools()
@@ -517,8 +516,8 @@ class _Judge:
         return {name: value if value >= 0 else None for name, value in zip(names, values, strict=True)}
 
     def similarities(self) -> dict[tuple[int, int], tuple[list[_Record], list[_Record], Array]]:
-        """Annotations (G), detections (D, best first) and OKS or IoU (D, G) by image and category. They
-        belong to the images of the first call of :meth:`precision`."""
+        """By image and category: annotations (G), detections (D, best first), and their OKS or IoU (D, G).
+        They cover the images of the first call of :meth:`precision`, which must come before."""
         evaluation, found = self._first, {}
         for (image, category), values in evaluation.ious.items():
             keys = [(image, category)]

@@ -1,4 +1,4 @@
-"""Joints that both truth and estimate have, limbs between joints, and tables of names."""
+"""Find joints that truth and estimate both have, and limbs between joints; read tables of names."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from humansim_ros.files.yaml import read_yaml
 from humansim_ros.motion.body import JOINT_NAMES, SETS
 from humansim_ros.people.keypoints import KEYPOINT_SETS, KeypointSet
 
-#: Further spellings of joints, in addition to those of :mod:`humansim_ros.motion.body.skeleton`.
+#: Names of joints in other programs, in addition to those in :mod:`humansim_ros.motion.body.skeleton`.
 _SPELLINGS = {
     "vt3": ("neck", "lower_neck", "upper_neck"),
     "vt3_end": ("head_top", "top_head", "head"),
 }
-#: An end of a limb: the middle of one or several joints.
+#: An end of a limb: indices of one or several joints. The end is in the middle of these joints.
 LimbEnd = tuple[int, ...]
 #: Ends of each limb, by group of limbs, as joints of the package's skeleton.
 _LIMBS = {
@@ -31,14 +31,14 @@ _LIMBS = {
 
 
 def _plain(name: str) -> str:
-    """A name without case and separators. Left and right become l and r."""
+    """A name in lower case, without separators, and with l and r for left and right."""
     word = re.sub(r"[^a-z0-9]", "", name.lower())
     return re.sub(r"^(left|right)", lambda match: match[1][0], word)
 
 
 @cache
 def _same_joints() -> dict[str, str]:
-    """Name in the package's skeleton, by plain name of the same joint in another set."""
+    """Name of a joint in the package's skeleton, by its plain name (see :func:`_plain`) in a keypoint set."""
     table: dict[str, str] = {}
     for joint in JOINT_NAMES:
         for name in (joint.name, *(getattr(joint, s) for s in SETS if s not in joint.near)):
@@ -54,8 +54,8 @@ def _near_joints() -> dict[str, str]:
 
 
 def body_joint(name: str) -> str | None:
-    """The joint of the package's skeleton that a name of any set means, or the nearest joint; None for no
-    joint.
+    """Joint of the package's skeleton at or near the point that has this name in any keypoint set; None if
+    there is none.
 
     Example:
         >>> body_joint("RHip"), body_joint("left_ankle"), body_joint("nose")
@@ -69,8 +69,8 @@ def pair_joints(
 ) -> list[tuple[int, int]]:
     """Indices (truth, estimate) of the joints that both have, in the order of the truth.
 
-    Names fit if they are equal, equal without case and separators, or names of the same anatomical joint in
-    two sets.
+    Two names mean the same joint if they are equal, differ only in case and separators, or name the same
+    anatomical joint in two keypoint sets.
 
     Args:
         truth: Names of the joints of the truth.
@@ -114,10 +114,10 @@ def _check_table(table: Mapping[str, str], truth: Sequence[str], estimate: Seque
 
 
 def limbs_of(names: Sequence[str]) -> tuple[tuple[str, ...], list[tuple[LimbEnd, LimbEnd]]]:
-    """Limbs with both ends among the joints.
+    """Find the limbs that have both ends among the joints ``names``.
 
     Returns:
-        Group of each limb, such as "upper arms", and the joints at its two ends.
+        Limb group (such as "upper arms") of each limb; and for each limb the joints at both ends.
     """
     places = {body_joint(name): index for index, name in reversed(list(enumerate(names)))}
     groups: list[str] = []
@@ -132,8 +132,8 @@ def limbs_of(names: Sequence[str]) -> tuple[tuple[str, ...], list[tuple[LimbEnd,
 
 
 def set_of_names(names: Sequence[str]) -> KeypointSet | None:
-    """The smallest keypoint set with all these names. None if there is no such set, or if all are joints of
-    bodies."""
+    """The smallest keypoint set with all these names. None if there is no such set, or if all names are
+    joints of the package's skeleton."""
     sets = [each for each in KEYPOINT_SETS.values() if set(names) <= set(each.names)]
     if not sets or all(body_joint(name) is not None for name in names):
         return None
@@ -142,7 +142,7 @@ def set_of_names(names: Sequence[str]) -> KeypointSet | None:
 
 @cache
 def set_with_names(names: tuple[str, ...]) -> KeypointSet:
-    """Keypoint set with the names of a file. Each name gets the anatomical point that it means, if known."""
+    """Make a keypoint set from the names in a file. Each keypoint gets its anatomical point, if known."""
     sets = [*KEYPOINT_SETS.values()][::-1]
     places = {_plain(n): p for each in sets for n, p in zip(each.names, each.points, strict=True)}
     points = tuple(places.get(_plain(name)) or body_joint(name) or name for name in names)
@@ -150,10 +150,11 @@ def set_with_names(names: tuple[str, ...]) -> KeypointSet:
 
 
 def read_names(path: Path) -> dict[str, str] | list[str]:
-    """Read a YAML file: name in the truth by name in the estimate, or the names of points in their order.
+    """Read joint names from a YAML file: a mapping from names of the estimate to names of the truth, or a
+    list of the names of all points in their order.
 
     Raises:
-        EvaluationError: The file is neither, or a name occurs twice.
+        EvaluationError: The file has neither a mapping nor a list of names, or a name occurs twice.
     """
     content, _ = read_yaml(path, EvaluationError, "name table")
     words = list(content.values()) if isinstance(content, dict) else content

@@ -1,4 +1,4 @@
-"""Evaluation of an estimate while it arrives: over a window of time, and in total."""
+"""Evaluate an estimate while its messages arrive: over the last seconds, and over the whole run."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from humansim_ros.data.messages.people import Pose, PoseFrame
 from humansim_ros.errors import EvaluationError, printable
 from humansim_ros.people.keypoints import KeypointSet, keypoint_set
 
-#: Most frames and joint positions that are kept of the truth, and of the estimate: some 500 MB in all.
+#: Most frames and joint positions that truth and estimate each store: about 500 MB in all.
 MAX_FRAMES, MAX_POINTS = 100_000, 5_000_000
 #: Frame that all positions must be in.
 _WORLD = "map"
-#: An estimate may be before the first frame of the truth, or after the newest one, by this time, nanoseconds.
+#: Nanoseconds by which an estimate may be before the first frame of the truth, or after the newest frame.
 _MAX_AHEAD = 5 * 10**9
 
 
@@ -32,10 +32,10 @@ class LiveOptions:
     """How an estimate is read and compared. The options are those of ``humansim evaluate``.
 
     Attributes:
-        keypoints: Keypoint set of the estimate and of the truth. If None, the joints of bodies.
+        keypoints: Keypoint set of the estimate and of the truth. If None, both have joints of the skeleton.
         names: Names for points without names, in their order.
-        table: Name of a joint in the truth by name in the estimate.
-        scale: Metres of a unit of the estimate.
+        table: Name of a joint in the truth by its name in the estimate.
+        scale: Length of a unit of the estimate, metres.
         axes: Axes of the estimate, the same as in ``axes_matrix``.
         gate: Largest mean joint distance at which a person counts as found, metres.
     """
@@ -59,7 +59,7 @@ class LiveOptions:
             gate: Largest mean joint distance at which a person counts as found, metres.
 
         Raises:
-            HumansimError: There is no such set or file, or the axes are not valid.
+            HumansimError: The keypoint set or the file does not exist, or the axes are not valid.
         """
         points = keypoint_set(keypoints) if keypoints else None
         given = read_names(Path(names)) if names else None
@@ -70,7 +70,7 @@ class LiveOptions:
 
     @property
     def reading(self) -> ReadOptions:
-        """Options of readers."""
+        """The options in the form that readers of files take."""
         return ReadOptions(self.names, axes=self.axes, scale=self.scale)
 
 
@@ -81,15 +81,15 @@ def check_world(frame: PoseFrame) -> None:
 
 
 class LiveEvaluation:
-    """Truth and estimate that arrive message by message, and their comparison.
+    """Collects truth and estimate message by message, and compares them.
 
-    Memory is bounded, so that the oldest frames of a long run are forgotten.
+    Memory is limited. In a long run, the oldest frames are forgotten.
 
     Args:
         source: Name of the estimate, for errors.
         options: How the estimate is read and compared.
-        scene: Scene. Its truth is computed for the stamps of the estimate. If None, truth is added by
-            messages.
+        scene: Scene for which the truth is computed at the stamps of the estimate. If None, :meth:`add_truth`
+            adds the truth.
     """
 
     def __init__(self, source: str, options: LiveOptions, scene: SceneTruth | None = None) -> None:
@@ -109,7 +109,7 @@ class LiveEvaluation:
             person: Name that the topic gives to the person.
 
         Raises:
-            EvaluationError: In the cases of ``EstimateStream.add``.
+            EvaluationError: For the same reasons as in ``EstimateStream.add``.
         """
         if frame.stamp is not None and self.truth.add(frame, topic, arrival, person):
             self.add_time(frame.stamp)
@@ -162,7 +162,7 @@ class LiveEvaluation:
     def window(self, duration: float) -> Evaluation:
         """Compare the newest frames.
 
-        ``duration``: seconds until the newest frame of the estimate.
+        ``duration``: length of the compared time, seconds. It ends at the newest frame of the estimate.
 
         Raises:
             EvaluationError: The frames cannot be compared.
@@ -171,7 +171,7 @@ class LiveEvaluation:
         return self._evaluated(max(0, newest - round(duration * 1e9)))
 
     def total(self) -> Evaluation:
-        """Compare all frames that are kept.
+        """Compare all frames that are not forgotten.
 
         Raises:
             EvaluationError: The frames cannot be compared, for example if there is no estimate.
@@ -179,8 +179,8 @@ class LiveEvaluation:
         return self._evaluated(0)
 
     def to_data(self, total: Evaluation, ignored: int) -> dict[str, Any]:
-        """Result for JSON, the same as that of ``humansim evaluate``. ``live`` has two more keys: the number
-        of messages that were ``ignored``, and of frames that were ``forgotten``."""
+        """Result for JSON, with the same keys as from ``humansim evaluate``. In ``live``, two keys are added:
+        ``ignored`` messages and ``forgotten`` frames, as numbers."""
         data = to_data(total)
         assert total.live is not None
         live = {**asdict(total.live), "ignored": ignored, "forgotten": self.estimate.forgotten}

@@ -1,4 +1,4 @@
-"""Drawing helpers for all images for people: lines, text, palettes, PNG and video files.
+"""Draw images that people look at: lines, text, palettes; and write PNG and video files.
 
 Images are (H, W, 3) sRGB. Pixels are (x, y); the centre of the top-left pixel is (0, 0), as in OpenCV.
 """
@@ -22,16 +22,16 @@ from humansim_ros.types import Array, Color, Image
 PAPER: Color = (238, 240, 243)
 INK: Color = (60, 64, 72)
 GRID: Color = (205, 209, 215)
-#: Colours of the left (1), the right (-1) and the middle (0) of a body on paper.
+#: Colours of the left side (1), the right side (-1) and the middle (0) of a body, on a light background.
 SIDE_COLORS: dict[int, Color] = {1: (38, 116, 200), -1: (206, 62, 92), 0: INK}
 #: Height in pixels of a title bar.
 TITLE_HEIGHT = 34
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
-#: OpenCV draws in steps of 1 / 2^4 pixel.
+#: Number of fractional bits of OpenCV's pixel coordinates: drawing is exact to 1 / 2^4 pixel.
 _SHIFT = 4
 #: Coordinates are clipped at this distance, pixels, so that they fit OpenCV's integers.
 _FARTHEST = 1e4
-#: Step of the hue: the golden ratio, so that neighbouring colours of a list differ much.
+#: Step from one hue to the next in a list of colours: the golden ratio, so that neighbours differ much.
 _HUE_STEP = 0.61803398875
 
 
@@ -83,7 +83,7 @@ def draw_text(
         position: (x, y) of the lower left corner in pixels.
         scale: Font scale of OpenCV. 0.5 is about 11 pixels high.
         color: Colour of the text.
-        width: Width of its strokes in pixels.
+        width: Width of the strokes in pixels.
     """
     cv2.putText(image, text, position, _FONT, scale, color, width, cv2.LINE_AA)
 
@@ -115,12 +115,12 @@ def distinct_hues(count: int) -> Array:
 
 
 def write_png(path: str | os.PathLike[str], image: Image) -> None:
-    """Write an RGB image atomically."""
+    """Write an RGB image as a PNG file, atomically."""
     write_file(path, encode_png(image))
 
 
 def encode_png(image: Image) -> bytes:
-    """PNG file of an RGB image. Raises HumansimError if it cannot be encoded."""
+    """Return the bytes of a PNG file of an RGB image. Raises HumansimError if the image cannot be encoded."""
     # the default compression of OpenCV 5 is fast, and makes files two to four times as large
     done, encoded = cv2.imencode(".png", image[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 6])
     if not done:
@@ -180,6 +180,6 @@ def _video_error(path: str | os.PathLike[str]) -> HumansimError:
 
 
 def _fixed_point(pixels: ArrayLike) -> NDArray[np.int32]:
-    """Pixels in the fixed-point numbers that OpenCV draws with."""
+    """Convert pixels to the fixed-point integers that OpenCV draws with."""
     finite = np.nan_to_num(np.asarray(pixels, dtype=float), nan=-_FARTHEST)
     return np.rint(np.clip(finite, -_FARTHEST, _FARTHEST) * 2**_SHIFT).astype(np.int32)

@@ -1,4 +1,4 @@
-"""Bounded caches: the most recently used values, and values that live as long as an object."""
+"""Two caches: one keeps the most recently used values, one keeps values while an object exists."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _Value = TypeVar("_Value")
 
 
 class LruCache(Generic[_Key, _Value]):
-    """The most recently used values, up to a number of values and a number of bytes.
+    """A cache that keeps the most recently used values, up to a number of values and a number of bytes.
 
     Args:
         max_count: Largest number of values.
@@ -39,7 +39,7 @@ class LruCache(Generic[_Key, _Value]):
         return len(self._values)
 
     def get(self, key: _Key) -> _Value | None:
-        """Return a cached value and mark it as used."""
+        """Return a cached value and mark it as used. Returns None if the key is not cached."""
         with self._lock:
             value = self._values.pop(key, None)
             if value is not None:
@@ -47,7 +47,7 @@ class LruCache(Generic[_Key, _Value]):
             return value
 
     def put(self, key: _Key, value: _Value) -> _Value:
-        """Cache a value, and release the least recently used values beyond the limits."""
+        """Cache a value and return it. The least recently used values beyond the limits are released."""
         with self._lock:
             self._values.pop(key, None)
             self._values[key] = value
@@ -60,20 +60,20 @@ class LruCache(Generic[_Key, _Value]):
             return value
 
     def get_or_make(self, key: _Key, make: Callable[[], _Value]) -> _Value:
-        """Return a cached value, or make and cache it."""
+        """Return the cached value of a key. If there is none, make the value and cache it."""
         value = self.get(key)
         return self.put(key, make()) if value is None else value
 
     def discard(self, key: _Key) -> None:
-        """Remove a value without a call of ``release``."""
+        """Remove a value from the cache without calling ``release``."""
         with self._lock:
             self._values.pop(key, None)
 
 
 class WeakCache(Generic[_Value]):
-    """Values that belong to objects. Each lives as long as its object; objects are told apart by identity. A
-    value must not hold a reference to its object, since then neither would ever be freed. The object need not
-    be hashable."""
+    """A cache with one value per object. A value is dropped when its object is freed. Objects are told apart
+    by identity, so they need not be hashable. A value must not hold a reference to its object, since then
+    neither would ever be freed."""
 
     def __init__(self) -> None:
         self._entries: dict[int, tuple[weakref.ref[Any], _Value]] = {}
@@ -83,12 +83,12 @@ class WeakCache(Generic[_Value]):
         return len(self._entries)
 
     def get(self, owner: object) -> _Value | None:
-        """Return the value of an object."""
+        """Return the cached value of an object; None if there is none."""
         entry = self._entries.get(id(owner))
         return None if entry is None or entry[0]() is not owner else entry[1]
 
     def put(self, owner: object, value: _Value) -> _Value:
-        """Cache the value of an object."""
+        """Cache the value of an object, and return the value."""
         key, entries, orphans = id(owner), self._entries, self._orphans
 
         def drop(reference: weakref.ref[Any]) -> None:
@@ -100,5 +100,5 @@ class WeakCache(Generic[_Value]):
         return value
 
     def take_orphans(self) -> list[_Value]:
-        """Remove and return the values of objects that are gone since the last call."""
+        """Remove and return the values of objects that were freed since the last call."""
         return [self._orphans.pop() for _ in range(len(self._orphans))]

@@ -1,4 +1,4 @@
-"""OpenGL contexts through EGL; and shader programs, made from the files in shaders/."""
+"""Create OpenGL contexts through EGL, and shader programs from the files in shaders/."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from humansim_ros.render.device.lens_tessellation import near_plane
 from humansim_ros.render.interface.lighting import Lighting
 from humansim_ros.types import Array
 
-#: Largest number of devices that are tried.
+#: Largest number of OpenGL devices that are tried.
 _MAX_DEVICES = 16
 _FORKED = (
     "OpenGL has been used in the process that this one was forked from, and does not work here. Start worker "
@@ -44,7 +44,7 @@ class OpenGLContext:
     Attributes:
         gl: The context of moderngl, to create objects with.
         device: Name of the device, such as ``llvmpipe (LLVM 15.0.6, 256 bits)``.
-        on_processor: Whether the device is Mesa's renderer for the CPU, so that images are in main memory.
+        on_processor: Whether OpenGL runs on the CPU (Mesa's llvmpipe), so that images are in main memory.
 
     Raises:
         RenderError: There is no such device, or OpenGL is missing (the message names the packages to
@@ -70,7 +70,7 @@ class OpenGLContext:
             self._free()
 
     def check(self) -> None:
-        """Raise RenderError if the context has been closed, or is used in a wrong thread or process."""
+        """Raise RenderError if the context has been closed, or was made in another thread or process."""
         if not self._free.alive:
             raise RenderError("this renderer has been closed")
         if os.getpid() != self._pid:
@@ -108,9 +108,9 @@ class OpenGLContext:
 
 
 class _Process:
-    """The first process that has used OpenGL. A forked process waits for ever for the threads of the driver,
-    since a fork does not copy them. Mesa's renderer for the CPU has no threads if LP_NUM_THREADS is 0 when it
-    starts."""
+    """Remembers which process used OpenGL first, to refuse OpenGL in processes forked from it. There, a call
+    would wait for ever for threads of the driver, since a fork does not copy threads. Only Mesa's renderer
+    for the CPU works after a fork, if LP_NUM_THREADS was 0 at its start, so that it has no threads."""
 
     def __init__(self) -> None:
         self._pid: int | None = None
@@ -124,14 +124,14 @@ class _Process:
             raise RenderError(_FORKED)
 
     def add(self, context: OpenGLContext) -> None:
-        """Remember a context that works."""
+        """Note a context that works: if its device is a GPU, its driver has threads."""
         self._without_threads &= context.on_processor
 
 
 _process = _Process()
 
 
-#: Cached, since each search starts a program of the system.
+#: Finds a system library by name. Cached, since each search starts an external program.
 _find_library = cache(ctypes.util.find_library)
 
 
@@ -170,7 +170,7 @@ _MALLOPT = ((-3, 32 << 20), (-1, 512 << 20), (-2, 64 << 20))
 
 
 def keep_image_blocks() -> None:
-    """Allocate memory for images on the heap, so that pages are not mapped and unmapped for each image.
+    """Let malloc reuse the memory of large images, so that the system does not map new pages for each image.
     Without glibc the function has no effect."""
     with suppress(OSError, AttributeError):
         libc = ctypes.CDLL("libc.so.6")
@@ -198,7 +198,8 @@ _INCLUDES = {
 
 
 def _shader(file: str, switches: Sequence[str]) -> str:
-    """Text of a shader, with the files that it includes. ``switches``: names that are defined before them."""
+    """Return the text of a shader with its included files. ``switches``: names that are defined before
+    (#define)."""
     files = (name for name, switch in _INCLUDES.get(file, ()) if not switch or switch in switches)
     head = "#version 330\n"
     texts = [(_SHADERS / each).read_text().removeprefix(head) for each in (*files, file)]
@@ -206,7 +207,7 @@ def _shader(file: str, switches: Sequence[str]) -> str:
 
 
 def unit_square(cells: int) -> bytes:
-    """Corners of the triangles of a unit square that is divided into cells."""
+    """Return the corners of triangles that fill the unit square. ``cells``: number along each side."""
     low = np.stack(np.meshgrid(np.arange(cells), np.arange(cells)), axis=-1).reshape(-1, 1, 2)
     corners = low + np.array([(0, 0), (1, 0), (0, 1), (0, 1), (1, 0), (1, 1)])
     return bytes((corners / cells).astype("f4").tobytes())
@@ -218,7 +219,7 @@ def link(ctx: moderngl.Context, vertex: str, fragment: str, switches: Sequence[s
     Args:
         ctx: OpenGL context.
         vertex, fragment: Files of the shaders.
-        switches: Names that are defined in both shaders.
+        switches: Names that are defined (#define) in both shaders.
     """
     return ctx.program(vertex_shader=_shader(vertex, switches), fragment_shader=_shader(fragment, switches))
 
@@ -226,7 +227,7 @@ def link(ctx: moderngl.Context, vertex: str, fragment: str, switches: Sequence[s
 def lit_program(
     ctx: moderngl.Context, lighting: Lighting, switches: Sequence[str] = (), sun: bool = True
 ) -> moderngl.Program:
-    """Create a program that draws lit surfaces.
+    """Create a program that draws surfaces with light.
 
     Args:
         ctx: OpenGL context.
@@ -249,7 +250,7 @@ def lit_program(
 
 
 def depth_program(ctx: moderngl.Context, switches: Sequence[str] = ()) -> moderngl.Program:
-    """Create a program that draws depths only, for shadow maps."""
+    """Create a program that draws only depths, for shadow maps."""
     return link(ctx, "shadow_map.vert", "shadow_map.frag", switches)
 
 

@@ -17,22 +17,22 @@ from numpy.typing import NDArray
 from humansim_ros.cameras.camera import Camera, Lens
 from humansim_ros.types import Array, Indices
 
-#: A number that is larger than any number of pieces.
+#: A number larger than any number of pieces of an edge.
 _MANY = 1 << 10
 #: A point of a pattern: its group and its number in the group.
 _Point = tuple[int, int]
 
 
 class TriangleEdges(NamedTuple):
-    """Edges of triangles. ``ends``: (E, 2) vertices, the lower one first. ``sides``: (N, 3) edges of the
-    sides ab, bc and ca of each triangle."""
+    """Distinct edges of N triangles. ``ends``: (E, 2) vertices of each edge, the lower number first.
+    ``sides``: (N, 3) number of the edge at the sides ab, bc and ca of each triangle."""
 
     ends: Indices
     sides: Indices
 
     @classmethod
     def of(cls, corners: Indices, count: int) -> TriangleEdges:
-        """Edges of triangles (N, 3) of ``count`` vertices."""
+        """Find the distinct edges of triangles (N, 3). ``count``: number of vertices."""
         following = np.roll(corners, -1, axis=1)
         keys = np.minimum(corners, following) * count + np.maximum(corners, following)
         distinct, sides = np.unique(keys, return_inverse=True)
@@ -42,7 +42,7 @@ class TriangleEdges(NamedTuple):
 def divide_triangles(
     attributes: NDArray[Any], corners: Indices, edges: TriangleEdges, pieces: Indices
 ) -> tuple[NDArray[Any], Indices, Indices]:
-    """Divide triangles.
+    """Divide triangles so that each edge has the given number of pieces.
 
     Args:
         attributes: (V, k) attributes of vertices.
@@ -51,7 +51,7 @@ def divide_triangles(
         pieces: (E,) number of pieces of each edge.
 
     Returns:
-        Attributes of old and new vertices, (T, 3) new triangles, and (T,) the original triangle of each.
+        Attributes of old and new vertices; (T, 3) new triangles; (T,) original triangle of each new triangle.
     """
     edge, number = _numbered(pieces - 1)
     starts, ends = (attributes[column[edge]] for column in edges.ends.T)
@@ -85,8 +85,8 @@ def divide_triangles(
 
 
 def _entries(counts: list[int], kind: Indices) -> tuple[Indices, Indices]:
-    """Number the entries of N owners, kind by kind. ``counts``: entries of each owner. Returns the owner (P,)
-    of each entry, and the number of the entry."""
+    """List the P entries of N owners, owner by owner. An owner of kind k has ``counts[k]`` entries. Returns
+    the owner (P,) of each entry, and its number (P,) in the joined list of all kinds."""
     number_of = np.array(counts, np.intp)
     owner, number = _numbered(number_of[kind])
     return owner, (np.cumsum(number_of) - number_of)[kind[owner]] + number
@@ -98,7 +98,7 @@ def divide_edges(
     """Divide edges from ``starts`` to ``ends``, (E, k), into equal ``pieces`` (E,).
 
     Returns:
-        Starts and ends (P, k) of the pieces, and (P,) the edge of each.
+        Starts and ends (P, k) of the pieces, and the number (P,) of the edge that each piece is part of.
     """
     edge, number = _numbered(pieces)
     whole = starts[edge], ends[edge], pieces[edge]
@@ -106,21 +106,23 @@ def divide_edges(
 
 
 def _numbered(counts: Indices) -> tuple[Indices, Indices]:
-    """Owner and number (from 0) of each of the ``counts`` (E,) things of each owner, owner by owner."""
+    """List ``counts`` (E,) items for each of E owners, owner by owner. Returns for each item the number of
+    its owner, and its own number (from 0) in that owner."""
     owner = np.repeat(np.arange(len(counts)), counts)
     return owner, np.arange(len(owner)) - (np.cumsum(counts) - counts)[owner]
 
 
 def _between(starts: NDArray[Any], ends: NDArray[Any], pieces: Indices, number: Indices) -> NDArray[Any]:
-    """Points (P, k) after the first ``number`` (P,) of equal pieces. The bits are the same from both ends."""
+    """Divide edges into equal ``pieces`` (P,). Returns the points (P, k) at the end of the first ``number``
+    (P,) pieces. The result is bit-identical if start and end are exchanged."""
     before, after = ((n / pieces).astype(starts.dtype)[:, None] for n in (number, pieces - number))
     return np.asarray(starts * after + ends * before)
 
 
 class _Pattern(NamedTuple):
-    """A divided triangle a b c. ``points``: (2, 3 T) group and number of the corners of the new triangles.
-    The groups are a, b, c, the points within ab, bc and ca, and inner points with barycentric ``weights`` (I,
-    3)."""
+    """How a triangle a b c is divided into T new triangles. ``points``: (2, 3 T) group and number (in the
+    group) of the corners of the new triangles. The groups are a, b, c, the points within ab, bc and ca, and
+    inner points with barycentric ``weights`` (I, 3)."""
 
     points: Indices
     weights: Array
@@ -128,9 +130,9 @@ class _Pattern(NamedTuple):
 
 @lru_cache(maxsize=4096)
 def _pattern(ab: int, bc: int, ca: int) -> _Pattern:
-    """Pattern for the numbers of pieces of the three sides. Strips lie between rows that run from ab to ca
-    and end at bc. The triangle is drawn with sides as long as these numbers, so that all pieces of its sides
-    are equally long."""
+    """Divide a triangle with ``ab``, ``bc`` and ``ca`` pieces on its sides. Points lie on rows that run from
+    ab to ca, parallel to bc. New triangles fill the strips between rows. Their shape is chosen for a triangle
+    with sides of lengths ``ab``, ``bc`` and ``ca``, so that all pieces have length 1."""
     rows = max(ab, ca)
     x = (ab * ab - bc * bc + ca * ca) / (2 * ab)
     b, c = complex(ab), complex(x, np.sqrt(max(ca * ca - x * x, 0.25)))
@@ -165,7 +167,8 @@ def _pattern(ab: int, bc: int, ca: int) -> _Pattern:
 def _strip(
     above: list[_Point], below: list[_Point], places: dict[_Point, complex]
 ) -> list[tuple[_Point, _Point, _Point]]:
-    """Triangles between two rows of points. Of two diagonals the shorter one is used."""
+    """Fill the strip between two rows of points with triangles. Where two diagonals are possible, the shorter
+    one is used. ``places``: positions of the points as complex numbers."""
     triangles, i, j = [], 0, 0
     while i + 1 < len(above) or j + 1 < len(below):
         lower = i + 1 == len(above)
@@ -185,8 +188,8 @@ def _strip(
 #: ``TOLERANCE``. This is smaller, since a lens bends all edges of a surface to one side, which shifts its
 #: whole image.
 VISIBLE, TOLERANCE = 0.03, 0.01
-#: An edge is first divided if it is longer than this, pixels, or if depth grows by a larger factor along it.
-#: Only then its error can be estimated.
+#: An edge that is longer than this, pixels, or along which the depth grows by a larger factor than this, is
+#: divided first, since its error cannot be estimated.
 _MAX_LENGTH, _MAX_RATIO = 48.0, 2.0
 #: Factor of the number of pieces of an edge, since edges inside a divided triangle are longer than on its
 #: sides.
@@ -199,7 +202,7 @@ _WIDE_TANGENT = 4.0
 _RIM, _BEYOND = 0.01, 0.1
 #: Points along each side of the image at which the lens is sampled.
 _GRID = 65
-#: Largest number of pieces of an edge.
+#: Largest number of pieces of an edge of a triangle.
 _MAX_PIECES = 32
 #: Most rounds in which long edges are divided, most pieces in each round, and the number of triangles that
 #: limits both.
@@ -211,7 +214,8 @@ NEAR, _WIDE_NEAR, _WIDE_LENS = 0.05, 0.005, 5.0
 
 @dataclass(frozen=True)
 class TessellatedMesh:
-    """Vertex ``attributes`` (V, k), ``triangles`` (N, 3), and ``parents`` (N,): the original triangles."""
+    """A mesh after tessellation: vertex ``attributes`` (V, k), new ``triangles`` (N, 3), and ``parents``
+    (N,), the original triangle of each new triangle."""
 
     attributes: NDArray[np.floating]
     triangles: Indices
@@ -236,7 +240,7 @@ class LensView:
 
     @property
     def bounds(self) -> tuple[Array, Array]:
-        """Lowest and highest x and y (2,) of the image in the normalised image plane."""
+        """Lowest (x, y) and highest (x, y) of the image in the normalised image plane."""
         return self._field.low, self._field.high
 
     @property
@@ -256,7 +260,7 @@ class LensView:
         return float(np.sqrt(8 * VISIBLE / max(bend, 1e-9)))
 
     def _sides_beyond(self, points: Array) -> NDArray[np.uint8]:
-        """(V,) bit mask: beyond which sides of the image the points (V, 3) in the optical frame lie."""
+        """(V,) bit mask of the sides of the image that each point (V, 3), in the optical frame, is beyond."""
         x, y, z = points.T
         (left, top), (right, bottom) = self.bounds
         beyond = [z < self.near, x < left * z, x > right * z, y < top * z, y > bottom * z]
@@ -339,7 +343,7 @@ class LensView:
             triangles: (N, 3) vertices.
             tolerance: Largest error of an edge in pixels. Up to three of a hundred edges inside triangles
                 have a larger error.
-            checked: Divide those edges once more. This takes several times as long.
+            checked: Divide the edges with a larger error once more. This takes several times as long.
         """
         corners, parents = triangles.astype(np.intp), np.arange(len(triangles), dtype=np.intp)
         vertices = self._projected(attributes[:, :3])
@@ -378,7 +382,7 @@ class LensView:
         left out.
 
         Returns:
-            Starts and ends of the pieces, and (P,) the edge of each.
+            Starts and ends of the pieces, and the number (P,) of the edge that each piece is part of.
         """
         divided, parents = [], np.arange(len(starts), dtype=np.intp)
         for number in range(_ROUNDS + 1):

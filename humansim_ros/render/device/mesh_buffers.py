@@ -1,4 +1,4 @@
-"""Meshes posed in a frame, with their vertices, triangles and materials on the device.
+"""Posed meshes, and their vertices, triangles and materials on the device (a GPU, or Mesa on the CPU).
 
 Quantities that are the same for all cameras are computed once per frame.
 """
@@ -51,7 +51,7 @@ class ExpandedMesh:
 
 class MaterialBuffers:
     """Texture and material of a mesh on the device. ``images``: images of several static meshes, which become
-    the layers of one texture. If None, the image of ``mesh`` alone."""
+    the layers of one texture. If None, the texture is the image of ``mesh``."""
 
     def __init__(
         self, ctx: moderngl.Context, mesh: Mesh, images: Sequence[NDArray[np.uint8]] | None = None
@@ -76,8 +76,9 @@ class MaterialBuffers:
 
     @classmethod
     def of_meshes(cls, ctx: moderngl.Context, meshes: Sequence[Mesh]) -> list[tuple[MaterialBuffers, int]]:
-        """Materials of static meshes, each with the layer of its texture. Meshes without a material share one
-        texture if their images have the same size, since each draw call takes long."""
+        """Create the materials of static meshes. Returns for each mesh its material, and the layer of its
+        image in the texture. Meshes without a material share one texture if their images have the same size,
+        since each draw call takes long."""
         images: dict[Any, list[NDArray[np.uint8]]] = {}
         places: dict[int, tuple[Any, int]] = {}
         made: dict[Any, MaterialBuffers] = {}
@@ -104,7 +105,7 @@ class MaterialBuffers:
 
     @staticmethod
     def matter(program: moderngl.Program) -> bool:
-        """Whether a program distinguishes materials."""
+        """Whether a program draws different materials differently."""
         return any(name in program for name in ("surface", "has_material", "opacity"))
 
     @property
@@ -176,10 +177,10 @@ class TriangleBuffers:
             program: Program that draws.
             materials: Material of each run.
             counts: Number of triangles of each run.
-            selected: The runs to draw. If None, all.
+            selected: Whether each run is drawn. If None, all are drawn.
             eye: (3,) point that the triangles are sorted by, farthest first. If None, they are not sorted.
-            mode: What is drawn of each triangle.
-            first_id: Id of the first triangle. If None, the id that the program has already.
+            mode: OpenGL primitive to draw: triangles, or the points at their corners.
+            first_id: Id of the first triangle. If None, the program keeps the id that was set before.
         """
         if self._empty:
             return
@@ -220,7 +221,7 @@ class TriangleBuffers:
         return self._ctx.buffer(np.ascontiguousarray(corners[selected]).tobytes()), new
 
 
-#: Consecutive triangles: their material, the first one, and their number.
+#: A run of consecutive triangles: their material, the index of the first one, and how many there are.
 _Run = tuple[MaterialBuffers, int, int]
 
 
@@ -308,7 +309,7 @@ def _tex_image(name: str) -> Callable[..., None] | None:
     return kind(address) if address else None
 
 
-#: Largest ratio of the length of an edge to its length in the rest pose.
+#: Largest ratio that is expected between the length of an edge in a pose and in the rest pose.
 _STRETCH = 2.0
 #: Distance of surface samples, metres, and most samples along an edge.
 _SAMPLE, _MAX_PIECES = 0.04, 48
@@ -374,12 +375,13 @@ class Topology:
 
 
 class PosedMesh:
-    """A mesh with vertices (V, 3) float32. In derived arrays, coordinates come first: (3, V), (3, N)."""
+    """A mesh in a pose: vertices (V, 3) float32 in ``map``. Most derived arrays have the coordinates in the
+    first axis: (3, V), (3, N)."""
 
     def __init__(self, topology: Topology, vertices: Float32Array) -> None:
         self.topology = topology
         self.vertices = vertices
-        #: simpler surfaces in this pose, by level of detail
+        #: simpler surfaces in this pose, by number of the level of detail
         self.levels: dict[int, PosedMesh] = {}
         self.points: Float32Array = np.ascontiguousarray(vertices.T)
 
@@ -389,7 +391,7 @@ class PosedMesh:
 
     @cached_property
     def areas(self) -> Float32Array:
-        """(3, N) area vectors of the triangles. Each is the outward normal with the area as its length."""
+        """(3, N) area vectors of the triangles: outward normals, as long as the area of the triangle."""
         a = self._first_corners
         b, c = (self.points.take(corner, axis=1) - a for corner in self.topology.corners[1:])
         areas = np.empty_like(a)
@@ -405,7 +407,8 @@ class PosedMesh:
 
     @cached_property
     def normals(self) -> Float32Array:
-        """(V, 3) unit vertex normals: means of the triangle normals, weighted by area or as the file says."""
+        """(V, 3) unit vertex normals: means of triangle normals, weighted by area or as the file of the mesh
+        says."""
         triangles = self.topology.shading
         normals = np.stack([triangles @ component for component in self.areas])
         normals /= np.maximum(np.sqrt(np.einsum("ij,ij->j", normals, normals)), np.float32(1e-20))
@@ -417,7 +420,8 @@ class PosedMesh:
         return np.stack([self.points.min(axis=1), self.points.max(axis=1)])
 
     def level(self, number: int, topology: Topology, kept: Indices) -> PosedMesh:
-        """A simpler surface that uses the vertices ``kept`` (v,) of this one."""
+        """Return a simpler surface (a level of detail), cached by its ``number``. Its vertices are the
+        vertices ``kept`` (v,) of this surface."""
         if number not in self.levels:
             self.levels[number] = PosedMesh(topology, self.vertices.take(kept, axis=0))
         return self.levels[number]
@@ -429,8 +433,8 @@ class PosedMesh:
 
     @cached_property
     def object_caster(self) -> ShadowCaster:
-        """Samples of the surface of an object, as caster of a contact shadow. The object may have few
-        vertices and may be scaled."""
+        """Samples of the surface of an object, as caster of a contact shadow. Vertices are not used, since an
+        object may have few of them."""
         return ShadowCaster(*self.samples)
 
     @property
@@ -481,8 +485,8 @@ _STRENGTH = 0.62
 
 @dataclass(frozen=True)
 class ContactShadow:
-    """A shadow on the floor. ``corner``: lowest x and y, metres. ``side``: length of a side, metres.
-    ``darkness``: (64, 64) uint8, 255 is black, rows along y."""
+    """A square image of a shadow on the floor. ``corner``: lowest x and y of the square, metres. ``side``:
+    length of its sides, metres. ``darkness``: (64, 64) uint8, 255 is black, rows along y."""
 
     corner: tuple[float, float]
     side: float
@@ -490,7 +494,7 @@ class ContactShadow:
 
     @cached_property
     def corners(self) -> Float32Array:
-        """(4, 3) corners of the part of the square that is dark."""
+        """(4, 3) corners of the smallest rectangle that contains all dark cells."""
         columns, rows = (np.flatnonzero(self.darkness.any(axis=axis)) for axis in (0, 1))
         low = np.array([each.min(initial=CELLS) for each in (columns, rows)])
         high = np.array([each.max(initial=0) for each in (columns, rows)])
@@ -503,14 +507,14 @@ class ContactShadow:
 @dataclass(frozen=True, eq=False)
 class ShadowCaster:
     """A body that casts a contact shadow. The shadow is computed when it is needed. ``points``: (3, V) points
-    on its surface. ``areas``: (V,) surface area of each, square metres."""
+    on its surface. ``areas``: (V,) surface area around each point, square metres."""
 
     points: Float32Array
     areas: Float32Array
 
     @cached_property
     def _square(self) -> tuple[Float32Array, float]:
-        """Lowest x and y of a square around the shadow, and the length of its sides, metres."""
+        """Lowest x and y (2,) of a square around the shadow, and the length of its sides, metres."""
         low, high = self.points[:2].min(axis=1) - _AROUND, self.points[:2].max(axis=1) + _AROUND
         return low, float((high - low).max())
 

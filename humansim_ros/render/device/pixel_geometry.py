@@ -21,8 +21,8 @@ from humansim_ros.render.device.caches import LruCache
 from humansim_ros.render.interface.renderer import AdjacentFrame, Body
 from humansim_ros.types import Array, Float32Array, Indices, LinearColor
 
-#: A point counts as visible if the nearest surface is before it by at most this: metres, and share of the
-#: distance. Neighbouring pixels of a slanted surface have such differences of depth.
+#: A point counts as visible if the nearest surface is in front of it by at most this many metres plus this
+#: share of its distance. Neighbouring pixels of a slanted surface have such differences of depth.
 _SLACK, _SLANT = 0.01, 0.01
 #: Largest memory of cached pixel rays: enough for 15 lenses at 1920 x 1080.
 _MAX_RAY_BYTES = 512 << 20
@@ -30,8 +30,8 @@ _MAX_RAY_BYTES = 512 << 20
 
 @dataclass(frozen=True)
 class VisiblePixels:
-    """Pixels that show bodies. ``pixels``: (M,) flat indices. ``owner``: (M,) index of the body.
-    ``triangle``: (M,) triangle of the body's mesh."""
+    """Pixels that show bodies. ``pixels``: (M,) flat indices into the image. ``owner``: (M,) index of the
+    body at the pixel. ``triangle``: (M,) triangle of its mesh."""
 
     pixels: Indices
     owner: Indices
@@ -121,8 +121,8 @@ class PixelGeometry:
 @dataclass(frozen=True)
 class Flow:
     """Optical flow of an image. ``flow``: (H, W, 2) float32 pixels from each pixel center to the same point
-    in the other frame. NaN where nothing is, or if the point is not before the lens. ``hidden``: (H, W)
-    uint8, 1 where the point is occluded in the other frame or outside its image."""
+    in the other frame. NaN where there is no surface, or if the point is behind the camera in the other
+    frame. ``hidden``: (H, W) uint8, 1 where the point is occluded in the other frame or outside its image."""
 
     flow: Float32Array
     hidden: NDArray[np.uint8]
@@ -136,7 +136,7 @@ def optical_flow(
     other_depth: Float32Array | None,
     touched: tuple[slice, slice],
 ) -> Flow:
-    """Compute the optical flow from a frame to another.
+    """Compute the optical flow from one frame to another.
 
     Args:
         camera: Camera of the frame.
@@ -182,7 +182,8 @@ def _static_flow(camera: Camera, depth: Float32Array, other: Camera) -> tuple[Fl
 
 
 def _hidden(targets: Array, distance: NDArray[np.floating], other_depth: Float32Array) -> NDArray[np.bool_]:
-    """(M,) whether points with pixels (M, 2) and depths are occluded or outside the image."""
+    """(M,) whether points are occluded or outside the image. ``targets``: (M, 2) pixels of the points.
+    ``distance``: (M,) their depths."""
     height, width = other_depth.shape
     column, row = np.rint(np.nan_to_num(targets.T, nan=-1.0)).clip(-1, max(width, height)).astype(np.intp)
     inside = (column >= 0) & (row >= 0) & (column < width) & (row < height)
@@ -198,7 +199,7 @@ def ray_grid(camera: Camera) -> Array:
     return rays
 
 
-#: Rays by lens, image size and intrinsics.
+#: Cache of pixel rays by lens, image size and intrinsics.
 _RAYS: LruCache[tuple[Lens, tuple[int, int], tuple[float, ...]], Array] = LruCache(
     64, _MAX_RAY_BYTES, nbytes=lambda rays: rays.nbytes
 )
@@ -224,8 +225,8 @@ def _pixel_grid(size: tuple[int, int]) -> Array:
 
 
 def _distinct(numbers: NDArray[Any], count: int) -> tuple[Indices, Indices]:
-    """Like np.unique without sorting: the distinct values below ``count``, and for each number its index
-    among them."""
+    """Like np.unique with inverse, but faster: the distinct ``numbers``, which are all below ``count``; and
+    the index of each number in this list."""
     present = np.zeros(count, bool)
     present[numbers] = True
     distinct = np.flatnonzero(present)

@@ -16,7 +16,7 @@ from humansim_ros.render.device.caches import LruCache
 from humansim_ros.render.device.context import OpenGLContext
 from humansim_ros.types import Float32Array, ImageSize
 
-#: By name: location in the shaders, number of components to read, and their type.
+#: Images that shaders draw into, by name: location in the shaders, number of components, type.
 _ATTACHMENTS = {"depth": (0, 1, "f4"), "triangle_id": (1, 1, "u4"), "rgba": (2, 4, "f1")}
 
 
@@ -55,9 +55,9 @@ class Rectangle:
 class RenderTarget:
     """Framebuffers of one image size: colour, depth in metres, triangle id, and OpenGL's depth buffer.
 
-    Depth and triangle id are 0 where nothing is drawn. A CPU that renders (``on_processor``) reads and writes
-    images in its own memory. A GPU waits for each image. So images that frames start from stay on a GPU (see
-    :meth:`keep`), and the images of a frame are read with one wait.
+    Depth and triangle id are 0 where nothing is drawn. If OpenGL runs on the CPU (``on_processor``), images
+    are in main memory. A transfer of an image from or to a GPU costs a wait. Therefore the images that frames
+    start from stay on a GPU (see :meth:`keep`), and all images of a frame are read with one wait.
     """
 
     def __init__(self, ctx: moderngl.Context, size: tuple[int, int], on_processor: bool) -> None:
@@ -75,7 +75,7 @@ class RenderTarget:
         self._to_read = (
             None if on_processor else ctx.buffer(reserve=4 * len(_ATTACHMENTS) * size[0] * size[1])
         )
-        #: pixels that are drawn, and pixels from which depth and triangle ids are read
+        #: rectangle that is drawn, and rectangle from which depth and triangle ids are read
         self.coloured = self.identified = Rectangle(0, 0, *size)
 
     def start(
@@ -86,13 +86,13 @@ class RenderTarget:
         bodies: Rectangle | None = None,
         kept: moderngl.Framebuffer | None = None,
     ) -> None:
-        """Limit drawing to a rectangle, and initialise it.
+        """Limit drawing to a rectangle, and fill it with the images that are behind the new drawing.
 
         Args:
             rectangle: Pixels to draw.
-            depth_buffer: (H, W) of the whole image behind. If None, nothing is behind.
-            rgba: (H, W, 4) of the whole image behind. If None, the colour is undefined.
-            bodies: Pixels to read depth and triangle ids from. If None, all. Shadows have neither.
+            depth_buffer: (H, W) OpenGL's depths of the whole image behind. If None, nothing is behind.
+            rgba: (H, W, 4) colours of the whole image behind. If None, the colour is undefined.
+            bodies: Pixels to read depth and triangle ids from (shadows have neither). If None, all pixels.
             kept: Result of :meth:`keep` for ``depth_buffer`` and ``rgba``.
         """
         self._limit_to(rectangle)
@@ -122,8 +122,9 @@ class RenderTarget:
             self.colour.write(rgba[rectangle.slices].tobytes(), viewport=rectangle.xywh, alignment=1)
 
     def keep(self, depth_buffer: Float32Array, rgba: NDArray[np.uint8] | None) -> moderngl.Framebuffer | None:
-        """Keep the images that frames start from on the device. Returns None where writing them takes no
-        longer. ``depth_buffer``: (H, W) of OpenGL. ``rgba``: (H, W, 4); undefined if None."""
+        """Copy the images that frames start from to the device, and keep them there. Returns None if this
+        saves no time (OpenGL runs on the CPU). ``depth_buffer``: (H, W) OpenGL's depths. ``rgba``: (H, W, 4)
+        colours; if None, the colours are undefined."""
         if self._to_read is None:
             return None
         colour = self._ctx.texture(self.size, 4, None if rgba is None else rgba.tobytes())
@@ -156,7 +157,7 @@ class RenderTarget:
 
     @contextmanager
     def sum_of_images(self, sunlight: bool) -> Iterator[SumOfImages]:
-        """Add up images, for the duration of ``with``. ``sunlight``: also add up shares of the sun."""
+        """Add up the images that are drawn within ``with``. ``sunlight``: also add up shares of the sun."""
         self.clear((0, 0, 0))
         sums = SumOfImages(self._ctx, self._depth_buffer, sunlight)
         try:
@@ -210,7 +211,7 @@ class RenderTarget:
         return wait
 
     def _read_of(self, name: str) -> Rectangle:
-        """Pixels that are read of an attachment."""
+        """Rectangle of an attachment that is read."""
         return self.coloured if name == "rgba" else self.identified
 
     def release(self) -> None:
@@ -232,8 +233,8 @@ def _image(name: str, pixels: bytes | memoryview, area: Rectangle) -> NDArray[An
 
 
 class SumOfImages:
-    """The sum of several images, on the device. Drawing into one framebuffer lets llvmpipe draw all images in
-    one tile before it goes on to the next."""
+    """The sum of several images, on the device. All images are drawn into one framebuffer, so that llvmpipe
+    draws all of them in one tile of the image before it goes on to the next tile."""
 
     def __init__(self, ctx: moderngl.Context, depth_buffer: moderngl.Texture, sunlight: bool) -> None:
         self._ctx = ctx
@@ -243,13 +244,13 @@ class SumOfImages:
         self._framebuffer.clear()
 
     def start_image(self) -> None:
-        """Draw only OpenGL's depths of the next image."""
+        """Begin the next image: until :meth:`add_visible`, only OpenGL's depths are drawn."""
         self._write(depths=True)
         self._framebuffer.clear()
         self._ctx.enable_only(moderngl.DEPTH_TEST)
 
     def add_visible(self) -> None:
-        """Draw colours where they are visible at the depths drawn before, and add them to the sum."""
+        """From now on, add colours to the sum where the depths drawn before show that they are visible."""
         self._write(depths=False)
         self._ctx.enable_only(moderngl.DEPTH_TEST | moderngl.BLEND)
         self._ctx.depth_func = "=="
@@ -263,8 +264,8 @@ class SumOfImages:
         self._ctx.depth_func = "<"
 
     def read(self) -> list[Float32Array]:
-        """(H, W, 4) sums of colours (0 to 1) and number of images; and (H, W, 1) sums of shares of the
-        sun."""
+        """Return (H, W, 4): sums of colours (0 to 1), and number of images that drew the pixel. With
+        ``sunlight``, also (H, W, 1): sums of shares of the sun."""
         sums = [np.empty((*one.size[::-1], one.components), np.float32) for one in self._textures]
         for number, one in enumerate(sums):
             self._framebuffer.read_into(one, components=one.shape[2], attachment=number, dtype="f4")
@@ -283,22 +284,23 @@ _MAX_TARGETS, _TOGETHER, _TOGETHER_PIXELS = 64, 16, 1 << 25
 
 
 class RenderTargets(LruCache[tuple[ImageSize, int], RenderTarget]):
-    """Targets to draw into. The targets of the most recently used image sizes are kept."""
+    """A cache of targets to draw into, for the most recently used image sizes."""
 
     def __init__(self, context: OpenGLContext) -> None:
         super().__init__(_MAX_TARGETS, release=lambda target: target.release())
         self._context = context
 
     def of(self, size: ImageSize, number: int = 0) -> RenderTarget:
-        """Return a target of an image size, with what was drawn last. ``size``: width and height, pixels.
-        ``number``: 0, or its own number for each image that is read only after other images are drawn."""
+        """Return a target of an image size, which still has the image drawn before. ``size``: width and
+        height, pixels. ``number``: 0, or a different number for each image that is read after others are
+        drawn."""
         return self.get_or_make(
             (size, number), lambda: RenderTarget(self._context.gl, size, self._context.on_processor)
         )
 
     def together(self, sizes: Sequence[ImageSize]) -> int:
-        """How many images to draw before the first is read. ``sizes``: sizes of the images, in turn. A CPU
-        that renders reads each image at once, while the image is in its cache."""
+        """Return how many images to draw before the first is read. ``sizes``: sizes of the images, in this
+        order. If OpenGL runs on the CPU, the number is 1, since a new image is still in the CPU's cache."""
         if self._context.on_processor:
             return 1
         pixels = accumulate(width * height for width, height in sizes[:_TOGETHER])

@@ -1,4 +1,4 @@
-"""What is drawn: the static scene once, bodies in each frame."""
+"""Draw images: the static scene once per camera, and bodies in each frame."""
 
 from humansim_ros.lazy import lazy_exports
 

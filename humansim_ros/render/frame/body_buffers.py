@@ -34,8 +34,8 @@ _MAX_POSES = 12
 
 
 class BodyCache:
-    """Buffers of bodies on the device. They are released some time after their mesh is gone. ``lit``: program
-    that draws bodies in colour. ``ids``: program that draws triangle ids only."""
+    """A cache of the buffers of bodies on the device. Buffers are released some time after their mesh was
+    freed. ``lit``: program that draws bodies in colour. ``ids``: program that draws triangle ids only."""
 
     def __init__(self, ctx: moderngl.Context, lit: moderngl.Program, ids: moderngl.Program) -> None:
         self._ctx, self._programs = ctx, (lit, ids)
@@ -45,14 +45,14 @@ class BodyCache:
         return len(self._meshes)
 
     def pose(self, body: Body) -> PosedBody:
-        """The body in its pose. It is uploaded when it is drawn."""
+        """Return the body in its pose. The pose is uploaded when the body is drawn."""
         buffers = self._meshes.get(body.mesh)
         if buffers is None:
             buffers = self._meshes.put(body.mesh, MeshBuffers(self._ctx, body.mesh, self._programs))
         return buffers.body(body.instance).pose(body)
 
     def release_unused(self) -> None:
-        """Release the buffers of meshes that are gone. The OpenGL context must be current."""
+        """Release the buffers of meshes that were freed. The OpenGL context must be current."""
         for buffers in self._meshes.take_orphans():
             buffers.release()
 
@@ -78,7 +78,7 @@ class MeshBuffers:
         self._levels: dict[int, tuple[Indices, MeshBuffers]] = {}
 
     def level(self, number: int, mesh: Mesh, levels: Simplification) -> tuple[Indices, MeshBuffers]:
-        """Vertices (v,) of the mesh that a level of detail uses, and the buffers of that level."""
+        """Return the vertices (v,) of the mesh that a level of detail uses, and the buffers of that level."""
         if number not in self._levels:
             _, uv, corners = split_seams(mesh)
             triangles, coordinates = levels.level(number, mesh.triangles, corners)
@@ -98,7 +98,7 @@ class MeshBuffers:
         return self._levels[number]
 
     def body(self, instance: int) -> _BodyBuffers:
-        """Return the buffers of an instance. Several bodies of a frame may have the same mesh."""
+        """Return the buffers of one body with this mesh. Several bodies of a frame may have the same mesh."""
         if instance not in self._bodies:
             self._bodies[instance] = _BodyBuffers(self)
         return self._bodies[instance]
@@ -220,8 +220,8 @@ class PosedBody:
         self._buffers.draw_depths(self.posed, program)
 
     def bent(self, camera: Camera, angle: float) -> NDArray[np.bool_] | None:
-        """(N,) whether the lens visibly bends an edge of each triangle; None if no edge is bent. ``angle``:
-        edges that span a smaller angle (radians) look straight."""
+        """(N,) for each triangle, whether the lens visibly bends one of its edges; None if no triangle has
+        such an edge. ``angle``: edges that span a smaller angle (radians) look straight."""
         topology, offsets = self.mesh.topology, self.posed.points - camera.center.astype(np.float32)[:, None]
         closest = float(np.sqrt(np.einsum("ij,ij->j", offsets, offsets).min()))
         for tolerance in (VISIBLE, TOLERANCE):
@@ -249,7 +249,7 @@ class PosedBody:
 
     @property
     def whole(self) -> TessellatedMesh:
-        """All triangles, not tessellated."""
+        """All triangles of the body, not tessellated."""
         expanded = self.mesh.expanded
         corners = expanded.corners.astype(np.intp)
         return TessellatedMesh(expanded.attributes(self.posed), corners, np.arange(len(corners)))
@@ -261,8 +261,8 @@ class PosedBody:
             pieces.draw(program, [mesh.material], [len(tessellated.triangles)])
 
 
-#: A triangle covers a pixel center within this tolerance, pixels. Projections are in single precision, and
-#: the device rounds them to 1/256 of a pixel.
+#: Tolerance when testing whether a triangle covers a pixel center, pixels: projections have single precision,
+#: and the device rounds them to 1/256 of a pixel.
 _ROUNDING = np.float32(1 / 64)
 #: Half of ``_ROUNDING``, times the length of an edge that lies between two columns and two rows of pixel
 #: centers.
@@ -274,9 +274,9 @@ _BEHIND = 0.999
 class ProjectedPoints:
     """World points (3, N), projected into a camera.
 
-    ``near``: some points are so near that the camera may be inside their surface. ``behind``: all points are
-    behind the camera. ``plane``: x and y (N,) each. They are columns and rows; if the lens distorts, they are
-    coordinates in the normalised image plane. They are not valid if ``near``.
+    ``near``: some points are so near that the camera may be inside their surface; ``plane`` is then not
+    valid. ``behind``: all points are behind the camera. ``plane``: x and y, (N,) each: columns and rows in
+    pixels or, if the lens distorts, coordinates in the normalised image plane.
     """
 
     def __init__(self, points: Float32Array, camera: Camera) -> None:
@@ -307,14 +307,14 @@ class ProjectedPoints:
 
     @cached_property
     def rectangle(self) -> Rectangle:
-        """Pixels that a surface with these points as corners may touch."""
+        """Rectangle of the pixels that a surface with these points as corners may touch."""
         return image_bounds([self], self.camera)
 
     @cached_property
     def _cells(self) -> NDArray[np.int64]:
-        """(N,) cell of each point in a grid with its lines through the pixel centers. A cell is one number:
-        32 bits for the column, 32 bits for the row. The cells at the border extend to infinity. A point on a
-        line of the grid, or beyond the field of view, has a cell of its own."""
+        """(N,) cell of each point in a grid with lines through the pixel centers. A cell is one number: 32
+        bits for the column, 32 bits for the row. The cells at the border extend to infinity. A point on a
+        line of the grid, or beyond the field of view, gets a cell that no other point has."""
         cells = np.empty((len(self.depth), 2), np.int32)
         own = -1 - np.arange(len(self.depth), dtype=np.int32)
         for axis, (places, size) in enumerate(zip(self.pixels, self.camera.size, strict=True)):
@@ -333,10 +333,10 @@ class ProjectedPoints:
         return np.asarray((different[:, 0] != 0) & (different[:, 1] != 0))
 
     def unhidden(self, corners: Sequence[NDArray[np.intp]], nearest: Float32Array) -> NDArray[np.bool_]:
-        """(M,) whether each triangle may be visible in the image, behind the surfaces that are known so far.
+        """(M,) whether each triangle may be visible in the image, or is hidden by the surfaces known so far.
 
-        Most small triangles have one pixel center between their corners. Only these are tested: a triangle is
-        hidden if it misses the center, or if a nearer surface covers it.
+        Most small triangles have one pixel center between their corners. Only such triangles are tested: a
+        triangle is hidden if it misses the center, or if a nearer surface covers the center.
 
         ``corners``: vertices of the triangles, three of (M,). ``nearest``: (H, W) upper bound of the depth
         that each pixel shows, metres. The call lowers it where these triangles are nearer.
@@ -376,8 +376,8 @@ class ProjectedPoints:
         return float(static[rectangle.slices].max()) < _BEHIND * self.closest
 
 
-#: To guess which bodies are hidden, every ``_CELL``-th pixel is tested. A body is assumed not to fill this
-#: share of each side of its rectangle.
+#: To guess which bodies are hidden, every ``_CELL``-th pixel is tested, and a body is assumed to leave a
+#: border of this share of its rectangle empty on each side.
 _CELL, _UNFILLED = 4, 1 / 6
 #: Fewest bodies that are drawn between two reads of depths, and most reads in a frame.
 _FEWEST_DRAWN, _MAX_READS = 4, 8
@@ -386,10 +386,10 @@ _FEWEST_DRAWN, _MAX_READS = 4, 8
 class HiddenBodies:
     """Finds bodies that other bodies hide, from the depths drawn so far.
 
-    A read waits until everything drawn before is finished. So depths are read only when they are likely to
-    show that a body is hidden. ``bodies``: in the order in which they are drawn. ``static``: (H, W) depth of
-    the static scene, metres. ``read``: reads depths (h, w) of the bodies drawn so far within ``rectangle``,
-    which are the pixels that bodies may touch; 0 for none.
+    Reading depths is slow, since the device must finish drawing first. So depths are read only when they are
+    likely to show that a body is hidden. ``bodies``: in the order in which they are drawn. ``static``: (H, W)
+    depth of the static scene, metres. ``rectangle``: the pixels that bodies may touch. ``read``: returns the
+    depths (h, w) of the bodies drawn so far in this rectangle; 0 where there is none.
     """
 
     def __init__(
@@ -420,7 +420,7 @@ class HiddenBodies:
 
 
 def _likely_hidden(bodies: Sequence[ProjectedPoints], static: Float32Array) -> set[ProjectedPoints]:
-    """Bodies that would be hidden if the bodies before them filled the middle of their rectangles."""
+    """Bodies that would be hidden if each body in front of them filled the middle of its rectangle."""
     found = set()
     nearest = static[::_CELL, ::_CELL].copy()
     for body in bodies:
@@ -445,7 +445,8 @@ def _greatest(three: Sequence[Float32Array]) -> Float32Array:
 
 
 def image_bounds(clouds: Sequence[ProjectedPoints], camera: Camera) -> Rectangle:
-    """Return the pixels that surfaces with these corners may touch: the whole image if a surface is near."""
+    """Return the rectangle that surfaces with these corners may touch: all of the image if a surface is
+    near."""
     width, height = camera.size
     low: Array = np.full(2, np.inf)
     high: Array = np.full(2, -np.inf)
@@ -516,20 +517,20 @@ def _squares(vectors: Float32Array) -> Float32Array:
     return np.asarray(np.einsum("ij,ij->i", vectors, vectors))
 
 
-#: Largest error of the surface of a level, pixels.
+#: Largest error of the surface of a level of detail, pixels.
 LARGEST_ERROR = 0.1
-#: A level with more than this share of all vertices saves no time.
+#: A level of detail with more than this share of all vertices saves no time.
 LARGEST_SHARE = 0.25
-#: Metres by which points are moved, to measure how far they move in the image.
+#: Points are moved by this distance, metres, to measure how many pixels they move in the image.
 _STEP = 1e-3
 #: Corners of a box.
 _CORNERS = np.stack(np.meshgrid(*[(0, 1)] * 3), axis=-1).reshape(8, 3)
 
 
 def coarsest(levels: Sequence[Simplification | None], boxes: FloatArray, camera: Camera) -> tuple[int, ...]:
-    """Choose the coarsest level of each body with an error below a tenth of a pixel. ``levels``: levels of
-    each body; None if there is only the whole mesh. ``boxes``: lowest and highest corner of each body, (M, 2,
-    3) metres in ``map``."""
+    """For each body, choose the coarsest level of detail with an error below a tenth of a pixel. ``levels``:
+    levels of each body; None if the body has only its full mesh. ``boxes``: lowest and highest corner of each
+    body, (M, 2, 3) metres in ``map``."""
     scales = pixels_per_metre(boxes, camera)
     return tuple(
         0 if known is None else int(np.searchsorted(known.errors, LARGEST_ERROR / scale, side="right")) - 1
@@ -538,7 +539,7 @@ def coarsest(levels: Sequence[Simplification | None], boxes: FloatArray, camera:
 
 
 def pays(levels: Sequence[Simplification | None], chosen: Sequence[int]) -> bool:
-    """Whether levels of detail save time, although labels need the whole meshes too."""
+    """Whether levels of detail save time, although the full meshes must be drawn too, for labels."""
     known = [(each.counts, number) for each, number in zip(levels, chosen, strict=True) if each is not None]
     return sum(counts[number] for counts, number in known) < LARGEST_SHARE * sum(
         counts[0] for counts, _ in known
@@ -546,8 +547,8 @@ def pays(levels: Sequence[Simplification | None], chosen: Sequence[int]) -> bool
 
 
 def pixels_per_metre(boxes: FloatArray, camera: Camera) -> Array:
-    """Largest number of pixels that a metre in any direction has within each box (M, 2, 3). It is infinite
-    near the camera and beyond the lens."""
+    """(M,) image scale: the largest number of pixels per metre, in any direction, within each box (M, 2, 3).
+    It is infinite near the camera and beyond the field of view."""
     corners = np.where(_CORNERS == 0, boxes[:, None, 0], boxes[:, None, 1])
     moved = corners[..., None, :] + _STEP * np.concatenate([np.zeros((1, 3)), np.eye(3)])
     pixels, depth = camera.project(moved.reshape(-1, 3))

@@ -1,8 +1,8 @@
 """Anti-aliasing of outlines and of edges of the static scene [Persson 2011].
 
 An image has one sample per pixel. Where an edge crosses the line between two neighbouring pixel centers, a
-share of one pixel belongs to the surface of the other. The position and the slope of the crossing give the
-share. The colour of the other surface is blended in with this share.
+part of one pixel shows the surface of the other pixel. The position and the slope of the crossing give the
+size of this part. The colour of the other pixel is blended in with this share.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from humansim_ros.render.device.mesh_buffers import PosedMesh, Topology
 from humansim_ros.render.device.pixel_geometry import pixel_rays
 from humansim_ros.types import Array, Float32Array, Indices
 
-#: An outline and its surface half a pixel inside differ in depth by at most this, metres.
+#: Largest difference of depth, metres, between an outline and the same surface half a pixel further inside.
 _RIM = 0.1
-#: The device rounds vertices to 1/256 of a pixel, so that an edge may pass a center on the other side than
-#: computed.
+#: The device rounds vertices to 1/256 of a pixel. An edge nearer than this to a pixel center, pixels, may
+#: therefore pass on the other side than computed.
 _SNAP = 1 / 128
 
 
@@ -42,7 +42,7 @@ class EdgeCrossings:
     edge: NDArray[np.intp]
 
     def __add__(self, other: EdgeCrossings) -> EdgeCrossings:
-        """Return the crossings of both."""
+        """Return the crossings of both objects, joined."""
         both = ([getattr(one, field.name) for one in (self, other)] for field in fields(self))
         return EdgeCrossings(*(np.concatenate(values) for values in both))
 
@@ -121,8 +121,8 @@ def edge_crossings(edges: Sequence[ImageEdges], size: tuple[int, int]) -> EdgeCr
 
 
 def share_beyond(distance: Array, slope: Array) -> Array:
-    """Share of a pixel (at most half) beyond an edge. ``distance``: (N,) pixels from the center of the pixel
-    to the crossing. ``slope``: (N,) change of the distance per pixel across, 0 to 1."""
+    """Share (N,) of a pixel that lies beyond an edge, at most half. ``distance``: (N,) pixels from the center
+    of the pixel to the crossing. ``slope``: (N,) change of the distance per pixel across, 0 to 1."""
     # the edge rises by the slope within the pixel, so that it may leave the pixel
     corner = np.maximum(0.5 + slope / 2 - distance, 0)
     return np.where(distance + slope / 2 > 0.5, corner**2 / np.maximum(2 * slope, 1e-9), 0.5 - distance)
@@ -135,8 +135,8 @@ def blend(
 
     Args:
         images: (H, W) or (H, W, C).
-        z: Depth (N,) of the pixels of the crossings.
-        z_neighbour: Depth (N,) of their neighbours.
+        z: Depth (N,) at ``outline.pixel``, metres.
+        z_neighbour: Depth (N,) at ``outline.neighbour``, metres.
         outline: The N crossings.
     """
     # the nearer surface must be the outlined one, not an occluder, and another surface must be behind it
@@ -153,8 +153,8 @@ def blend(
 
 
 def mix(image: NDArray[np.uint8], crossings: EdgeCrossings) -> None:
-    """Blend colours across edges in an image (H, W, C), in place. A pixel may lie between two edges of a
-    narrow surface. Then both opposite neighbours are blended in."""
+    """Blend colours across edges in an image (H, W, C), in place. If a pixel lies between two edges of a
+    narrow surface, the neighbours on both sides are blended in."""
     height, width = image.shape[:2]
     mark = np.zeros(height * width, bool)
     mark[crossings.pixel] = True
@@ -189,8 +189,9 @@ _VISIBLE = 1 / 64
 
 
 class StaticEdges:
-    """Edges between triangles. ``positions``: (V, 3) metres in ``map``. ``corners``: (N, 3) vertices of the
-    triangles. ``owner``: (N,) mesh of each triangle; the colour changes from one mesh to the next."""
+    """Edges between the triangles of the static scene, to anti-alias its images. ``positions``: (V, 3) metres
+    in ``map``. ``corners``: (N, 3) vertices of the triangles. ``owner``: (N,) mesh of each triangle; the
+    colour changes from one mesh to the next."""
 
     def __init__(self, positions: Float32Array, corners: NDArray[Any], owner: Indices) -> None:
         places = welded(positions)
@@ -211,8 +212,8 @@ class StaticEdges:
 
     @cached_property
     def _forward(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """(E,) for the two triangles at each edge: whether the triangle runs along the edge from its start to
-        its end."""
+        """Two of (E,), for the two triangles at each edge: whether the order of the triangle's corners runs
+        from the start of the edge to its end."""
         corners = np.stack(self._topology.corners, axis=1)
         start, end = self._topology.edges.T[..., None]
         one, other = (
@@ -223,8 +224,8 @@ class StaticEdges:
 
     @cached_property
     def _facets(self) -> Indices:
-        """(N + 1,) facet of each triangle; the last value is -1. The triangles of a facet are connected by
-        edges that are not sharp."""
+        """(N + 1,) number of the facet of each triangle; the last value is -1. A facet is a set of triangles
+        that are connected by edges that are not sharp."""
         from scipy.sparse import coo_matrix
         from scipy.sparse.csgraph import connected_components
 
@@ -300,7 +301,8 @@ class StaticEdges:
         return _Narrow.of(np.concatenate(pixel), np.concatenate(share), np.concatenate(facet), facets)
 
     def _intersections(self, camera: Camera, shown: Indices, edges: EdgeCrossings) -> EdgeCrossings:
-        """Crossings between neighbouring pixels with surfaces that intersect, where no edge passes."""
+        """Find crossings where two surfaces intersect between neighbouring pixels, and no edge passes.
+        ``edges``: the crossings of edges."""
         width, height = camera.size
         image, rays = self._facets[shown].reshape(height, width), pixel_rays(camera)
         known = np.zeros((2, height * width), bool)
@@ -332,7 +334,8 @@ class StaticEdges:
         return EdgeCrossings(pixel, neighbour, share, depth, np.full(len(pixel), -1)).take(share > 0)
 
     def _inverse_depths(self, camera: Camera, triangles: Indices) -> Array:
-        """(3, N) vector of each triangle. Its product with a ray of :func:`pixel_rays` is 1 / z."""
+        """(3, N) vector of the plane of each triangle: its product with the ray (x, y, 1) of a pixel is 1 /
+        z."""
         normals = self._posed.areas[:, triangles].astype(float)
         corner = self._posed.points[:, self._topology.corners[0][triangles]]
         distance = np.einsum("ij,ij->j", normals, corner - camera.center[:, None])
@@ -341,8 +344,8 @@ class StaticEdges:
 
 
 class _Passing(NamedTuple):
-    """Places where edges pass between pixels. ``edge``: (N,) number of the edge. ``run``: (N, 2) direction
-    along it."""
+    """Places where edges pass between pixels. ``edge``: (N,) number of the edge. ``run``: (N, 2) direction of
+    the edge in the image."""
 
     crossings: EdgeCrossings
     edge: Indices
@@ -353,13 +356,14 @@ class _Passing(NamedTuple):
 
     @property
     def _step(self) -> tuple[NDArray[np.bool_], Array]:
-        """(N,) whether the neighbour is in the same row; and 1 if it comes after the pixel, -1 if before."""
+        """(N,) whether the neighbour is in the same row; and (N,) 1 if it comes after the pixel, -1 if
+        before."""
         step = self.crossings.neighbour - self.crossings.pixel
         return np.abs(step) == 1, np.sign(step).astype(float)
 
     @property
     def across(self) -> NDArray[np.bool_]:
-        """(N,) whether the edge runs more across than along the line to the neighbour."""
+        """(N,) whether the edge runs more across the line from pixel to neighbour than along this line."""
         x, y = np.abs(self.run.T)
         return self._step[0] == (y >= x)
 
@@ -372,8 +376,8 @@ class _Passing(NamedTuple):
 
 
 class _Narrow(NamedTuple):
-    """Narrow surfaces. ``share``: (N,) share that each covers of ``pixel`` (N,). ``source``: (N,) a pixel
-    that shows the same facet."""
+    """Narrow surfaces that pass between pixel centers. ``share``: (N,) share of ``pixel`` (N,) that the
+    surface covers. ``source``: (N,) another pixel that shows the same facet, for the colour."""
 
     pixel: Indices
     share: Array
@@ -382,7 +386,7 @@ class _Narrow(NamedTuple):
     @classmethod
     def of(cls, pixel: Indices, share: Array, facet: Indices, facets: Indices) -> _Narrow:
         """For each of the facets (N,), find the nearest pixel that shows it, in the order of rows. Facets
-        that no pixel shows are left out. ``facets``: (H * W,) that each pixel shows, or -1."""
+        that no pixel shows are left out. ``facets``: (H * W,) facet that each pixel shows, or -1."""
         wanted = np.zeros(max(int(facet.max(initial=-1)), int(facets.max(initial=-1))) + 2, bool)
         wanted[facet] = True
         shows = np.flatnonzero(wanted[facets])
@@ -398,7 +402,7 @@ class _Narrow(NamedTuple):
 
 
 def _add(image: NDArray[np.uint8], narrow: _Narrow, colours: NDArray[np.uint8]) -> None:
-    """Mix narrow surfaces with colours (N, C) into the pixels of an image (H * W, C), in place."""
+    """Blend the colours (N, C) of narrow surfaces into the pixels of an image (H * W, C), in place."""
     pixels, which = np.unique(narrow.pixel, return_inverse=True)
     covered = np.bincount(which, narrow.share, len(pixels))
     sums = np.stack([np.bincount(which, narrow.share * one, len(pixels)) for one in colours.T], axis=1)
@@ -409,8 +413,8 @@ def _add(image: NDArray[np.uint8], narrow: _Narrow, colours: NDArray[np.uint8]) 
 
 
 def _before_camera(camera: Camera, starts: Array, ends: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Parts of edges (E, 3) beyond the near plane of the camera, in the optical frame; and which edges have
-    such a part."""
+    """Clip edges (E, 3) at the near plane of the camera. Returns starts and ends (K, 3) of the remaining
+    parts in the optical frame, and mask (E,) of the edges that have such a part."""
     near = near_plane(camera)
     a, b = camera.to_optical(starts), camera.to_optical(ends)
     kept = np.maximum(a[:, 2], b[:, 2]) > near

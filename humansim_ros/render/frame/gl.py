@@ -1,13 +1,14 @@
 """The default renderer: OpenGL 3.3 through EGL, without a display, on a GPU if there is one.
 
 The static scene is rendered once per camera and cached. Each frame renders only the rectangle that bodies may
-touch. One pass with one sample at each pixel center draws colour, depth, and the triangle id, which gives all
-labels. Outlines of bodies are anti-aliased afterwards (edge_antialiasing.py). Triangles that cannot be
-visible are not sent to the device. With optical flow, a frame is rendered once and used up to three times.
+touch. One pass with one sample at each pixel center draws colour, depth, and triangle ids. All labels follow
+from the triangle ids. Outlines of bodies are anti-aliased afterwards (edge_antialiasing.py). Triangles that
+cannot be visible are not sent to the device. For optical flow, a frame is rendered once and used up to three
+times: as this, next and previous frame.
 
 :class:`CoveragePass` counts the pixels of each triangle, also where another triangle hides it. OpenGL decides
-which pixel centers a triangle covers, as for the channel ``face``, so that both counts of a triangle that
-nothing hides are equal.
+which pixel centers a triangle covers, as for the channel ``face``. So a triangle that nothing hides has the
+same number of pixels in both.
 """
 
 from __future__ import annotations
@@ -75,7 +76,7 @@ if TYPE_CHECKING:
 
 
 class _SeenBody(NamedTuple):
-    """A body in its pose, with its points in the image. ``number``: number of the body in the frame."""
+    """A body in its pose, and its points in the image. ``number``: index of the body in the frame."""
 
     number: int
     body: PosedBody
@@ -145,9 +146,9 @@ class GLRenderer(Renderer):
         self._context.check()
 
     def prepare(self, requests: Sequence[RenderRequest]) -> None:
-        """Draw several requests before the first image is read. On a processor this does nothing. Each
-        request has its own target: in one large image, the device would round positions differently. Images
-        are read while others are drawn. They wait in the cache for :meth:`render`."""
+        """Draw several requests before the first image is read, so that a GPU reads some images while it
+        draws others. Without a GPU this does nothing. The frames wait in the cache for :meth:`render`. Each
+        request has its own target, since in one large image the device would round positions differently."""
         with self._context.current():
             count = self._targets.together([request.camera.size for request in requests])
             if count < 2:
@@ -170,8 +171,8 @@ class GLRenderer(Renderer):
             return view
 
     def _parts(self, request: RenderRequest) -> list[tuple[RenderRequest, tuple[int, ...]]]:
-        """Requests for the channels that are drawn together, each with the level of detail of each body
-        (empty: all whole). The requests have no static bodies."""
+        """Split a request into requests for channels that are drawn together, without static bodies. Returns
+        each with the levels of detail of its bodies; an empty tuple stands for full meshes."""
         request = replace(request, bodies=self._moving(request.bodies))
         coloured = {name for name in request.channels if "lit" in CHANNEL_TABLE[name].passes}
         levels = self._levels(request.bodies, request.camera) if coloured else ()
@@ -181,7 +182,8 @@ class GLRenderer(Renderer):
         return [(replace(request, channels=channels), chosen) for channels, chosen in parts if channels]
 
     def _view(self, request: RenderRequest, levels: tuple[int, ...]) -> View:
-        """Channels of bodies at some levels of detail."""
+        """Render the channels of a request. ``levels``: level of detail of each body; empty for full
+        meshes."""
         frame = self._start(request, levels)()
         adjacent: AdjacentFrames = {}
         for name in ADJACENT_NAMES:
@@ -196,8 +198,8 @@ class GLRenderer(Renderer):
         return frame.view(request.bodies, request.channels, adjacent)
 
     def _levels(self, bodies: Sequence[Body], camera: Camera) -> tuple[int, ...]:
-        """Level of detail of each body for colours. Empty if all are drawn whole, as with shadows of the
-        sun."""
+        """Level of detail of each body for colours. The tuple is empty if all bodies are drawn with full
+        meshes, as is necessary for shadows of the sun."""
         known = [body.levels for body in bodies]
         if self._static.sun_shadows is not None or all(each is None for each in known):
             return ()
@@ -208,11 +210,11 @@ class GLRenderer(Renderer):
     def coverage(self, body: Body, camera: Camera) -> Indices:
         """Count the pixels that each triangle of a body covers, also where another surface hides it.
 
-        It counts the same pixel centers as ``face``, so that both counts of a triangle that nothing hides are
-        equal.
+        It counts pixel centers like the channel ``face``. So a triangle that nothing hides has the same
+        number of pixels in both.
 
         Returns:
-            (N,) pixels within the image of each triangle of the mesh.
+            (N,) number of pixels that each triangle of the mesh covers within the image.
 
         Raises:
             RenderError: The body is not valid, or OpenGL failed.
@@ -236,8 +238,8 @@ class GLRenderer(Renderer):
     def _start(
         self, request: RenderRequest, levels: tuple[int, ...] = (), number: int = 0
     ) -> Callable[[], RenderedFrame]:
-        """Start to draw the frame of a request into target ``number``, unless the frame is cached. The result
-        waits for the images. ``levels``: level of each body; empty if all are whole."""
+        """Start to draw the frame of a request into target ``number``, unless the frame is cached. Returns a
+        function that waits for the images. ``levels``: as in :meth:`_view`."""
         bodies, camera, passes = request.bodies, request.camera, passes_of(request.channels)
         moving, backdrop = request.moving_camera, request.backdrop
         view = camera_key(camera), moving, id(backdrop), levels
@@ -267,7 +269,8 @@ class GLRenderer(Renderer):
         levels: tuple[int, ...] = (),
         uncovered: bool = False,
     ) -> Callable[[], RenderedFrame]:
-        """Start to draw a frame. The result reads the images. ``uncovered``: without off-body surfaces."""
+        """Start to draw a frame. Returns a function that reads the images. ``levels``: as in :meth:`_view`.
+        ``uncovered``: leave out off-body surfaces such as skirts and hats."""
         lit, posed = "lit" in passes, [self._bodies.pose(body) for body in bodies]
         if levels:
             posed = [body.level(number) for body, number in zip(posed, levels, strict=True)]
@@ -319,7 +322,7 @@ class GLRenderer(Renderer):
         return read
 
     def _static_labels(self, frame: RenderedFrame, moving_camera: bool) -> StaticLabels:
-        """Labels of the static bodies in the layer of a frame, from the cache or new."""
+        """Labels of the static bodies in a frame, from the cache or computed now."""
         camera, layer = frame.camera, frame.layer
         passes = passes_of(("alpha", "amodal") if "alone" in frame.passes else ("alpha",))
         if layer.labels is None or not layer.labels.passes >= passes:
@@ -352,7 +355,7 @@ class GLRenderer(Renderer):
         return parts
 
     def _alone(self, seen: _SeenBody) -> NDArray[np.bool_]:
-        """(H, W) mask of a body without occluders."""
+        """Draw a body alone. Returns (H, W) mask of its pixels, as if nothing occluded it."""
         camera = seen.points.camera
         mask, rectangle = np.zeros(camera.size[::-1], bool), seen.points.rectangle
         if not rectangle.empty:
@@ -371,13 +374,13 @@ class GLRenderer(Renderer):
         behind: Float32Array,
         uncovered: bool = False,
     ) -> tuple[TriangleIds, dict[int, NDArray[np.bool_]]]:
-        """Draw the triangles of some bodies that may be visible, each with its own id, into the target in
-        use. ``lit``: draw colours too. ``behind``: (H, W) depth of the static scene, which may hide bodies,
-        metres. ``uncovered``: leave out off-body surfaces.
+        """Draw into the target in use those triangles of some bodies that may be visible, each with its own
+        id. ``lit``: draw colours too. ``behind``: (H, W) depth of the static scene, metres; bodies behind it
+        are not drawn. ``uncovered``: leave out off-body surfaces.
 
         Returns:
-            The triangles that were drawn. And by number of each body that is not hidden, (N,) whether each
-            triangle shows its front.
+            The triangles that were drawn; and for each body that is not hidden, by its index: (N,) whether
+            each triangle of its mesh shows its front.
         """
         ids, facing = TriangleIds(), dict[int, NDArray[np.bool_]]()
         if not bodies:
@@ -431,9 +434,9 @@ def _contact_shadows(
     return [shadow for shadow in shadows if shown(shadow.corners)]
 
 
-#: A number above all triangle ids. Single precision is exact up to this number.
+#: A number larger than all triangle ids. Single precision is exact up to this number.
 _NONE = float(1 << 24)
-#: Texture unit of the triangles that were found. No material uses this unit.
+#: Texture unit for the triangle ids found so far. No material uses this unit.
 _UNIT = 8
 
 
@@ -465,7 +468,8 @@ class CoveragePass:
     def _layers(
         self, body: PosedBody, pieces: TriangleBuffers, count: int, camera: Camera, rectangle: Rectangle
     ) -> Iterator[tuple[Indices, Indices]]:
-        """Draw again until all triangles are found. Yields the lowest and highest new ids (M,) at pixels."""
+        """Draw again until all triangles are found. After each draw, yields the lowest and the highest new
+        triangle ids (M,) at pixels."""
         use_camera(self._ctx, self._program, camera)
         set_uniform(self._program, "none", _NONE)
         set_uniform(self._program, "found", _UNIT)
@@ -507,8 +511,8 @@ _Entry = tuple[RenderedFrame, tuple["weakref.ref[Body]", ...]]
 
 
 class FrameCache:
-    """The most recently used frames. A frame is dropped when one of its bodies is gone. ``view``: key of the
-    camera and the static scene."""
+    """A cache of the most recently used frames. A frame is dropped when one of its bodies is freed. ``view``
+    in its methods is a key of the camera and the static scene."""
 
     def __init__(self) -> None:
         self._frames: LruCache[tuple[object, ...], _Entry] = LruCache(
@@ -516,14 +520,14 @@ class FrameCache:
         )
 
     def get(self, bodies: Sequence[Body], view: tuple[object, ...]) -> RenderedFrame | None:
-        """Return a cached frame of bodies."""
+        """Return the cached frame of these bodies; None if there is none."""
         entry = self._frames.get((*map(id, bodies), *view))
         if entry is None or any(ref() is not body for ref, body in zip(entry[1], bodies, strict=True)):
             return None
         return entry[0]
 
     def put(self, bodies: Sequence[Body], view: tuple[object, ...], frame: RenderedFrame) -> RenderedFrame:
-        """Put a frame into the cache."""
+        """Put a frame into the cache, and return the frame."""
         key, frames = (*map(id, bodies), *view), self._frames
         frames.put(key, (frame, tuple(weakref.ref(body, lambda _: frames.discard(key)) for body in bodies)))
         return frame

@@ -1,9 +1,9 @@
 """A second renderer, for comparison: pyrender 0.1.45.
 
-Colour and labels are two passes. Colour is lit at the vertices with the light of the default renderer. It is
-rendered at twice the size and averaged, so that a pixel has sixteen samples. Labels and depth have one sample
-at the pixel center. Amodal masks need a pass for each body alone. pyrender cannot move vertices, so a body in
-a new pose is a new mesh. Nothing is cached per camera.
+Colour and labels are rendered in two passes. For colour, the light of the default renderer is computed at the
+vertices. The image is rendered at twice the size and averaged, so that a pixel has sixteen samples. Labels
+and depth have one sample at the pixel center. Amodal masks need one pass per body, without the other bodies.
+pyrender cannot move vertices, so a body in a new pose is a new mesh. Nothing is cached per camera.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ from humansim_ros.types import Array, Float32Array, Image
 
 _FAR = 200.0
 _TRIANGLES = 4
-#: Supersampling factor of colour, and the largest image side with supersampling. Without it, a pixel has four
-#: samples, and the middle of small things is up to 0.08 pixels off; with supersampling 0.03.
+#: Supersampling factor of colour, and the largest image side with supersampling. Without supersampling, a
+#: pixel has four samples, and the middle of small things is up to 0.08 pixels off; with supersampling, 0.03.
 _SUPERSAMPLING, _MAX_SUPERSAMPLED_SIDE = 2, 2048
 
 
@@ -120,7 +120,7 @@ class PyrenderRenderer(Renderer):
         return View(**view)
 
     def _posed(self, body: Body) -> _PosedShape:
-        """Shape of a body in its pose, from the cache or new."""
+        """Shape of a body in its pose, from the cache or made now."""
         shape = self._shapes.get(body.mesh)
         if shape is None or not np.array_equal(shape.parts, body.parts):
             shape = self._shapes.put(body.mesh, _Shape(self._library, body))
@@ -152,7 +152,7 @@ class PyrenderRenderer(Renderer):
     def _supersampled(
         self, nodes: Sequence[_Node], camera: Camera, flags: Sequence[str], background: Array
     ) -> Image:
-        """Render at a multiple of the camera's size, and average."""
+        """Render at a multiple of the camera's image size, and average."""
         factor = _SUPERSAMPLING if max(camera.size) <= _MAX_SUPERSAMPLED_SIDE else 1
         renderer = self._colour_pass
         renderer.viewport_width, renderer.viewport_height = (factor * side for side in camera.size)
@@ -192,8 +192,8 @@ class PyrenderRenderer(Renderer):
         background: Array | None,
         colours: dict[_Node, Array] | None = None,
     ) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Render nodes. Returns image and depth. ``background``: RGBA, 0 to 1. ``colours``: colour of each
-        node if labels are rendered."""
+        """Render nodes. Returns image and depth. ``background``: RGBA, 0 to 1. ``colours``: if labels are
+        rendered, the colour that encodes the label of each node."""
         names = self._library.RenderFlags
         scene = _Scene(nodes, _Eye(camera), camera.world_from_optical, background)
         try:
@@ -205,8 +205,8 @@ class PyrenderRenderer(Renderer):
 
 
 class _Shape:
-    """Triangles of a body, whole and by part, and its material. Holds no reference to the mesh. ``posed``:
-    the shape in its poses, by instance."""
+    """Triangles of a body, all together and by body part, and its material. Holds no reference to the mesh.
+    ``posed``: cached shapes in a pose, by instance."""
 
     def __init__(self, library: Any, body: Body) -> None:
         self.parts = body.parts
@@ -225,8 +225,8 @@ class _Shape:
 
 class _PosedShape:
     """A body in its pose, as meshes of pyrender that are created when needed. Holds no reference to the body.
-    ``sides``: 1 renders front faces only. 2 renders both sides, since pyrender renders counter-clockwise
-    triangles only."""
+    Methods take ``sides``: with 1, only front faces are rendered. With 2, triangles are doubled with their
+    order reversed, since pyrender renders only counter-clockwise triangles."""
 
     def __init__(self, library: Any, shape: _Shape, body: Body) -> None:
         self.body, self.instance = weakref.ref(body), body.instance
@@ -237,7 +237,7 @@ class _PosedShape:
         self._nodes: dict[Any, _Node] = {}
 
     def sides(self, camera: Camera) -> int:
-        """Number of sides that may be visible: 1 for a closed surface, unless the camera is in it; else 2."""
+        """Number of visible sides of triangles: 1 for a closed surface with the camera outside, else 2."""
         inside = ((camera.center > self._low) & (camera.center < self._high)).all()
         return 2 if inside or not self._closed else 1
 
@@ -260,7 +260,7 @@ class _PosedShape:
         return self._nodes["rgb", sides]
 
     def labelled(self, sides: int, by_part: bool) -> Iterator[tuple[int, _Node]]:
-        """Yield the surface of each part with its label; or the whole surface with 1."""
+        """Yield label and surface of each body part; or, without ``by_part``, 1 and the whole surface."""
         shape = self._shape
         for part, source, corners in shape.by_part if by_part else [(1, *shape.whole)]:
             key = (part, sides, by_part)
@@ -297,7 +297,7 @@ class _Node:
 
 
 class _Eye:
-    """A camera as pyrender expects it, but with our projection."""
+    """A camera for pyrender, with the projection matrix of this package."""
 
     znear, zfar = NEAR, _FAR
 
@@ -311,8 +311,8 @@ class _Eye:
 
 
 class _Scene:
-    """A scene as pyrender's renderer expects it. pyrender's own scene has sets, so that its draw order
-    varies."""
+    """A scene for pyrender's renderer, with a fixed draw order. pyrender's own scene keeps nodes in sets, so
+    that its draw order varies."""
 
     lights = light_nodes = frozenset[Any]()
 
@@ -373,7 +373,7 @@ def _mend_pyopengl() -> None:
 
 
 def _light(lighting: Lighting, normals: Float32Array) -> Float32Array:
-    """(V, 3) factors of the vertex colours, with the formula of shaders/lit.frag."""
+    """Light at vertices: (V, 3) factors of the vertex colours, by the formula of shaders/lit.frag."""
     if lighting.mode == "shadeless":
         return np.ones_like(normals)
     colours = lighting.ground_color, lighting.sky_color, lighting.sun_color

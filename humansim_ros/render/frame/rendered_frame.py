@@ -23,7 +23,7 @@ from humansim_ros.render.interface.channels import CHANNEL_TABLE, AdjacentName, 
 from humansim_ros.render.interface.renderer import AdjacentFrame, Backdrop, Body
 from humansim_ros.types import Float32Array, Indices
 
-#: Adjacent frames with their rendered images. Channels of occlusion need the images.
+#: Adjacent frames by name, each with its rendered images, which channels of occlusion need.
 AdjacentFrames = Mapping[AdjacentName, tuple[AdjacentFrame, "RenderedFrame | None"]]
 
 
@@ -53,9 +53,9 @@ class _Drawn(NamedTuple):
         return self.mesh.triangles_off_body[self.triangles]
 
 
-#: Tables of the values of channels by triangle id: their type, and the values (M,) of drawn triangles. Other
-#: tables: ``owner``, the index of the body; ``triangle``, the index in the mesh; ``off_body``, whether the
-#: triangle belongs to an off-body surface.
+#: Values that are looked up by triangle id, by name of the channel: type, and function that returns the
+#: values (M,) of drawn triangles. Not channels: ``owner``, the index of the body; ``triangle``, the index in
+#: the mesh; ``off_body``, whether the triangle belongs to an off-body surface.
 _TABLES: dict[str, tuple[type[np.generic], Callable[[_Drawn], NDArray[Any]]]] = {
     "instance": (np.uint16, lambda drawn: drawn.full(drawn.instance)),
     "part": (np.uint8, lambda drawn: drawn.parts[drawn.triangles]),
@@ -69,20 +69,20 @@ _TABLES: dict[str, tuple[type[np.generic], Callable[[_Drawn], NDArray[Any]]]] = 
 
 
 class TriangleIds:
-    """Triangles of the bodies of one image. Id 0 is no body; id n is the n-th triangle that was drawn."""
+    """Triangles that the ids of one image stand for. Id 0 is no body; id n is the n-th drawn triangle."""
 
     def __init__(self) -> None:
         self.count = 1
         self._bodies: list[_Drawn] = []
 
     def add(self, number: int, body: Body, triangles: Indices) -> None:
-        """Append the drawn triangles (M,) of a body. ``number``: its number in the frame."""
+        """Append the drawn triangles (M,) of a body. ``number``: index of the body in the frame."""
         self.count += len(triangles)
         mesh = body.mesh if body.kind == "human" else None
         self._bodies.append(_Drawn(number, body.instance, body.parts, mesh, triangles))
 
     def table(self, name: str) -> NDArray[Any]:
-        """Table of the values of a channel by id, see ``_TABLES``."""
+        """Return the values of a channel by triangle id, see ``_TABLES``."""
         kind, values = _TABLES[name]
         return np.concatenate([np.zeros(1, kind), *(values(drawn).astype(kind) for drawn in self._bodies)])
 
@@ -104,7 +104,7 @@ class StaticLayer:
         self.labels: StaticLabels | None = None
         depth = target.read("depth", lit=True)
         self.depth_buffer = target.read_depth_buffer()
-        #: both images on the device, as the start of frames
+        #: copies of both images on the device, which frames start from
         self.kept: moderngl.Framebuffer | None = None
         #: (H, W) metres, +inf where nothing is
         self.depth = np.where(depth > 0, depth, np.float32(np.inf))
@@ -137,11 +137,11 @@ class RenderedFrame:
     """Images of the bodies that one camera sees. They cover ``rectangle``, the part of the image that bodies
     may touch.
 
-    It holds no reference to the bodies. ``rgba`` and ``outline``, ``alone``, ``body_part`` are None if their
-    pass was not requested. ``triangle_ids``: (h, w), see :class:`TriangleIds`. ``depth``: (h, w) metres, 0
-    where no body is. ``rgba``: (h, w, 4), within ``coloured``, which includes shadows; alpha is the share of
-    direct light that bodies let through. ``outline``: crossings of outlines with pixels. ``alone``: by
-    instance, (H, W) mask of the body without occluders. ``static_labels``: labels of the static bodies.
+    It holds no reference to the bodies. ``rgba``, ``outline``, ``alone`` and ``body_part`` are None if their
+    rendering pass was not requested. ``triangle_ids``: (h, w), see :class:`TriangleIds`. ``depth``: (h, w)
+    metres, 0 where no body is. ``rgba``: (h, w, 4), within ``coloured``, which includes shadows; alpha is the
+    share of direct light that bodies let through. ``outline``: crossings of outlines with pixels. ``alone``:
+    by instance, (H, W) mask of the body without occluders. ``static_labels``: labels of the static bodies.
     ``body_part``: (H, W) part labels without off-body surfaces such as skirts, hats and long hair; None if no
     pixel shows such a surface.
     """
@@ -164,14 +164,14 @@ class RenderedFrame:
 
     @cached_property
     def whole_depth(self) -> Float32Array:
-        """(H, W) metres of bodies and static scene, read-only. It is +inf where nothing is."""
+        """(H, W) depth of bodies and static scene, metres, read-only. It is +inf where nothing is."""
         whole: Float32Array = self.layer.images(("depth",))["depth"]
         np.copyto(whole[self.rectangle.slices], self.depth, where=self.depth > 0)
         whole.setflags(write=False)
         return whole
 
     def _depth_at(self, pixels: Indices) -> Float32Array:
-        """Depth (N,) of pixels of the whole image. It makes no copy of the whole image."""
+        """Depth (N,) of some pixels of the whole image, without a copy of the whole image."""
         depth = self.layer.depth.take(pixels)
         row = pixels // self.camera.size[0]  # divmod takes several times as long
         column = pixels - row * self.camera.size[0] - self.rectangle.x0
@@ -185,14 +185,14 @@ class RenderedFrame:
 
     @property
     def nbytes(self) -> int:
-        """Approximate memory in bytes."""
+        """Approximate memory of the images, bytes."""
         pixels, own = self.camera.size[0] * self.camera.size[1], self.triangle_ids.size
         images = sum(image.nbytes for image in (self.rgba, self.body_part) if image is not None)
         masks, depth = pixels * len(self.alone or ()), 4 * pixels * ("whole_depth" in vars(self))
         return images + masks + depth + own * (8 if self._geometry is None else 72)
 
     def geometry(self, bodies: Sequence[Body]) -> PixelGeometry:
-        """Surface points that the pixels show. ``bodies``: the bodies that were rendered."""
+        """Return the surface points that the pixels show. ``bodies``: the bodies that were rendered."""
         if self._geometry is None:
             pixels = np.flatnonzero(self.triangle_ids > 0)
             ids = self.triangle_ids.ravel().take(pixels)
@@ -226,7 +226,7 @@ class RenderedFrame:
 
 
 class StaticLabels:
-    """Label images of the static bodies from one camera, computed once per channel."""
+    """Label images of the static bodies from one camera. Each channel is computed once and cached."""
 
     def __init__(self, frame: RenderedFrame, bodies: Sequence[Body]) -> None:
         self.passes = frame.passes
@@ -234,7 +234,7 @@ class StaticLabels:
         self._images: dict[str, Any] = {}
 
     def images(self, channels: Collection[str]) -> dict[str, Any]:
-        """Return new arrays of the channels that describe labelled bodies."""
+        """Return copies of the images of those channels that describe labelled bodies."""
         names = {name for name in channels if CHANNEL_TABLE[name].labels_bodies}
         for name in names - self._images.keys():
             self._images[name] = getattr(self._frame.view(self._bodies, (name,), {}), name)
@@ -275,7 +275,7 @@ def _fill_shadow(frame: RenderedFrame, name: str, images: dict[str, Any], _: Seq
 
 
 def _fill_alpha(frame: RenderedFrame, name: str, images: dict[str, Any], _: Sequence[Body]) -> None:
-    """Coverage without anti-aliasing: 255 where the pixel center shows the body."""
+    """Fill in the coverage of each body without anti-aliasing: 255 where the pixel center shows the body."""
     within, instances = frame.rectangle.slices, images.get("instance")
     static = images.get(name, {})
     for alpha in static.values():
@@ -315,8 +315,8 @@ def _fill_amodal(frame: RenderedFrame, name: str, images: dict[str, Any], _: Seq
         images[name] = moving | images.get(name, {})
 
 
-#: Functions that draw the bodies into the image of each channel, except optical flow. Labels come before
-#: alpha.
+#: Functions that draw the bodies into the image of each channel, except optical flow. Labels come first,
+#: since alpha needs them.
 _FILL: dict[str, _Fill] = {
     "depth": _fill_depth,
     "instance": _fill_from_ids,

@@ -1,8 +1,8 @@
 """Soft shadows of the sun, and contact shadows.
 
 Soft shadows come from shadow maps: depths of the scene from the direction of the sun. The map of the static
-scene is rendered once. The map of the bodies is rendered once per frame, for all cameras: it puts shadows on
-the bodies and on the cached images of the static scene (shaders/apply_shadows.frag).
+scene is rendered once. The map of the bodies is rendered once per frame, for all cameras. With both maps,
+shadows are drawn on the bodies and on the cached images of the static scene (shaders/apply_shadows.frag).
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ class ShadowInputs:
     Args:
         ctx: OpenGL context.
         camera: Camera of the images.
-        sunlit: (H, W, 4) colours with sun; alpha is the visible share of the sun.
-        shaded: (H, W, 3) colours without sun.
+        sunlit: (H, W, 4) colours with sunlight; alpha is the visible share of the sun.
+        shaded: (H, W, 3) colours without sunlight.
         depth: (H, W) metres, 0 where nothing is.
     """
 
@@ -120,7 +120,7 @@ class SunShadows:
         """Render the shadow map of bodies, unless it shows these bodies already.
 
         Returns:
-            Points (3, M) around the end of the shadow of each body.
+            For each body, points (3, M) around the end of its shadow.
         """
         known = [reference() for reference in self._bodies]
         if len(bodies) == len(known) and all(a.body is b for a, b in zip(bodies, known, strict=True)):
@@ -141,7 +141,8 @@ class SunShadows:
         return self._ends
 
     def on_ground(self, camera: Camera) -> Float32Array:
-        """(H, W) share of the sun that reaches the ground z = 0 past the static scene."""
+        """(H, W) visible share of the sun at the point of the ground z = 0 that the pixel sees. Only the
+        static scene hides the sun."""
         rays, image = _ray_texture(self._ctx, camera), self._ctx.texture(camera.size, 1, dtype="f4")
         framebuffer = self._ctx.framebuffer([image])
         framebuffer.use()
@@ -181,8 +182,8 @@ _UNITS = {"static": (1, 2), "moving": (3, 4)}
 
 @dataclass(frozen=True)
 class ShadowView:
-    """Volume of a shadow map. ``from_world``: (4, 4) from ``map`` to x and y from 0 to 1, and z in metres
-    away from the sun. ``size``: (3,) metres. ``texel``: size of a texel, metres."""
+    """The box that a shadow map covers. ``from_world``: (4, 4) from ``map`` to x and y from 0 to 1, and z in
+    metres away from the sun. ``size``: (3,) metres. ``texel``: size of a texel, metres."""
 
     from_world: Array
     size: Array
@@ -266,8 +267,8 @@ class ShadowMap:
 
 
 def shadow_ends(points: Float32Array, lighting: Lighting, lowest: float, longest: float) -> Float32Array:
-    """Return points around the end of a body's shadow. Together with the body, they enclose all that it may
-    shade.
+    """Return points around the end of a body's shadow. The convex hull of these points and the body contains
+    all points that the body may shade.
 
     Args:
         points: (3, N) points of the body.
@@ -295,11 +296,11 @@ def shadow_ends(points: Float32Array, lighting: Lighting, lowest: float, longest
 
 
 def penumbra_slope(lighting: Lighting) -> float:
-    """Half width of the penumbra per metre of distance from the occluder."""
+    """Half width of the penumbra (soft border of a shadow) per metre of distance from the occluder."""
     return float(np.tan(np.radians(lighting.sun_size_deg) / 2))
 
 
-#: Cells along a side of a rectangle that a lens may bend.
+#: A rectangle that a lens may bend is divided into this number of cells along each side.
 _LENS_CELLS = 32
 
 

@@ -35,8 +35,8 @@ from humansim_ros.types import Image
 #: Number for a moving camera with transparent surfaces or a small image. An image is small if its longer side
 #: has at most this many pixels: much of a room is then narrower than a pixel.
 _OFFSETS, _MOVING_OFFSETS, _SMALL = 13, 4, 128
-#: Largest error of an edge in the shifted images, pixels. They need half as many triangles as the depths,
-#: which are drawn once. The mean has 0.1 dB less.
+#: Largest error of an edge in the shifted images, pixels. It is larger than for depths, which are drawn only
+#: once, since it halves the number of triangles. The mean image loses only 0.1 dB.
 _SHIFTED = 0.02
 #: A moving camera has a single image with two samples of textures per pixel, so it uses textures that are
 #: finer by this many mip levels.
@@ -48,8 +48,8 @@ _BLENDING = (moderngl.SRC_ALPHA, moderngl.ONE_MINUS_SRC_ALPHA, moderngl.ZERO, mo
 
 
 class _View(NamedTuple):
-    """The triangles of the scene for a camera, and a target of the size of its image. ``single``: one image
-    shows colours and depths, and its edges are anti-aliased."""
+    """The triangles of the scene for a camera, and a target of the size of its image. ``single``: colours and
+    depths come from one image with anti-aliased edges, not from several shifted images."""
 
     camera: Camera
     moving_camera: bool
@@ -65,7 +65,7 @@ class StaticLayers:
         ctx: OpenGL context.
         meshes, bodies: Meshes without labels, and labelled bodies that never move.
         lighting: Light.
-        ids, lit_bodies: Programs that draw depth and triangle ids, and bodies with soft shadows.
+        ids, lit_bodies: Program for depth and triangle ids; program for bodies with soft shadows.
         targets: Targets to draw into. They can be reused after each call.
     """
 
@@ -105,8 +105,8 @@ class StaticLayers:
         )
 
     def _programs(self, switches: Sequence[str], sun: bool = True) -> tuple[moderngl.Program, ...]:
-        """Create the programs of the static scene. They draw opaque surfaces, only the colours of opaque
-        surfaces, only OpenGL's depth, and transparent surfaces if there are any."""
+        """Create the programs that draw the static scene. In this order, they draw: opaque surfaces; only the
+        colours of opaque surfaces; only OpenGL's depth; transparent surfaces, if there are any."""
         kinds = (
             () if self._scene.blends else ("SMOOTH_TEXTURES",),
             ("COLOUR",),
@@ -117,7 +117,7 @@ class StaticLayers:
 
     @cached_property
     def _light_map(self) -> LightMap | None:
-        """The light map. It is computed when colours are needed for the first time."""
+        """The light map, computed when colours are first needed; None without ambient occlusion."""
         return LightMap(self._ctx, self._scene) if self._occluded else None
 
     def layer(self, camera: Camera, moving_camera: bool, backdrop: Backdrop | None, lit: bool) -> StaticLayer:
@@ -125,7 +125,7 @@ class StaticLayers:
 
         Args:
             camera: The camera.
-            moving_camera: The camera moves, so that the image is not cached.
+            moving_camera: Whether the camera moves, so that the image is not cached.
             backdrop: Image behind the scene.
             lit: Whether colours are rendered, not only depths.
         """
@@ -210,7 +210,7 @@ class StaticLayers:
     def _mean(
         self, programs: Sequence[moderngl.Program], view: _View, behind: Image | None
     ) -> NDArray[np.uint8]:
-        """(H, W, 4) mean of shifted images."""
+        """Return the (H, W, 4) mean of images that are shifted by fractions of a pixel."""
         count = _MOVING_OFFSETS if view.moving_camera else _OFFSETS
         # a pixel has several samples of its texture, so the texture may be finer than usual
         mip_bias = -0.75 * float(np.log2(count))
@@ -268,8 +268,8 @@ class StaticLayers:
         return target.read("rgba", lit=True)
 
     def _ground(self, image: Image, camera: Camera, visibility: NDArray[np.floating]) -> Image:
-        """Image (H, W, 3), darkened as sunny ground z = 0 would be. ``visibility``: (H, W) visible share of
-        the sun."""
+        """Darken an image (H, W, 3) like ground z = 0 that is in the shade. ``visibility``: (H, W) visible
+        share of the sun."""
         down = (ray_grid(camera) @ camera.R)[..., 2] * camera.center[2] < 0
         share = np.where(down[..., None], np.sqrt(self._lighting.on_ground(visibility)), 1.0)
         return np.rint(image * share).astype(np.uint8)
@@ -301,12 +301,13 @@ def camera_key(camera: Camera) -> bytes:
 
 
 def _exact(scene: StaticScene, camera: Camera, moving_camera: bool) -> StaticTriangles:
-    """Triangles that are exact enough for depths and labels."""
+    """Tessellated triangles of the scene, exact enough for depths and labels."""
     return scene.tessellated(camera, VISIBLE if moving_camera else TOLERANCE, checked=not moving_camera)
 
 
 def offsets(count: int) -> list[tuple[float, float]]:
-    """Offsets (x, y) within a pixel, spread evenly over rows, columns and area: the points of a lattice."""
+    """Offsets (x, y) within a pixel: points of a lattice that is spread evenly over rows, columns and
+    area."""
     step = max((n for n in range(1, count + 1) if np.gcd(n, count) == 1), key=lambda n: _spread(n, count))
     x = (np.arange(count) + 0.5) / count - 0.5
     y = (np.arange(count) * step % count + 0.5) / count - 0.5
@@ -314,7 +315,7 @@ def offsets(count: int) -> list[tuple[float, float]]:
 
 
 def _spread(step: int, count: int) -> int:
-    """Smallest squared distance between two points of the lattice with a step."""
+    """Smallest squared distance between two points of the lattice (n, n * step), both modulo ``count``."""
     x = np.arange(1, count)
     y = x * step % count
     return int((np.minimum(x, count - x) ** 2 + np.minimum(y, count - y) ** 2).min(initial=2 * count**2))

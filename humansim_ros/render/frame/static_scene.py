@@ -2,8 +2,8 @@
 
 The light map has the ambient occlusion, computed once for all cameras: the visible share of sky and ground at
 a point. Depth maps of the scene are rendered from many directions, side by side in one texture. Each texel of
-the light map is looked up in all depth maps, for both sides of its surface. Like the sun, ambient light
-passes through the back faces of surfaces.
+the light map is looked up in all depth maps, for both sides of its surface. Ambient light passes through the
+back faces of surfaces, as sunlight does.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ from humansim_ros.render.device.mesh_buffers import (
 from humansim_ros.render.frame.edge_antialiasing import StaticEdges
 from humansim_ros.types import Array, Float32Array, Indices
 
-#: Largest side of the image, and free texels on each side of a chart.
+#: Largest side of the light map, texels, and number of free texels on each side of a chart.
 MAX_SIDE, GUTTER = 2048, 1
-#: Factor by which texels grow until the charts have room.
+#: While the charts are too large for the image, texels are made larger by this factor.
 _GROWTH = 1.2
 #: Texels between the points at which charts are tested for overlaps, and how many times charts are split.
 _STEP, _SPLITS = 2, 8
@@ -47,8 +47,9 @@ class Charts:
     axis of that side. Its bounds run through centres of texels, with a free texel on each side.
 
     ``corners``: (N, 3) vertices of the triangles; a vertex on the border of two charts exists twice.
-    ``source``: (E,) index of the vertex that each one was copied from. ``coordinates``: (E, 2) texels; (0.5,
-    0.5) is the centre of the first one. ``owner``: (N,) chart of each triangle. ``texel``: metres.
+    ``source``: (E,) the original vertex of each of these vertices. ``coordinates``: (E, 2) their places in
+    the image, texels; (0.5, 0.5) is the centre of the first texel. ``owner``: (N,) chart of each triangle.
+    ``texel``: side of a texel, metres.
     """
 
     size: tuple[int, int]
@@ -104,7 +105,7 @@ def _connected(corners: Indices, side: Indices) -> Indices:
 
 @dataclass(frozen=True, eq=False)
 class _Layout:
-    """``coordinates``: (N, 3, 2) of the corners of triangles, in texels."""
+    """Charts placed side by side. ``coordinates``: (N, 3, 2) places of the corners of triangles, texels."""
 
     size: tuple[int, int]
     coordinates: Array
@@ -130,7 +131,7 @@ class _Layout:
 
 
 def _shelves(sizes: Indices) -> tuple[Indices, tuple[int, int]]:
-    """Place rectangles (N, 2) in rows: their first corners (N, 2), and the size of the whole layout."""
+    """Place rectangles of sizes (N, 2) in rows. Returns their first corners (N, 2) and the size of all."""
     order = np.lexsort((-sizes[:, 0], -sizes[:, 1]))
     widths, heights = sizes[order].T
     width = max(int(np.sqrt(sizes.prod(axis=1).sum())), int(widths.max()))
@@ -164,7 +165,7 @@ def _overlapping(coordinates: Array, owner: Indices) -> NDArray[np.bool_]:
     return twice
 
 
-#: Level triangles are a floor if their height is within this of z = 0, metres.
+#: Horizontal triangles are a floor if their height differs from z = 0 by at most this, metres.
 FLOOR_SLACK = 0.02
 #: Texels of the light map along the longest side of the scene.
 _LIGHT_TEXELS = 208
@@ -198,7 +199,7 @@ class StaticScene:
         self._buffers = TriangleBuffers(ctx, self._attributes, self._corners)
 
     def chart(self) -> Charts:
-        """Compute the charts of the light map. From then on, each vertex has a place in the light map."""
+        """Compute the charts of the light map, and add to each vertex its place in the light map."""
         positions = self._attributes[:, :3]
         texel = max(float(np.ptp(positions, axis=0).max()), 1e-3) / _LIGHT_TEXELS
         charts = Charts.of(positions, self._corners, texel)
@@ -231,7 +232,7 @@ class StaticScene:
 
     @property
     def whole(self) -> StaticTriangles:
-        """All triangles."""
+        """All triangles, not tessellated."""
         parents = np.arange(len(self._corners))
         return StaticTriangles(self._buffers, self._materials, self._counts, parents, shared=True)
 
@@ -244,15 +245,15 @@ class StaticScene:
 
     @cached_property
     def _areas(self) -> tuple[Array, Array]:
-        """(N, 3) outward normals of the triangles, with twice the area as length; and (N, 3) a corner of
-        each."""
+        """(N, 3) outward normals of the triangles, as long as twice the area; and (N, 3) one corner of each
+        triangle."""
         a, b, c = (self._attributes[self._corners[:, i], :3].astype(float) for i in range(3))
         return np.cross(b - a, c - a), a
 
     @cached_property
     def _closed_boxes(self) -> Array:
-        """(M, 2, 3) lowest and highest corner of the bounding box of each closed mesh. NaN for open
-        meshes."""
+        """(M, 2, 3) lowest and highest corner of the bounding box of each mesh. NaN for meshes that are not
+        closed."""
         points = self._attributes[self._corners, :3].astype(float)
         starts = np.cumsum([0, *self._counts])[:-1]
         low, high = (bound.reduceat(points, starts).reshape(-1, 3, 3) for bound in (np.minimum, np.maximum))
@@ -263,8 +264,8 @@ class StaticScene:
         return boxes
 
     def _visible(self, eye: Array) -> Indices:
-        """Triangles that may be visible from ``eye`` (3,). The backs of closed meshes are left out if the eye
-        is outside."""
+        """Triangles that may be visible from ``eye`` (3,). Back faces of a closed mesh are left out if the
+        eye is outside the mesh."""
         low, high = self._closed_boxes.transpose(1, 0, 2)
         outside = ((eye < low - NEAR) | (eye > high + NEAR)).any(axis=1)  # false for NaN
         normals, corner = self._areas
@@ -272,7 +273,7 @@ class StaticScene:
         return np.flatnonzero(front | ~outside[self._owner])
 
     def facing(self, direction: Array) -> StaticTriangles:
-        """Return the triangles with their fronts towards a direction."""
+        """Return the triangles that show their front when seen from a direction."""
         towards = np.flatnonzero(self._areas[0] @ direction > 0)
         buffers = TriangleBuffers(self._ctx, self._attributes, self._corners[towards])
         return StaticTriangles(buffers, self._materials, self._count(towards), towards)
@@ -297,8 +298,8 @@ class StaticScene:
 
 
 class StaticTriangles:
-    """Triangles of a static scene on the device. ``with`` releases them unless they are shared. ``parents``:
-    (N,) number of each triangle in the scene."""
+    """Triangles of a static scene on the device. ``with`` releases them, unless several users share them.
+    ``parents``: (N,) number of each triangle in the scene."""
 
     def __init__(
         self,
@@ -370,9 +371,9 @@ def bounding_box(points: Sequence[Float32Array]) -> Float32Array:
     return np.asarray(corners.reshape(3, 8), dtype=np.float32)
 
 
-#: Depth maps along a side of the common texture, and texels along a side of each.
+#: Number of depth maps along a side of the common texture, and texels along a side of each depth map.
 _SIDE, _TEXELS = 12, 208
-#: The depth maps extend this far around the scene, metres, but at least by this share of its size.
+#: Margin of the depth maps around the scene: metres, but at least this share of the size of the scene.
 _MARGIN, _MARGIN_SHARE = 0.1, 0.02
 #: Texture unit of the light map (0: texture of the surface, 1 to 4: shadow maps); and the first of the units
 #: that are free while the map is computed.
@@ -436,8 +437,8 @@ class LightMap:
         framebuffer.release()
 
     def _surface(self, static: StaticScene, size: tuple[int, int]) -> list[moderngl.Texture]:
-        """Images of the points and of the normals of the texels. The fourth component of a point is 0 where
-        there is no surface."""
+        """Draw two images with the surface point and the normal of each texel. The fourth component of a
+        point is 0 where there is no surface."""
         images = [self._ctx.texture(size, 4, dtype="f4") for _ in range(2)]
         program = link(self._ctx, "chart.vert", "chart.frag")
         framebuffer = self._ctx.framebuffer(images)
@@ -458,9 +459,9 @@ class LightMap:
     ) -> list[moderngl.Texture]:
         """Render the light of sky and ground at each texel of the map.
 
-        A texel sums up only one ninth of the directions. The eight texels around it sum up the others. Texels
-        with the same directions are drawn together, so the images consist of 3 x 3 blocks: pixel (x, y) of
-        block (column, row) is texel (3 x + column, 3 y + row) of the map.
+        Each texel sums up only one ninth of the directions. Its eight neighbours sum up the other directions.
+        Texels with the same directions are drawn together, so the images consist of 3 x 3 blocks: pixel (x,
+        y) of block (column, row) is texel (3 x + column, 3 y + row) of the map.
 
         Returns:
             Image of the sky, and image of the ground. Their channels are the visible and the total light on
@@ -518,7 +519,7 @@ class LightMap:
 
 
 def directions(count: int) -> Array:
-    """(N, 3) unit vectors spread evenly over the sphere, on a spiral from top to bottom. None is vertical."""
+    """(N, 3) unit vectors spread evenly over the sphere, on a spiral from top to bottom; none is vertical."""
     z = 1 - (2 * np.arange(count) + 1) / count
     turn = np.pi * (1 + 5**0.5) * np.arange(count)
     return np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z], axis=1)

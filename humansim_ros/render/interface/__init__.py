@@ -1,4 +1,4 @@
-"""What is rendered: channels, lighting, requests."""
+"""The interface of renderers: channels, light, and requests to render."""
 
 from humansim_ros.lazy import lazy_exports
 

@@ -1,7 +1,7 @@
-"""The table of all channels: array formats, ROS topics and encodings, and what rendering them needs.
+"""The table of all channels (kinds of images): array formats, ROS topics, encodings, rendering passes.
 
-To add a channel: a row of :data:`CHANNEL_TABLE`, a field of :class:`View`, and a function that fills it in
-rendered_frame.py. docs/ground_truth.md defines each channel.
+To add a channel, add a row to :data:`CHANNEL_TABLE`, a field to :class:`View`, and to rendered_frame.py a
+function that draws it. docs/ground_truth.md defines each channel.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Pass = Literal["lit", "outlined", "alone", "uncovered"]
 
 @dataclass(frozen=True)
 class Channel:
-    """One channel.
+    """One channel: a kind of image, such as ``depth``, that a renderer makes.
 
     Attributes:
         name: Name of the channel and of its field in :class:`View`.
@@ -35,13 +35,16 @@ class Channel:
         encoding: ROS image encoding; empty if the sensor of the camera defines it.
         components: Shape of one pixel: () or (C,).
         empty: Value of pixels that show nothing.
-        default: The channel is rendered unless the caller names other channels.
+        default: Whether the channel is rendered when the caller names no channels.
         passes: Rendering passes that the channel needs.
-        adjacent_frame: The next or the previous frame, which the channel is compared with; None for no frame.
-        occlusion: The adjacent frame must be rendered too, to find the surfaces that are hidden in it.
-        per_body: There is one image for each labelled body.
-        labels_bodies: The channel describes labelled bodies only. Its images of static bodies are cached.
-        rectified_topic: ROS topic of the channel without lens distortion, if there is one.
+        adjacent_frame: The frame that the channel compares this frame with: the next or the previous one.
+            None: it compares none.
+        occlusion: Whether the adjacent frame must be rendered too, to find the surfaces that are hidden in
+            that frame.
+        per_body: Whether there is one image for each labelled body.
+        labels_bodies: Whether the channel describes labelled bodies only. Its images of static bodies are
+            cached.
+        rectified_topic: ROS topic of the channel without lens distortion; empty if there is none.
     """
 
     name: str
@@ -59,7 +62,7 @@ class Channel:
     rectified_topic: str = ""
 
     def empty_image(self, shape: tuple[int, ...]) -> NDArray[Any]:
-        """Array (H, W, ...) of pixels that show nothing. ``shape``: (H, W)."""
+        """Create an array (H, W, ...) of pixels that show nothing. ``shape``: (H, W)."""
         whole = (*shape, *self.components)
         return np.full(whole, self.empty, self.dtype) if self.empty else np.zeros(whole, self.dtype)
 
@@ -113,7 +116,7 @@ def passes_of(channels: Collection[str]) -> frozenset[Pass]:
 
 
 def comparing_with(frame: AdjacentName, channels: Collection[str] = ALL_CHANNELS) -> set[str]:
-    """Return the channels that are compared with the next or the previous frame."""
+    """Return those channels that compare their frame with the next or the previous frame."""
     return {
         name for name in channels if name in CHANNEL_TABLE and CHANNEL_TABLE[name].adjacent_frame == frame
     }
@@ -122,8 +125,8 @@ def comparing_with(frame: AdjacentName, channels: Collection[str] = ALL_CHANNELS
 class View(Pictured):
     """Channels of one camera at one stamp, on one pixel grid: arrays (H, W, ...).
 
-    A view has the channels that were requested; ``channels`` lists them. Access to another channel raises
-    :class:`~humansim_ros.errors.ChannelError`, which says how to request it.
+    A view has only the channels that were requested; ``channels`` lists them. Access to another channel
+    raises :class:`~humansim_ros.errors.ChannelError`, which says how to request it.
 
     Attributes:
         rgb: (H, W, 3) uint8 sRGB, anti-aliased; or the output of the camera's sensor.
@@ -181,7 +184,7 @@ class View(Pictured):
         return tuple(name for name in CHANNEL_TABLE if name in self.__dict__)
 
     def with_channels(self, **channels: Any) -> View:
-        """Return a copy with other arrays for some channels."""
+        """Return a copy of the view with other arrays for some channels."""
         return View(**{**self.__dict__, **channels})
 
     def __setattr__(self, name: str, value: object) -> None:
@@ -201,9 +204,9 @@ class View(Pictured):
 
 
 def missing_channels(what: str, needed: Collection[str], present: Collection[str]) -> ChannelError:
-    """Error about channels that were not requested, with the arguments that request them. ``what``: what
-    needs the channels, such as ``frame.joints``. ``needed``: names of the channels that it needs.
-    ``present``: names of the channels that were requested."""
+    """Create the error that channels were not requested. Its text names the arguments that request them.
+    ``what``: what needs the channels, such as ``frame.joints``. ``needed``: names of the channels that it
+    needs. ``present``: names of the channels that were requested."""
     absent = [name for name in needed if name not in present]
     wanted = tuple(name for name in CHANNEL_TABLE if name in {*present, *needed})
     text = ", ".join(f'"{name}"' for name in wanted) + "," * (len(wanted) == 1)
@@ -212,5 +215,5 @@ def missing_channels(what: str, needed: Collection[str], present: Collection[str
 
 
 def _images(value: Any) -> Collection[NDArray[Any]]:
-    """Images of one channel of a view: one, or one for each body."""
+    """The images of one channel of a view: one image, or one for each body."""
     return value.values() if isinstance(value, dict) else (value,)

@@ -31,9 +31,9 @@ class Lighting:
         sun_size_deg: Angular size of the sun: the larger it is, the softer the shadows.
         tone_mapping: With ``filmic``, bright colours fade to white.
         exposure: Number of stops. One stop doubles the brightness.
-        materials: Humans have the reflectance of skin and cloth. If False, everything is matt.
-        ambient_occlusion: Surfaces nearby block ambient light.
-        shadow_catcher: Shadows fall on the ground z = 0 even where the scene has no floor, so that they
+        materials: Whether humans have the reflectance of skin and cloth. If False, all surfaces are matt.
+        ambient_occlusion: Whether surfaces nearby block ambient light.
+        shadow_catcher: Whether shadows fall on the ground z = 0 even where the scene has no floor. There they
             darken the backdrop.
 
     Example:
@@ -67,14 +67,14 @@ class Lighting:
         return np.array(self.sun) / np.linalg.norm(self.sun)
 
     def on_ground(self, visibility: NDArray[np.floating]) -> Array:
-        """(..., 3) light of level ground, relative to light without shadow. ``visibility``: (...) visible
-        share of the sun."""
+        """(..., 3) light on horizontal ground, relative to the light without shadow. ``visibility``: (...)
+        visible share of the sun."""
         sun = np.array(self.sun_color) * max(float(self.direction[2]), 0.0)
         sky = np.array(self.sky_color)
         return np.asarray((sky + sun * np.asarray(visibility)[..., None]) / np.maximum(sky + sun, 1e-9))
 
     def brightness(self, color: LinearColor) -> LinearColor:
-        """Linear light of a colour, multiplied by strength and exposure."""
+        """Multiply a colour (linear light) by strength and exposure."""
         factor = self.strength * 2.0**self.exposure
         return (color[0] * factor, color[1] * factor, color[2] * factor)
 

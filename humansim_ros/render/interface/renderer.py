@@ -32,7 +32,7 @@ class Body:
             read-only copy.
         parts: (N,) uint8 part label of each triangle, 0 for no part. Read-only like ``vertices``.
         instance: Label, 1 to 65535, different for each body. A body with 0 has no labels, only colour, depth
-            and shadow; no other body may use its mesh.
+            and shadow. Its mesh may not be used by another body.
         kind: Human or object.
         levels: Simpler versions of the mesh (levels of detail). Colours may show them where the difference is
             not visible.
@@ -62,7 +62,7 @@ class Backdrop(Protocol):
     """Image behind the scene."""
 
     def picture(self, camera: Camera) -> Image:
-        """(H, W, 3) uint8 sRGB at the size of the camera's image."""
+        """Return the backdrop that a camera sees, (H, W, 3) uint8 sRGB in the size of the camera's image."""
         ...
 
 
@@ -74,7 +74,7 @@ class RenderRequest:
         bodies: Bodies in the frame.
         camera: Camera with its pose in the frame.
         channels: Names of the channels to render, see :data:`~humansim_ros.render.ALL_CHANNELS`.
-        moving_camera: The static scene is redrawn, not cached.
+        moving_camera: Whether the camera moves. Then the image of the static scene is not cached.
         next_frame: Next frame, for the channels ``flow`` and ``flow_hidden``.
         previous_frame: Previous frame, for the channels ``flow_back`` and ``flow_back_hidden``.
         backdrop: Image behind the scene. If None, the background has the colour of the light.
@@ -148,7 +148,7 @@ class Renderer(ABC):
     def render(self, *request: Any, **fields: Any) -> View:
         """Render one view of a :class:`RenderRequest`.
 
-        The arguments are a request, or those of a request: ``render(bodies, camera, ("rgb",))``.
+        The arguments are a request, or those of its constructor: ``render(bodies, camera, ("rgb",))``.
         Results for a Body are cached: pass the same Body objects for all cameras of a frame.
 
         Raises:
@@ -183,7 +183,7 @@ class Renderer(ABC):
 
 
 def check_bodies(bodies: Sequence[Body]) -> None:
-    """Raise RenderError if a body cannot be rendered, or two bodies cannot be rendered together."""
+    """Raise RenderError if a body cannot be rendered, or if two bodies cannot be in one frame."""
     labels = Counter(body.instance for body in bodies if body.instance)
     unlabelled = [id(body.mesh) for body in bodies if not body.instance]
     if len(set(unlabelled)) < len(unlabelled):
@@ -204,7 +204,7 @@ def check_bodies(bodies: Sequence[Body]) -> None:
 
 
 def _read_only(array: NDArray[Any]) -> NDArray[Any]:
-    """Return the array if it is read-only, and also the array that it is a view of. Else return a copy."""
+    """Return the array if neither it nor its base array can be written to; else a read-only copy."""
     base: Any = array
     while isinstance(base, np.ndarray):
         if base.flags.writeable:

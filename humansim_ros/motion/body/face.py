@@ -23,7 +23,7 @@ _NUMBERS = {name: number for number, name in enumerate(ACTIONS)}
 
 
 def both_sides(weights: Mapping[str, float]) -> dict[str, float]:
-    """Weights by action. Names without a side stand for both sides.
+    """Return weights by action. A name without a side becomes two names, one for each side.
 
     Example:
         >>> both_sides({"mouthSmile": 0.5, "jawOpen": 0.2})
@@ -88,58 +88,58 @@ def expression(name: str) -> Mapping[str, float]:
 FACE_AT_REST = Rated.at_rest(ACTIONS, (len(ACTIONS),), (0.0, 1.0))
 
 
-# Angles of eyes are yaw to the person's left and pitch upwards, from the direction at rest, in the axes of
-# the head. An action such as ``eyeLookUpLeft`` has the weight 1 where the eye is at its limit. It also moves
-# the skin around the eye, since lids follow the eyes up and down [Leigh 2015].
+# Yaw (to the person's left) and pitch (upwards) of an eye are angles from looking straight ahead, in the axes
+# of the head. An action such as ``eyeLookUpLeft`` has the weight 1 where the eye is at its limit. It also
+# moves the skin around the eye, since lids follow the eyes up and down [Leigh 2015].
 
 #: The eyes, left first.
 EYE_BONES = ("l_eyeball_joint", "r_eyeball_joint")
 _HEAD, _TRUNK = "vt3", "vl5"
-#: Below this angle the eyes turn without the head, degrees. Beyond it, the head turns by this share of the
-#: rest [Stahl 1999]. Half of the width of the smooth bend between both.
+#: First value: up to this angle (degrees) only the eyes turn. Second: beyond this angle, the head turns, too,
+#: by this share of the remaining angle [Stahl 1999]. Third: half the width of the smooth transition, degrees.
 _EYES_ALONE, _HEAD_SHARE, _BEND = 18.0, 0.77, 10.0
-#: Yaws from which the head turns back (nobody looks behind) until it is straight again. Pitches from which
-#: the head turns less to the side until it does not turn. Degrees.
+#: First: yaws between which the head turns back until it is straight, since nobody looks behind. Second:
+#: pitches between which the head turns less and less to the side. Degrees.
 _TURNS_BACK, _STEEP = (150.0, 180.0), (45.0, 75.0)
 #: Limits of the neck to the sides, downwards and upwards, radians: ``vt3`` of joint_limits/normal.yaml.
 NECK_LIMITS: Array = np.radians([[-80.0, -50.0], [80.0, 60.0]])
-#: (2, 2, 2) ways of the actions of the left and right eye: yaw to the left and right, pitch up and down.
+#: Directions in the names of eye actions (2, 2, 2), for yaw and pitch of the left and the right eye.
 _WAYS = [[("Out", "In"), ("Up", "Down")], [("In", "Out"), ("Up", "Down")]]
-#: (2, 2, 2) numbers of these actions.
+#: (2, 2, 2) numbers, in :data:`ACTIONS`, of the actions for these directions.
 LOOKS: Indices = np.array(
     [
         [[ACTIONS.index(f"eyeLook{way}{side}") for way in ways] for ways in eye]
         for side, eye in zip(("Left", "Right"), _WAYS, strict=True)
     ]
 )
-#: Limits of the eyes [Shechtman 2005]: ``eyeball_joint`` of config/joint_limits/normal.yaml.
+#: Largest angles of the eyes, degrees [Shechtman 2005]: ``eyeball_joint`` of config/joint_limits/normal.yaml.
 _LIMITS = {"Up": 28.0, "Down": 47.0, "In": 45.0, "Out": 44.0}
 #: (2, 2, 2) limits of the actions of :data:`LOOKS`, radians.
 LIMITS: Array = np.radians([[[_LIMITS[way] for way in ways] for ways in eye] for eye in _WAYS])
 
 
 def looked_angles(weights: Array) -> Array:
-    """Angles (N, 2, 2) that weights (N, 52) stand for: yaw and pitch of both eyes, radians."""
+    """Return yaw and pitch of both eyes (N, 2, 2), radians, for weights (N, 52) of the actions."""
     towards, away = np.moveaxis(weights[:, LOOKS] * LIMITS, -1, 0)
     return np.asarray(towards - away)
 
 
 def with_looks(weights: Array, angles: Array) -> Array:
-    """Weights (N, 52) with the actions of the eyes set for angles (N, 2, 2). They are at most 1."""
+    """Set the weights (N, 52) of the actions of the eyes for angles (N, 2, 2), to 1 at most."""
     out = np.array(weights)
     out[:, LOOKS] = np.clip(np.stack([angles, -angles], axis=-1) / LIMITS, 0.0, 1.0)
     return out
 
 
 def within_limits(angles: Array) -> Array:
-    """Limit angles (N, 2, 2), radians, to those that eyes reach."""
+    """Limit angles (N, 2, 2), radians, to the range in which eyes can turn."""
     return np.clip(angles, -LIMITS[..., 1], LIMITS[..., 0])
 
 
 def head_turn(angles: Array) -> Array:
-    """Yaw and pitch (N, 2) by which the head turns when the eyes look to angles (N, 2), all radians. For
-    small angles, only the eyes turn. Beyond, the head turns by a share of the rest [Stahl 1999], as that of
-    monkeys [Freedman 1997]. The transition is smooth."""
+    """Return yaw and pitch (N, 2) by which the head turns when the eyes look to angles (N, 2), all in
+    radians. For small angles, only the eyes turn. For larger angles, the head turns by a share of the
+    remaining angle [Stahl 1999], as the head of a monkey does [Freedman 1997]. The transition is smooth."""
     away = np.degrees(np.linalg.norm(angles, axis=-1))
     beyond = away - _EYES_ALONE
     bent = np.where(beyond > _BEND, beyond, np.clip(beyond + _BEND, 0.0, None) ** 2 / (4 * _BEND))
@@ -158,7 +158,7 @@ class Eyes:
 
     Attributes:
         head: Number of the bone of head and neck.
-        bones: (2,) numbers of the bones, left first.
+        bones: (2,) numbers of the bones of the eyes, left first.
         ends: (2,) numbers of the joints at the pupils.
         head_rest, rest: Rotations of the head (3, 3) and of the eyes (2, 3, 3) at rest.
     """
@@ -182,7 +182,7 @@ class Eyes:
         return cls(skeleton, head, bones, ends, rest[head], rest[bones])
 
     def rays(self, joints: Array) -> tuple[Array, Array]:
-        """Middle of the eyes (N, 3), and the direction (N, 3) of eyes at rest. ``joints``: (N, J, 4, 4)."""
+        """Point (N, 3) midway between the eyes; direction (N, 3) straight ahead. ``joints``: (N, J, 4, 4)."""
         ahead = self._head(joints) @ self.rest[:, :, 1].mean(0)
         return _positions(joints)[:, self.bones].mean(1), unit_vectors(ahead)
 
@@ -191,15 +191,15 @@ class Eyes:
         return np.asarray(joints[:, self.head, :3, :3] @ self.head_rest.T)
 
     def angles_to(self, joints: Array, points: Array) -> Array:
-        """Angles (N, 2, 2) of eyes that look at points (N, 3). ``joints``: (N, J, 4, 4)."""
+        """Angles (N, 2, 2) with which eyes look at points (N, 3). ``joints``: (N, J, 4, 4)."""
         back = self._head(joints).swapaxes(-1, -2)
         lines = points[:, None] - _positions(joints)[:, self.bones]
         return gaze_angles(rotate(back[:, None], lines)) - self._rest_angles
 
     def turn_head(self, joints: Array, points: Array, shares: Array) -> None:
-        """Turn the head of joints (N, J, 4, 4), and all that the head carries, towards points (N, 3), by
-        shares (N,) of the angle. The head turns to the side first, then up or down, within the limits of the
-        neck. If a motion exceeds the limits already, its angle is kept."""
+        """Turn the head of joints (N, J, 4, 4), and all joints that the head carries, towards points (N, 3),
+        by shares (N,) of the full turn. The head turns to the side first, then up or down, within the limits
+        of the neck. If the motion already turned the head beyond a limit, that angle is kept."""
         head = self._head(joints)
         line = points - _positions(joints)[:, self.bones].mean(axis=1)
         angles = gaze_angles(rotate(head.swapaxes(-1, -2), line)) - self._rest_angles.mean(axis=0)
@@ -245,7 +245,7 @@ def _positions(joints: Array) -> Array:
 
 
 def gaze_angles(lines: Array) -> Array:
-    """Yaw and pitch (..., 2) of lines (..., 3) in body space."""
+    """Yaw and pitch (..., 2) of directions (..., 3) in body space."""
     x, y, z = np.moveaxis(lines, -1, 0)
     return np.stack([np.arctan2(x, z), np.arctan2(y, np.hypot(x, z))], axis=-1)
 
@@ -267,10 +267,10 @@ MOVES = ("jawForward", "jawLeft", "jawOpen", "jawRight")
 
 @dataclass(frozen=True, eq=False)
 class Jaw:
-    """The bone of the jaw, and what the actions do to its teeth.
+    """The bone of the jaw, and the offsets by which actions of the face move the lower teeth.
 
-    The actions move the skin themselves, as their artists drew it, so the bone does not move the skin. The
-    bone gets the rigid motion that fits the lower teeth best [Umeyama 1991].
+    The shapes of the actions move the skin as well, so the bone does not move any skin. The bone gets the
+    rigid motion that fits the offsets of the lower teeth best [Umeyama 1991].
 
     Attributes:
         bone, end: Numbers of the bone, and of the joint at the chin.
@@ -289,7 +289,7 @@ class Jaw:
 
     @classmethod
     def of(cls, skeleton: Skeleton, teeth: Array, offsets: Mapping[str, Array]) -> Jaw:
-        """Jaw of a skeleton with the bone. ``teeth``: (K, 3); ``offsets``: (K, 3) by each of the actions."""
+        """Create the jaw of a skeleton. ``teeth``: (K, 3). ``offsets``: action -> (K, 3)."""
         bone, end = skeleton.bone(BONE), skeleton.joint_names.index(f"{BONE}_end")
         actions, moved = zip(*((ACTIONS.index(name), offsets[name]) for name in MOVES), strict=True)
         return cls(bone, end, skeleton.rest[bone], np.array(actions), teeth, np.array(moved))
@@ -308,7 +308,7 @@ class Jaw:
         return np.asarray(axes.T @ rotations @ axes), shifts @ axes
 
     def open(self, joints: Array, weights: Array, sizes: Array) -> Array:
-        """Frames (N, J, 4, 4) with the jaw moved by weights (N, 52). ``sizes``: (N,) scale of the body."""
+        """Return frames (N, J, 4, 4), jaw moved by weights (N, 52). ``sizes``: (N,) scale of the body."""
         if not self.moves(weights):
             return joints
         turns, shifts = self.motions(weights)
@@ -321,7 +321,7 @@ class Jaw:
         return out
 
     def closed(self, bone: Array, weights: Array, size: float) -> Array:
-        """Frame (4, 4) of the bone without the motion by weights (52,). ``size``: scale of the body."""
+        """Undo the motion by weights (52,) in a frame (4, 4) of the bone. ``size``: scale of the body."""
         (turn,), (shift,) = self.motions(weights[None])
         out = bone.copy()
         out[:3, :3] = bone[:3, :3] @ turn.T

@@ -29,7 +29,7 @@ PER_HAND = len(FINGERS) * 3
 _RELAXED = 15.0
 #: A finger is bent enough to define a plane if the sum of the sines of its bends is above this.
 _BENT = 0.35
-#: Slope of the line of the knuckles, since those of the little finger are nearer to the wrist.
+#: Slope of the line of the knuckles, since the knuckle of the little finger is nearer to the wrist.
 _SLANT = 0.17
 _IS_THUMB = np.array([name[2:].startswith("thumb") for name in FINGER_BONES])
 
@@ -38,8 +38,8 @@ _IS_THUMB = np.array([name[2:].startswith("thumb") for name in FINGER_BONES])
 class HandAnatomy:
     """The finger bones of a skeleton, in the order of :data:`FINGER_BONES`.
 
-    ``bones``: (30,) indices, -1 for a missing bone. ``rest``: (30,) flexion in the rest pose, radians, 0 for
-    a missing bone.
+    ``bones``: (30,) indices in the skeleton, -1 for a missing bone. ``rest``: (30,) flexion in the rest pose,
+    radians, 0 for a missing bone.
     """
 
     bones: Indices

@@ -1,4 +1,4 @@
-"""Motions as files store them, forward kinematics, poses of joints, and other values with rates.
+"""Motions as files store them, forward kinematics, poses of joints, and values that have rates of change.
 
 Conventions, as in Blender's importer: the rotation of a joint is ``R_channel1 R_channel2 R_channel3`` in the
 order of its channels, on column vectors. The translation always comes after the rotation, wherever its
@@ -130,7 +130,7 @@ class Motion(Pictured):
             raise MotionError(unknown("joint", name, self.joint_names), path=self.path) from None
 
     def only(self, joints: Sequence[int]) -> Motion:
-        """The motion of some joints, in increasing order. A joint without its parent becomes a root."""
+        """Keep only ``joints``, numbers in increasing order. A joint without its parent becomes a root."""
         number = {joint: place for place, joint in enumerate(joints)}
         return replace(
             self,
@@ -327,7 +327,7 @@ class JointPoses:
         return JointPoses(names, *map(change, self._arrays))
 
     def contiguous(self) -> JointPoses:
-        """Return the same poses with contiguous arrays, since sums of NumPy depend on the order in memory."""
+        """Return the same poses in contiguous arrays, since sums of NumPy depend on the order in memory."""
         return self._changed(self.names, np.ascontiguousarray)
 
     def first(self, count: int) -> JointPoses:
@@ -343,8 +343,8 @@ class JointPoses:
         return self._changed(names, lambda part: part[:, order])
 
     def split(self, is_added: Callable[[str], bool]) -> tuple[JointPoses, JointPoses]:
-        """Split off the joints at the end with a name that ``is_added``. Returns the poses without these
-        joints, and the poses of these joints."""
+        """Split off the joints at the end for which ``is_added(name)`` is true. Returns the poses of the
+        joints before them, and the poses of the joints that were split off."""
         own = len(self.names)
         while own and is_added(self.names[own - 1]):
             own -= 1
@@ -380,8 +380,8 @@ class JointPoses:
         return np.repeat(self.positions[0, :1], count, axis=0), np.repeat(linear[0, :1], count, axis=0)
 
     def extrapolate(self, seconds: ArrayLike) -> JointPoses:
-        """Poses (M, J) at times (M,) relative to a single pose (N = 1), which moves on with constant
-        velocity. Raises MotionError if the pose has no velocities."""
+        """Poses at M times from a single pose (N = 1) that moves on with constant velocity. ``seconds``: (M,)
+        after the single pose. Raises MotionError if the pose has no velocities."""
         if self.linear is None or self.angular is None:
             raise MotionError("these joints have no velocities")
         steps = np.asarray(seconds, dtype=float)[:, None, None]
@@ -392,7 +392,7 @@ class JointPoses:
 
 @dataclass(frozen=True, eq=False)
 class Rated:
-    """Values of a human at one stamp that are no joints, and how fast they change: weights of a face, swing.
+    """Values of a human at one time and their rates of change: weights of face actions, or swing of cloth.
 
     Attributes:
         labels: Names of all values, in the order of ``values.ravel()``.
@@ -412,16 +412,16 @@ class Rated:
         shape: tuple[int, ...],
         limits: tuple[float, float] = (-math.inf, math.inf),
     ) -> Rated:
-        """Values of zero that do not change."""
+        """Create values of zero with rates of zero."""
         return cls(labels, np.zeros(shape), np.zeros(shape), limits)
 
     def moving(self, values: Array, seconds: float) -> Rated:
-        """Values with these labels at the middle of three times. ``values``: at all three times.
-        ``seconds``: from the first time to the last."""
+        """Return values and rates at the second of three times, with the same labels. ``values``: values at
+        the three times. ``seconds``: time from the first to the third."""
         return replace(self, values=values[1], rates=(values[2] - values[0]) / seconds)
 
     def after(self, seconds: float) -> Array:
-        """Values after some time, if the rates stay constant."""
+        """Return the values ``seconds`` later, with constant rates, within the limits."""
         return np.clip(self.values + seconds * self.rates, *self.limits)
 
     def stopped(self) -> Rated:

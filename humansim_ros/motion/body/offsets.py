@@ -1,7 +1,7 @@
-"""Offsets of vertices besides skinning: shapes (morph targets), and loose parts (skirts, coats, hair).
+"""Offsets of vertices in addition to skinning: shapes (morph targets); loose skirts, coats and hair.
 
-Weights from 0 to 1 add shapes in the rest pose. Loose parts follow the bones, as all skin. Their swing is
-added in ``map``. Cloth around the thighs is gathered when its wearer sits.
+Weights from 0 to 1 add shapes in the rest pose. Loose parts follow the bones, like all skin. Their swing is
+added in ``map``. Cloth around the thighs is drawn together (gathered) when its wearer sits.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ _SHAPE_ARRAYS = ("shape_names", "shape_starts", "shape_rows", "shape_offsets", "
 
 @dataclass(frozen=True)
 class Shapes:
-    """S shapes; shape s moves the vertices ``rows[starts[s] : starts[s + 1]]`` by those rows of ``offsets``.
+    """S shapes. Shape s moves vertices ``rows[starts[s] : starts[s + 1]]`` by the same rows of ``offsets``.
 
     Attributes:
         names: S names.
-        starts: (S + 1,).
-        rows: (K,) vertices, each once in a shape.
+        starts: (S + 1,) index of the first row of each shape, then K.
+        rows: (K,) numbers of the vertices. A vertex occurs at most once in a shape.
         offsets: (K, 3) metres in the space of the mesh at rest.
     """
 
@@ -48,7 +48,7 @@ class Shapes:
 
     @classmethod
     def of_offsets(cls, names: tuple[str, ...], offsets: Array) -> Shapes:
-        """Shapes of dense offsets (V, S, 3)."""
+        """Create shapes from the offsets (V, S, 3) of all vertices."""
         shape, rows = np.nonzero(offsets.any(axis=2).T)
         starts = np.searchsorted(shape, np.arange(len(names) + 1))
         return cls(names, starts, rows, offsets[rows, shape])
@@ -64,7 +64,7 @@ class Shapes:
         return np.searchsorted(self.moved, self.rows)
 
     def at(self, weights: Array) -> NDArray[np.float32]:
-        """Sum of the weighted offsets (M, 3) of the vertices ``moved``. Shapes with weight 0 cost no time."""
+        """Sum the weighted offsets (M, 3) of the vertices :attr:`moved`, skipping shapes with weight 0."""
         out = np.zeros((len(self.moved), 3), dtype=np.float32)
         for number in np.flatnonzero(weights):
             some = slice(self.starts[number], self.starts[number + 1])
@@ -73,8 +73,8 @@ class Shapes:
 
 
 def shape_arrays(shapes: Shapes, scale: float = 1.0) -> dict[str, NDArray[Any]]:
-    """Arrays of a human file with shapes. The rounding error of offsets is at most half of the unit, 0.6
-    micrometres. ``scale``: factor of a scaled body. If offsets are too large for 16 bits, the unit grows."""
+    """Make the arrays that store shapes in a human file. The rounding error of offsets is at most 0.6
+    micrometres, or more if offsets are too large for 16 bits. ``scale``: factor of a scaled body."""
     unit = max(FILE_UNIT * scale, float(np.abs(shapes.offsets).max(initial=0.0)) / 32767)
     return {
         "shape_names": np.array(shapes.names),
@@ -119,13 +119,13 @@ def read_shapes(arrays: Mapping[str, NDArray[Any]], vertices: int) -> Shapes | N
 
 #: Kinds of loose parts. The numbers are used in files.
 CLOTH, HAIR = range(2)
-#: Most ends of a human, since each is a joint of its motion.
+#: Most ends of loose parts of a human. The limit exists because each end is a joint of the human's motion.
 MAX_ENDS = 64
-#: Angle of a thigh at which cloth begins to gather, and at which it is gathered, radians.
+#: Angles of a raised thigh at which cloth begins to gather, and at which it is fully gathered, radians.
 _GATHERED = (np.radians(50.0), np.radians(85.0))
 _LEGS = ("l_hip", "r_hip")
 _SHINS = ("l_knee", "r_knee")
-#: Cloth farther from the bone of a leg than this is free, as a share of the length of the thigh.
+#: Cloth hangs free of a leg if it is farther from the bone than this share of the length of the thigh.
 _FREE = 0.3
 #: Cloth that is held off one bone may come nearer to another bone of a leg by at most this, metres.
 _NEARER = 0.01
@@ -134,7 +134,7 @@ _LOOSE_ARRAYS = ("kinds", "ends", "outwards", "rows", "nodes", "shares", "gather
 
 @dataclass(frozen=True, eq=False)
 class LooseParts:
-    """K ends that swing, and M vertices that follow them.
+    """Loose parts (skirts, coats, hair): K ends that swing, and M vertices that follow the ends.
 
     Attributes:
         kinds: (K,) :data:`CLOTH` or :data:`HAIR`.
@@ -164,7 +164,7 @@ class LooseParts:
     def swung(
         self, points: NDArray[np.float32], swing: Array, skeleton: Skeleton, transforms: Array
     ) -> NDArray[np.float32]:
-        """Vertices (M, 3) moved by a swing. Cloth comes no nearer to the bones of the legs.
+        """Move vertices (M, 3) by a swing. The swing brings cloth no nearer to the bones of the legs.
 
         Args:
             points, swing: Vertices (M, 3) without swing, and offsets (K, 3) of the ends.
@@ -192,7 +192,7 @@ class LooseParts:
         return np.asarray(moved)
 
     def gathered(self, skeleton: Skeleton, transforms: Array) -> NDArray[np.float32] | None:
-        """Offsets (M, 3) in the rest pose that lay cloth on the thighs; None if no thigh is raised.
+        """Return offsets (M, 3) in the rest pose that lay cloth on the thighs. None if no thigh is raised.
         ``transforms``: rest-to-posed transforms (B, 4, 4) of the bones."""
         if not set(_LEGS) <= set(skeleton.names):
             return None
@@ -209,7 +209,7 @@ class LooseParts:
 
 
 def _legs(skeleton: Skeleton, transforms: Array) -> Iterator[tuple[tuple[Array, Array], float]]:
-    """Ends (3,) of the bones of both legs, and the distance that cloth keeps from each."""
+    """For each bone of both legs: its ends (3,) and (3,), and the distance that cloth keeps from the bone."""
     for name in (*_LEGS, *_SHINS):
         bone = skeleton.bone(name)
         turn, shift = transforms[bone, :3, :3], transforms[bone, :3, 3]
@@ -221,7 +221,7 @@ def _legs(skeleton: Skeleton, transforms: Array) -> Iterator[tuple[tuple[Array, 
 def _to_segment(
     points: NDArray[np.float32], start: Array, end: Array
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Distances (N,) of points (N, 3) from a segment, and its nearest points (N, 3)."""
+    """For points (N, 3): the distances (N,) from a segment, and the nearest points (N, 3) of the segment."""
     along = end - start
     share = np.clip((points - start) @ along / max(float(along @ along), 1e-12), 0.0, 1.0)
     nearest = start + share[:, None] * along
@@ -230,17 +230,17 @@ def _to_segment(
 
 
 def swing_at_rest(count: int) -> Rated:
-    """Offsets (K, 3) of loose ends that hang still, metres in ``map``. All are zero."""
+    """Create the swing of K loose ends that hang still: offsets (K, 3) of zero, metres in ``map``."""
     return Rated.at_rest(tuple(f"{number}/{axis}" for number in range(count) for axis in "xyz"), (count, 3))
 
 
 def loose_arrays(parts: LooseParts) -> dict[str, NDArray[Any]]:
-    """Arrays of a human file with loose parts."""
+    """Return the arrays that store loose parts in a human file."""
     return {f"loose_{name}": getattr(parts, name) for name in _LOOSE_ARRAYS}
 
 
 def read_loose(arrays: Mapping[str, NDArray[Any]], vertices: int) -> LooseParts | None:
-    """Loose parts from the arrays of a human file, as :func:`read_shapes`; None if the file has none."""
+    """Read loose parts in the same way as :func:`read_shapes`. None if the file has no loose parts."""
     if "loose_kinds" not in arrays:
         return None
     count, rows = len(arrays["loose_kinds"].ravel()), len(arrays["loose_rows"].ravel())

@@ -64,7 +64,7 @@ DETAIL_BONES: Mapping[str, str] = {
 
 
 def body_joints(names: Sequence[str]) -> list[int]:
-    """Numbers of the joints without those of :data:`DETAIL_BONES`, for uses that must not count fingers.
+    """Numbers of the joints that do not belong to :data:`DETAIL_BONES`, for uses without fingers.
 
     Example:
         >>> body_joints(["l_wrist", "l_index1", "l_index3_end", "l_wrist_end"])
@@ -73,7 +73,7 @@ def body_joints(names: Sequence[str]) -> list[int]:
     return [number for number, name in enumerate(names) if name.removesuffix("_end") not in DETAIL_BONES]
 
 
-#: Titles of the columns of other sets, by field of :class:`JointName`.
+#: Titles of other sets of joints, by field of :class:`JointName`.
 SETS = {"hanim2": "H-Anim 2", "smpl": "SMPL", "coco": "COCO", "body_25": "OpenPose BODY_25"}
 
 
@@ -89,7 +89,7 @@ class JointName:
         smpl: Name in SMPL (in SMPL-X for fingers, jaw and eyes), or None.
         coco: Name in the 17 keypoints of COCO, or None.
         body_25: Name in BODY_25 of OpenPose, or None.
-        near: Fields of the sets that have only a nearest joint. Its place differs by centimetres.
+        near: Fields of the sets that only have a joint nearby, some centimetres away.
     """
 
     name: str
@@ -102,7 +102,7 @@ class JointName:
     near: tuple[str, ...] = ()
 
     def in_set(self, column: str) -> str:
-        """Name in another set (a key of :data:`SETS`), with ``~`` before a nearest joint. Empty for none."""
+        """Name in another set (a key of :data:`SETS`), with ``~`` if it is in ``near``. Empty for None."""
         name = getattr(self, column)
         return "" if name is None else f"~{name}" if column in self.near else name
 
@@ -183,7 +183,7 @@ class Skeleton:
 
     @cached_property
     def rest_in_parent(self) -> Array:
-        """Rest frame of each bone in the rest frame of its parent (B, 4, 4); of a root, in body space."""
+        """Rest frame of each bone relative to its parent (B, 4, 4); of a root, relative to body space."""
         parent = np.where((self.parents < 0)[:, None, None], np.eye(4), self.rest_inverse[self.parents])
         return parent @ self.rest
 
@@ -229,8 +229,8 @@ class Skeleton:
 
     @cached_property
     def wholes(self) -> NDArray[np.intp]:
-        """(B,) bone that each bone is a detail of; for other bones, their own number. Fingers, toes, jaw and
-        eyes (by name), and bones that these carry, are details of hand, foot or head."""
+        """(B,) number of the hand, foot or head that a detail belongs to; for any other bone, its own number.
+        Details are fingers, toes, jaw and eyes (found by name), and the bones that they carry."""
         wholes = np.arange(len(self))
         for bone, parent in enumerate(self.parents.tolist()):
             if parent < 0:
@@ -249,7 +249,7 @@ class Skeleton:
         return tuple(level for level in details if len(level))
 
     def part(self, bones: NDArray[np.intp]) -> Skeleton:
-        """Skeleton of some bones (b,), in order. The parent of each of these bones must be among them."""
+        """Keep only the bones (b,), in this order. They must include the parent of each of them."""
         place = np.full(len(self) + 1, -1)
         place[bones] = np.arange(len(bones))
         rows = (self.heads[bones], self.tails[bones], self.rolls[bones])

@@ -24,7 +24,7 @@ _ROWS = 16_384
 
 
 def limit_bones(weights: csr_matrix) -> csr_matrix:
-    """Keep the four largest weights of each row of (V, B). They are scaled to the previous sum of the row."""
+    """Keep the four largest weights of each row of (V, B), scaled to the previous sum of the row."""
     weights = csr_matrix(weights, copy=True)
     weights.sum_duplicates()
     counts = np.diff(weights.indptr)
@@ -53,8 +53,8 @@ def without_details(weights: csr_matrix, skeleton: Skeleton) -> csr_matrix:
 
 
 def triangle_parts(triangles: NDArray[np.integer], weights: csr_matrix) -> NDArray[np.uint8]:
-    """Bone (N,) with the largest weight of each triangle, summed over its corners. The part label is one
-    more."""
+    """Bone (N,) with the largest weight in each triangle, summed over its corners. Part labels in images are
+    these numbers plus one."""
     total = weights[triangles[:, 0]] + weights[triangles[:, 1]] + weights[triangles[:, 2]]
     return _largest(total).astype(np.uint8)
 
@@ -184,8 +184,8 @@ class LinearBlend(SkinningFunction):
         return self._carried(transforms, rest, unit=True)
 
     def _carried(self, transforms: FloatArray, rest: FloatArray, unit: bool) -> FloatArray:
-        """Vectors ``rest`` (V, 3), carried along by the blended matrices; divided by their lengths if they
-        shall be ``unit`` vectors."""
+        """Transform vectors ``rest`` (V, 3) by the blended matrices of their vertices. If ``unit`` is set,
+        the results are divided by their lengths."""
         batch, shape = _checked_transforms(transforms, self.weights.shape[1])
         x, y, z = _checked_directions(rest, self.weights)
         out = np.empty((len(batch), len(x), 3), dtype=self.weights.dtype)
@@ -270,7 +270,8 @@ class DualQuaternion(SkinningFunction):
         return out.reshape(*shape, *out.shape[1:])
 
     def _blend(self, quaternions: Array) -> FloatArray:
-        """Weighted sums (Q, V) of (B, Q). The first columns are quaternions, with consistent signs."""
+        """Sum values (B, Q) of bones with the weights of each vertex: (Q, V). The first four are quaternions.
+        Their signs are made consistent with the bone that has the largest weight."""
         q = quaternions[:, :4]
         signs = np.where(q @ q.T < 0, -1, 1).astype(self.weights.dtype)
         weights = self.weights
@@ -318,7 +319,7 @@ def _checked_body(vertices: FloatArray, weights: csr_matrix) -> tuple[Array, csr
 
 
 def _checked_transforms(transforms: FloatArray, bones: int) -> tuple[Array, tuple[int, ...]]:
-    """Reshape transforms to (F, B, 4, 4). Returns also the original shape of the F frames."""
+    """Reshape transforms to (F, B, 4, 4). Also returns their original shape without the last three axes."""
     given: Array = np.asarray(transforms, dtype=float)
     if given.ndim < 3 or given.shape[-3:] != (bones, 4, 4):
         raise MeshError(f"transforms of shape {given.shape} do not fit {bones} bones: (..., {bones}, 4, 4)")

@@ -25,7 +25,7 @@ _MAX_SKELETON, _MAX_MOTION, _MAX_BONES = 4 << 20, 1 << 29, 1000
 _RATE = 120.0
 #: Value of ``length`` in files of CMU. Their lengths are in inches times this number.
 _CMU_LENGTH, _INCH = 0.45, 0.0254
-#: Largest number of a file.
+#: Largest absolute value of a number in a file.
 _LARGEST = 1e9
 _ROOT = "root"
 _AXES = ("x", "y", "z")
@@ -132,7 +132,7 @@ class _Skeleton(_Text):
         bones: Bones by name; the root is a bone without length.
         parents: Parent of each bone except the root. Parents come before their children.
         position: Position of the root, (3,).
-        length, degrees: Scale of lengths, and the unit of angles in degrees.
+        length, degrees: Factor of lengths, and degrees per unit of angles.
     """
 
     def __init__(self, path: Path) -> None:

@@ -57,8 +57,8 @@ class ActivityPart:
         return self.start, _clip(self.motion).duration if self.end is None else self.end
 
 
-#: All parts by name. What people do, and how often compared with others. The metres of a stride by gait.
-#: In the stop of a gait, left and right are exchanged: the right heel has struck before it.
+#: Table of all parts by name, of what people do and how often, and of stride lengths by gait, metres. In the
+#: part that stops a gait, left and right are exchanged, since the right heel has struck before.
 _TABLE = read_table("activities")
 PARTS = {name: ActivityPart(*row) for name, row in _TABLE["parts"].items()}
 _CHOICES: dict[str, dict[str, int]] = _TABLE["choices"]
@@ -71,7 +71,7 @@ _AT_TABLE = ("write", "eat")
 
 @dataclass(frozen=True)
 class ActivityStep:
-    """A part of an activity. If ``mirror`` is set, left and right are exchanged."""
+    """A part in the plan of an activity. If ``mirror`` is set, left and right are exchanged."""
 
     part: str
     mirror: bool = False
@@ -131,7 +131,7 @@ class _Plan:
         return next(iter(weights))
 
     def other_of(self, weights: dict[str, int]) -> str:
-        """Choose a name as :meth:`one_of` does, but not the one that the last part has."""
+        """Choose a name as :meth:`one_of` does, but never the name of the last part."""
         last = self.steps[-1].part if self.steps else ""
         return self.one_of({name: weight for name, weight in weights.items() if name != last} or weights)
 
@@ -180,7 +180,7 @@ class _Plan:
         return int(int(_REACH / _TABLE["strides"][gait]) * self.random.random())
 
     def _walk(self, gait: str, strides: int, mirror: bool) -> None:
-        """Walk straight ahead. The feet and the heading at the end are the same as at the start."""
+        """Walk straight ahead. At the end, the posture of the feet and the heading are those of the start."""
         self.add(f"{gait}_start", *[gait] * strides, f"{gait}_half", mirror=mirror)
         self.add(f"{gait}_stop", mirror=not mirror)
 

@@ -34,7 +34,7 @@ from humansim_ros.types import Array
 
 #: Channels of files by their name in lower case. Channels of scales are read, but not kept.
 _CANONICAL = {name.lower(): name for name in (*CHANNEL_NAMES, "Xscale", "Yscale", "Zscale")}
-#: Keywords with words that may continue on the next line, and the pattern of these words.
+#: Keyword -> pattern of the words after it. The words may continue on the next line.
 _GOES_ON = {
     "OFFSET": re.compile(r"[-+.,\d\seE]+"),
     "CHANNELS": re.compile(r"[\d\s,]*([xyz](rotation|position|scale)[\s,]*)*", re.IGNORECASE),
@@ -51,7 +51,7 @@ _ENDS = ("END", "ENDSITE", "END_SITE")
 
 @dataclass
 class _Joint:
-    """A joint or an end site as the hierarchy states it, and the number of its parent (-1 for a root)."""
+    """A joint or an end site as stated in the hierarchy, and the number of its parent (-1 for a root)."""
 
     name: str
     is_end: bool
@@ -66,7 +66,7 @@ class _Joint:
 
 
 class Parser:
-    """Parser of one file: reads the hierarchy by statements; :mod:`.bvh_text` reads the rows."""
+    """Parser of one file. It reads the hierarchy by statements; :mod:`.bvh_text` reads the rows."""
 
     def __init__(self, path: str | os.PathLike[str], file: TextIO, encoding: str = "latin-1") -> None:
         self.text = BvhText(path, file, encoding)
@@ -181,8 +181,8 @@ class Parser:
         raise self.text.error(f"not a BVH file: it should start with HIERARCHY, not {first[:40]!r}")
 
     def _check_braces(self, stack: list[int], pending: int | None, surplus: int | None) -> None:
-        """Check the braces at the end of the hierarchy, where wrong braces give a warning only. A wrong brace
-        further up would change the hierarchy: an error, found by the indents, which then disagree."""
+        """Check the braces after the hierarchy was read. A wrong brace at its end only gives a warning. A
+        wrong brace further up is an error: it changes the hierarchy, which then contradicts the indents."""
         text = self.text
         is_open = pending is not None or not all(self.joints[joint].offset for joint in stack)
         if is_open or (stack and not self._indents_agree()):
@@ -317,15 +317,15 @@ PositionChannels = Literal["auto", "replace", "add"]
 
 #: Largest file, bytes: an hour of 60 joints at 120 frames/s. First bytes, which show the encoding.
 _MAX_BYTES, _HEAD = 1 << 30, 1 << 16
-#: Positions count as added to OFFSETs if they contain less than this share of the OFFSET.
+#: Position channels count as added to the OFFSET if their values contain less than this share of the OFFSET.
 _ADDED_SHARE = 0.1
 #: Positions that vary by less than this share of the skeleton's size count as constant.
 _CONSTANT_SHARE = 0.005
 #: An OFFSET is evidence if its length is at least this number of standard deviations of the positions.
 _MIN_SIGNIFICANCE = 3.0
-#: A link changes its length if the change is more than the first share of the size of the skeleton, and more
-#: than the second share of its length. A length that changes by more than the factor does not belong to a
-#: link.
+#: The length of a link changes if the change is more than the first share of the size of the skeleton, and
+#: more than the second share of the length. If a length changes by more than the third value (a factor), its
+#: joints are not linked by a bone.
 _CHANGES, _CHANGED_SHARE, _MOST_CHANGED = 0.004, 0.02, 1.5
 #: Deeper joints get no further indent, since a chain of thousands of joints would be mostly tabs.
 _MAX_INDENT = 40

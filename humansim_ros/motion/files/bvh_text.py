@@ -171,7 +171,7 @@ _COMMAS = {".": "are read as decimal points", " ": "are read as white space betw
 
 
 def comma_hint(text: str) -> str:
-    """Make the end of a message about a text that is not a number."""
+    """Return a hint, for the end of a message about a wrong number, if the text has a comma; else ""."""
     return "; decimals need a point, not a comma" if "," in text else ""
 
 
@@ -285,8 +285,8 @@ class _BadLine:
 
 
 class _Rows:
-    """Reader of rows of C values, in blocks, and word by word only if a block is not plain. A line may hold
-    one row, several, or a part of one: if the number of all values fits, it is clear where rows start."""
+    """Reader of rows of C values. Blocks of plain numbers are converted at once, others word by word. A line
+    may hold one row, several, or a part: the total number of values shows where rows start."""
 
     def __init__(self, text: BvhText, angles: NDArray[np.bool_], n_frames: float) -> None:
         self.text = text
@@ -364,7 +364,7 @@ class _Rows:
         return n_bad > min(_MAX_BAD, max(_FIRST_BAD, _BAD_SHARE * n_lines)) or len(self.bad) > _MAX_BAD
 
     def _rows(self, values: Array) -> Array:
-        """Rows (F, C) of all values. Bad lines are left out, or replaced by interpolated frames."""
+        """Make rows (F, C) from all values. Bad lines are left out, or replaced by interpolated frames."""
         bad, odd, n_channels = self._without_tail(), self.odd, self.n_channels
         if odd and not bad and not self.is_broken and len(values) == self.n_frames * n_channels:
             found = f"not one frame on a line ({odd[0].count} of {n_channels} values): there are as many "
@@ -395,7 +395,7 @@ class _Rows:
         return self.bad
 
     def _mended(self, values: Array, bad: list[_BadLine]) -> Array:
-        """Rows (F, C) with a new frame in place of each bad line that was a frame."""
+        """Make rows (F, C) with a new frame in place of each bad line that was a frame."""
         starts, counts = np.array([each.start for each in bad]), np.array([each.count for each in bad])
         spans = [np.arange(each.start, each.start + each.count) for each in bad]
         rows = np.delete(values, np.concatenate(spans)).reshape(-1, self.n_channels)
@@ -410,7 +410,7 @@ class _Rows:
         return _filled(rows, np.repeat(places, n_lines * is_frame), self.angles)
 
     def _were_frames(self, bad: list[_BadLine], n_rows: int) -> NDArray[np.bool_]:
-        """Whether bad lines are damaged frames or text between frames. ``Frames:`` decides."""
+        """Decide by ``Frames:`` whether each bad line is a damaged frame, or text between frames."""
         if self.n_frames in (n_rows, n_rows + sum(each.n_lines for each in bad)):
             return np.full(len(bad), self.n_frames > n_rows)
         return np.array([not each.word for each in bad])
@@ -427,7 +427,7 @@ class _Rows:
         return block.replace(",", mark)
 
     def _slow_values(self, block: str) -> tuple[Array, Indices]:
-        """Do the same for any white space. Notes bad lines, and ends if only text follows."""
+        """Do what :func:`_fast_values` does for other text. Notes bad lines; stops when only text follows."""
         values: list[float] = []
         ends: list[int] = []
         for number, line in enumerate(block.split("\n"), self.text.line + 1):
@@ -466,9 +466,9 @@ def _read_line(words: list[str]) -> tuple[list[float], str, str]:
 
 
 def _filled(rows: Array, places: Indices, angles: NDArray[np.bool_]) -> Array:
-    """Rows (F, C) with a new frame before each of ``places``. It lies between its neighbours, or equals the
-    nearer one. ``places``: sorted numbers of the good rows (R, C) before which a frame is missing. For two
-    missing frames, the number is there twice. ``angles``: (C,) whether a channel is an angle in degrees."""
+    """Insert frames into the good rows (R, C), and return rows (F, C). A new frame is interpolated between
+    its neighbours, or equals the nearer one. ``places``: sorted numbers of the rows before which a frame is
+    missing, twice for two frames. ``angles``: (C,) whether a channel is an angle in degrees."""
     out = np.insert(rows, places, 0.0, axis=0)
     missing = places + np.arange(len(places))
     known = np.setdiff1d(np.arange(len(out)), missing)
@@ -486,8 +486,8 @@ def _filled(rows: Array, places: Indices, angles: NDArray[np.bool_]) -> Array:
 
 
 def _fast_values(text: str) -> tuple[Array, Indices] | None:
-    """Values of a text of plain finite numbers, and the number of values before each line end. None for other
-    text."""
+    """Return the values in a text of plain finite numbers, and the number of values before each line end.
+    None if the text has anything else."""
     characters = np.frombuffer(text.encode("latin-1", "replace"), dtype=np.uint8)
     # with these characters only, Python accepts the same numbers as files do
     if not _PLAIN[characters].all():

@@ -37,7 +37,7 @@ _IN_ARCHIVES = ("bvh", "acclaim")
 
 
 def find_motion(name: str, folder: Path | None = None, error: type[HumansimError] = MotionError) -> str:
-    """Find the path of a built-in motion or of a file. It keeps the part after ``#`` (``figure.glb#Walk``).
+    """Return the path of a built-in motion or a file, with any text after ``#`` (``figure.glb#Walk``).
 
     An activity (``activity#4``) has no file: its name is returned.
 

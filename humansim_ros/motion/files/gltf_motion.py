@@ -62,7 +62,7 @@ def read_gltf_motion(path: str | os.PathLike[str], animation: str | None = None)
 
 
 def _with_offsets(gltf: Gltf, skeleton: GltfSkeleton) -> Gltf:
-    """VRM animation with the proportions of the general skeleton, for nodes that have no translations."""
+    """Give the nodes of a VRM animation the missing translations, from the general skeleton."""
     warn_about(gltf.path, "its bones have no length: the proportions of the general skeleton are taken")
     places: list[Array] = []
     nodes = list(gltf.nodes)
@@ -151,7 +151,7 @@ def _motion(gltf: Gltf, skeleton: GltfSkeleton, animation: Animation) -> Motion:
 def _to_motion(
     gltf: Gltf, skeleton: GltfSkeleton, rotations: Array, positions: Array, frame_time: float
 ) -> Motion:
-    """Motion from rotations (F, J, 3, 3) relative to the bind pose, and positions (F, J, 3), of the world."""
+    """Make a motion from positions (F, J, 3) and rotations since the bind pose, both in world axes."""
     parents, bound = skeleton.parents, skeleton.bind[:, :3, 3]
     roots = parents < 0
     back = np.where(roots[:, None, None], np.eye(3), np.swapaxes(rotations[:, parents], -1, -2))
@@ -165,7 +165,7 @@ def _to_motion(
 
 
 def frame_times(gltf: Gltf, tracks: Collection[Track]) -> tuple[Array, float]:
-    """Times (F,) of evenly spaced frames that have all keys, and the step between them."""
+    """Return times (F,) of evenly spaced frames (at all keys, if those are even) and their time step."""
     start = min(float(track[0][0]) for track in tracks)
     end = max(float(track[0][-1]) for track in tracks)
     longest = max((track[0] for track in tracks), key=len)
@@ -200,7 +200,7 @@ def sample_track(gltf: Gltf, key: tuple[int, str], track: Track, times: Array) -
     times = np.clip(times, keys[0], keys[-1])
     if len(keys) == 1:
         return np.repeat(values[:, 1] if interpolation == "CUBICSPLINE" else values, len(times), axis=0)
-    # number of the key before each time: of the last key for a step, else of the last but one at most
+    # key before each time: up to the last key for steps, else up to the last key but one
     before = np.clip(np.searchsorted(keys, times, side="right") - 1, 0, len(keys) - 1)
     if interpolation == "STEP":
         return values[before]

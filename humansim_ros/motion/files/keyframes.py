@@ -65,13 +65,13 @@ class KeyframeTimeline:
         return (self.end - self.start) / self.rate
 
     def cycles(self, seconds: Array) -> Array:
-        """Number of the cycle of the loop at each time. 0 if there is no loop."""
+        """Number of the cycle of the loop at each time. 0 if the timeline does not loop."""
         if self.loop == "none" or self.end == self.start:
             return np.zeros_like(seconds)
         return np.floor(seconds / self.duration + 1e-9)
 
     def frames(self, seconds: Array, cycles: Array) -> Array:
-        """Frame numbers, with fractions, of times in the given cycles."""
+        """Frame numbers, with fractions, at times in the given cycles."""
         frame = self.start + (seconds - cycles * self.duration) * self.rate
         return np.asarray(np.clip(frame, self.start, self.end))
 
@@ -116,8 +116,8 @@ class KeyframeTrack:
         return self._interpolate(self.timeline.frames(times, self.timeline.cycles(times)))
 
     def around(self, seconds: float) -> tuple[Array, KeyframePose]:
-        """Times (3,) just before, at, and just after ``seconds``, and the poses there. They do not cross a
-        jump to the start of the animation."""
+        """Return times (3,) just before, at, and just after ``seconds``, and the poses at these times. They
+        are all in the same cycle of a loop."""
         times = seconds + AROUND
         cycle = float(self.timeline.cycles(np.array(seconds)))
         if self.timeline.loop == "repeat" and self.timeline.duration > 0:
@@ -126,8 +126,8 @@ class KeyframeTrack:
         return times, self._interpolate(self.timeline.frames(times, np.full(3, cycle)))
 
     def apply(self, poses: JointPoses, seconds: float) -> JointPoses:
-        """Move, rotate and scale joints (N = 1) with their space, velocities included. :data:`SPACE_JOINTS`
-        are added after the joints. ``sizes`` must be the same along all axes."""
+        """Move, rotate and scale the joints of a single pose (N = 1), velocities included.
+        :data:`SPACE_JOINTS` are added after the joints. ``sizes`` must be the same along all axes."""
         times, key = self.around(seconds)
         moving = poses if poses.linear is None else poses.extrapolate(times - seconds)
         n = len(times)
@@ -162,15 +162,15 @@ class KeyframeTrack:
 
 @dataclass(frozen=True)
 class KeyframeSpace:
-    """Space of a motion in ``map`` at N times, moved by keyframes: ``x' = position + size rotation x``.
-    ``position``: (N, 3). ``rotation``: (N, 3, 3). ``size``: (N,)."""
+    """The space of a motion, moved by keyframes to its place in ``map`` at N times: ``x' = position + size
+    rotation x``. ``position``: (N, 3). ``rotation``: (N, 3, 3). ``size``: (N,)."""
 
     position: Array
     rotation: Array
     size: Array
 
     def to_map(self, frames: Array) -> Array:
-        """Frames (N, J, 4, 4) of that space, moved and rotated into ``map``, with scaled positions."""
+        """Move and rotate frames (N, J, 4, 4) of this space into ``map``. Only their positions are scaled."""
         moved = np.array(frames)
         moved[..., :3, :3] = self.rotation[:, None] @ frames[..., :3, :3]
         positions = self.size[:, None, None] * frames[..., :3, 3]
@@ -439,7 +439,7 @@ class _Reader:
                 self._add_keys(element)
 
     def _add_keys(self, element: _Element) -> None:
-        """Add the keys of an object in its frames, or those of a frame with its objects."""
+        """Add the keys of an element: the keys of an object by frame, or the keys of a frame by object."""
         label = element.label()
         if element.name == "frame":
             for name, line, parts in element.keys:

@@ -1,8 +1,8 @@
-"""Files of labelled points in 3D, TRC and C3D [C3D 2008], and which points are those of a person.
+"""Read labelled 3D points from TRC and C3D files [C3D 2008], and find the points that belong to a person.
 
-Programs write C3D headers and parameters that contradict each other. The layout of the data that fills the
-file is taken. What the points do not need is not read. Names of points, such as ``LKNE``, tell which joint or
-which marker on the skin a point is.
+Headers and parameters of C3D files may contradict each other. Then the layout counts for which the data fill
+the file. Content that the points do not need is not read. The name of a point, such as ``LKNE``, tells which
+joint, or which marker on the skin, the point is.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class _C3dFile:
         self._parameters = self._read_parameters(self._data[: at + _MAX_PARAMETERS], at + 4)
 
     def _read_parameters(self, data: bytes, at: int) -> dict[str, tuple[int, int, bytes]]:
-        """Type, first dimension and bytes of each parameter: the first of a name ``GROUP:NAME`` counts."""
+        """Type, first dimension and bytes by name ``GROUP:NAME``. The first of equal names counts."""
         groups: dict[int, str] = {}
         found: dict[tuple[int, str], tuple[int, int, bytes]] = {}
         while at + 4 < len(data) and data[at] and data[at + 1]:
@@ -87,12 +87,12 @@ class _C3dFile:
         return sum(int(word) << (16 * place) for place, word in enumerate(words[:2]))
 
     def texts(self, key: str) -> list[str]:
-        """Texts of a parameter, without blanks and zeros at their ends. Empty if it is missing."""
+        """Texts of a parameter, without blanks and zeros at their ends. Empty if the parameter is missing."""
         kind, width, raw = self._parameters.get(key, (0, 0, b""))
         return [_text(raw[n : n + width]) for n in range(0, len(raw) if kind == -1 else 0, max(width, 1))]
 
     def labels(self, group: str) -> list[str]:
-        """Names of the points or of the segments. Each parameter holds at most 255."""
+        """Names of the points or of the segments, from several parameters of at most 255 names each."""
         numbers = ("", *range(2, 258))
         return [text for number in numbers for text in self.texts(f"{group}:LABELS{number}")]
 
@@ -107,13 +107,13 @@ class _C3dFile:
         return max(int(self._number("TRIAL:ACTUAL_START_FIELD") or self._header[3]) - 1, 0)
 
     def _block(self, *numbers: float) -> int:
-        """Byte at which the first of these blocks after the header begins, or else the end of the file."""
+        """First byte of the first of these blocks that is after the header; else the end of the file."""
         starts = (_BLOCK * (int(number) - 1) for number in numbers if number > self._data[0])
         return next((start for start in starts if start < len(self._data)), len(self._data))
 
     def _layout(self, room: int) -> tuple[float, int, int, int]:
-        """Scale, number of points and analog values per frame, and frames: as the file states, if its size
-        fits. ``room``: number of bytes of the data. A negative scale means floats."""
+        """Scale, points per frame, analog values per frame, and number of frames: those that the file states,
+        if they fit its size. ``room``: bytes of the data. A negative scale means floats."""
         header, last = self._header, self._number("TRIAL:ACTUAL_END_FIELD")
         trial = last - self.first_frame
         counts = (
@@ -140,7 +140,7 @@ class _C3dFile:
         return min(layouts, key=misfit)
 
     def places(self) -> tuple[Array, Array]:
-        """Points (F, P, 3), and origins (F, S, 3) of segments, in units of the file; NaN where not seen."""
+        """Points (F, P, 3) and origins of segments (F, S, 3), file units. Points not seen are NaN."""
         data, used = self._data, int(self._number("ROTATION:USED"))
         start = self._block(self._header[8], self._number("POINT:DATA_START"))
         rotations = self._block(self._number("ROTATION:DATA_START")) if used else len(data)
@@ -202,8 +202,7 @@ class MarkerFile:
         rate: Frames per second that the file states; NaN if it states none.
         screen_up: Axis of the file that points up or down on a screen (``x``, ``y`` or ``z``); empty if the
             file does not state it.
-        segments: Origins of those segments that the file has rotations for; None if the file has no
-            rotations.
+        segments: Origins of the segments for which the file has rotations. None if the file has no rotations.
     """
 
     labels: tuple[str, ...]
@@ -252,7 +251,7 @@ def _unit(text: str) -> str:
 def _metres(
     units: Sequence[str], error: type[HumansimError], path: Path, line: int | None, key: str
 ) -> float:
-    """Metres of the first known unit."""
+    """Metres per unit of the first known unit in ``units``."""
     known = [UNITS[unit] for unit in map(_unit, units) if unit in UNITS]
     if not known:
         message = f"unknown unit {units[0][:40]!r}; known are {', '.join(UNITS)}"
@@ -386,7 +385,7 @@ class Marks:
         kind: ``joints`` or ``markers``.
         numbers: Landmark -> number of its point.
         missing: Landmarks that a person needs, but that have no point.
-        held: Parts without points. They stay at rest.
+        held: Parts of the body without points, such as arms. They stay at rest.
     """
 
     labels: tuple[str, ...]
@@ -447,8 +446,8 @@ def has_back(markers: Collection[str]) -> bool:
 
 
 def _spare(file: MarkerFile, markers: Mapping[str, int], by_key: Mapping[str, int]) -> dict[str, int]:
-    """Landmarks that ``markers`` lacks, with names in the table of spare markers. Acromions must be as far
-    from each other and from the hips as those of a person."""
+    """Find points for landmarks that ``markers`` lacks, by the names in the table of spare markers. Acromions
+    must be as far from each other and from the hips as those of a person."""
     free = {key: number for key, number in by_key.items() if number not in markers.values()}
     spare = {name: number for name, number in _named("spare_markers", free).items() if name not in markers}
     if {"LeftPSIS", "RightPSIS"} <= markers.keys():
@@ -466,8 +465,8 @@ def _spare(file: MarkerFile, markers: Mapping[str, int], by_key: Mapping[str, in
 
 
 def _held(found: Mapping[str, int], *parts: str) -> tuple[str, ...]:
-    """Parts of the upper body that a file of legs has left out on both sides, the lowest first. ``parts``:
-    names of shoulder, elbow and ankle."""
+    """Find parts of the upper body that both sides lack, as in a file of legs only; the lowest part comes
+    first. ``parts``: names of shoulder, elbow and ankle."""
     shoulder, elbow, ankle = (sum(side + part in found for side in SIDES) for part in parts)
     if ankle < 2 or elbow or shoulder == 1:
         return ()
@@ -475,7 +474,7 @@ def _held(found: Mapping[str, int], *parts: str) -> tuple[str, ...]:
 
 
 def _other_sides(labels: Sequence[str]) -> list[str]:
-    """Names of the same points on the other side."""
+    """Names that the points would have on the other side of the body, unless the file has these names."""
     others = [right_name(label) for label in labels]
     for label in labels:
         for right, left in (("Right", "Left"), ("right", "left"), ("R", "L"), ("r", "l")):

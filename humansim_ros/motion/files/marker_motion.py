@@ -1,9 +1,8 @@
-"""Motions of labelled points in TRC and C3D files. The points are joints, or markers on the skin that give
-the joints.
+"""Motions from labelled points in TRC and C3D files. The points are joints, or markers on the skin.
 
-Hip centres follow the regression of [Harrington
-2007]. A knee, an ankle or an elbow is midway between its two markers. If there is only the lateral marker,
-the joint is half its width inwards from it. The shoulder is below the acromion. Limbs get the shortest
+Joints are computed from markers. Hip centres follow the regression of [Harrington 2007]. A knee, an ankle or
+an elbow is midway between its two markers. If there is only the lateral marker, the joint is inwards from
+this marker by half the width of the joint. The shoulder is below the acromion. Limbs get the shortest
 rotation from their parent, and their joints keep their places in the file. Arms or a trunk without markers
 stay at rest.
 """
@@ -152,8 +151,8 @@ def motion_of_points(path: str | os.PathLike[str], found: MarkerFile, person: st
 
 
 def _mirrored_axis(points: Points, kind: str) -> int | None:
-    """Number of the axis to negate, so that a mirrored person becomes right. None if the person is not
-    mirrored. Toes, the front of the pelvis and the nose show where ahead is. They must agree."""
+    """Find the axis (0 to 2) to negate in order to undo mirroring. None if the person is not mirrored. Toes,
+    the front of the pelvis and the nose show the forward direction. They must agree."""
     hip, knee, shoulder, _, ankle = KINDS[kind]
     left, hips = points["Left" + hip] - points["Right" + hip], _middle(points, hip)
     has_trunk = "Left" + shoulder in points
@@ -252,7 +251,7 @@ def _back(points: Points) -> Array:
 
 
 def _known_joints(points: Points) -> dict[str, Array]:
-    """Joints of a file of joints. If hips, neck or head are missing, their neighbours give them."""
+    """Joints of a file of joints. Missing hips, neck or head are computed from their neighbours."""
     joints = {name: place for name, place in points.items() if name in _TREE}
     joints.setdefault("Hips", _middle(points, "Hip"))
     if not {"LeftShoulder", "RightShoulder"} <= joints.keys():
@@ -276,7 +275,7 @@ def _raised(vectors: Array, left: Array, degrees: float) -> Array:
 
 
 def _hold(path: Path, joints: Mapping[str, Array], held: Sequence[str]) -> dict[str, Array]:
-    """Add the parts in ``held``: a trunk upright over the hips, and arms that hang down."""
+    """Add the parts of the body in ``held``: a trunk upright over the hips, and arms that hang down."""
     links = [
         _length(joints[side + above] - joints[side + below])
         for side in SIDES
@@ -301,7 +300,7 @@ def _hold(path: Path, joints: Mapping[str, Array], held: Sequence[str]) -> dict[
 
 
 def _up_of_legs(path: Path, joints: Points) -> Array:
-    """Axis (3,) of the file along which the legs of people stand."""
+    """Find the axis (3,) of the file that points up, from the direction of the legs."""
     legs = (joints["Hips"] - _middle(joints, "Ankle")).mean(axis=0)
     axis = nearest_axis(legs)
     lean = float(np.degrees(angle_between(axis, legs)))
@@ -366,8 +365,8 @@ def _mean(points: Points, *names: str) -> Array | None:
 
 
 def _centre(own: Points, joint: str, above: Array, inwards: Array, distance: float) -> Array:
-    """Centre (F, 3) of a joint below the joint ``above``: between the markers ``own`` of its side, or inwards
-    from the lateral one."""
+    """Return the centre (F, 3) of a joint below the joint ``above``: between its two markers among ``own``,
+    the points of its side; or inwards from the lateral marker by ``distance``."""
     between, lateral = _mean(own, f"{joint}Lateral", f"{joint}Medial"), own[f"{joint}Lateral"]
     if between is not None:
         return between
@@ -376,8 +375,8 @@ def _centre(own: Points, joint: str, above: Array, inwards: Array, distance: flo
 
 
 def _hinge(lateral: Array, shoulder: Array, wrist: Array, sign: float) -> Array:
-    """Centre (F, 3) of an elbow, where the marker is next to the plane of shoulder, elbow and wrist.
-    ``sign``: 1 for the left elbow, -1 for the right one."""
+    """Return the centre (F, 3) of an elbow. Its ``lateral`` marker lies to the side of the plane of shoulder,
+    elbow and wrist. ``sign``: 1 for the left elbow, -1 for the right one."""
     way = unit_vectors(wrist - shoulder)
     aside = perpendicular(lateral - shoulder, way)
     along = lateral - shoulder - aside

@@ -41,7 +41,7 @@ MOTION_TITLES = ", ".join(known.title for known in MOTION_FORMATS)
 
 
 def unread_format(file: str | os.PathLike[str]) -> str | None:
-    """For a suffix that is not read: what the file is, and what to do. None for other suffixes."""
+    """Say what a file with an unsupported suffix is, and what to do. None for other suffixes."""
     suffix = Path(file).suffix.lower()
     for row in _TABLE["unread"]:
         if suffix in row["suffixes"]:
@@ -56,7 +56,7 @@ def motion_format(file: str | os.PathLike[str]) -> MotionFormat | None:
 
 
 def split_motion_name(name: str | os.PathLike[str]) -> tuple[str, str | None]:
-    """File and part (None if there is none) of a name: ``figure.glb#Walk``, ``all.zip/walk.bvh``."""
+    """Split ``figure.glb#Walk`` or ``all.zip/walk.bvh`` into file and part. The part may be None."""
     text = os.fspath(name)
     file, mark, part = text.rpartition("#")
     known = motion_format(file) if mark else None

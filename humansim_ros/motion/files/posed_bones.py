@@ -50,7 +50,7 @@ class PosedBones:
         return matrix_to_quaternion(self.posed[..., :3, :3])
 
     def to_dicts(self) -> list[dict[str, dict[str, list[float]]]]:
-        """Per frame: bone -> head, tail, rotation_xyzw."""
+        """Return a dictionary for each frame: bone -> head, tail, rotation_xyzw."""
         heads, tails, rotations = self.heads.tolist(), self.tails.tolist(), self.rotations.tolist()
         return [
             {

@@ -27,7 +27,7 @@ from humansim_ros.motion.files.marker_files import MarkerFile
 from humansim_ros.types import Array
 
 Arrays = dict[str, NDArray[Any]]
-#: An array holds points if the length of a thigh changes by at most this share. Rotations change more.
+#: An array counts as joint positions, not rotations, if the length of a thigh changes by at most this share.
 _THIGH_CHANGE = 0.1
 
 
@@ -92,7 +92,7 @@ def _tracks(tree: Any) -> Any:
 
 
 def _named(array: NDArray[Any]) -> Arrays:
-    """Name a plain array: ``joints`` (F, J, 3), also from features (F, 263) of HumanML3D, or ``poses``."""
+    """Name an unnamed array ``poses`` or ``joints`` (F, J, 3), also features (F, 263) of HumanML3D."""
     array = array[0] if array.ndim > 3 and len(array) == 1 else array
     if array.shape[1:] == (263,):
         return {"joints": _joints(array.astype(float))}

@@ -101,8 +101,8 @@ def _finger_joint(name: str) -> tuple[str, str, str | int] | None:
 
 
 def _counted(numbers: list[str], is_nub: bool, has_segment: bool) -> tuple[str, list[str]]:
-    """Finger by its number, and the other numbers of the name. Biped counts fingers from 0. Joints after the
-    first have a second digit. Ends have the second digit of their joint."""
+    """Return the finger that a number stands for, and the other numbers of the name. Biped counts fingers
+    from 0. Its joints after the first have a second digit, and an end has the second digit of its joint."""
     first, *others = numbers
     if not others and (not has_segment or len(first) == 2 or is_nub):
         others = [] if has_segment else [str(int(first[1:] or "0") + 1)]
@@ -383,7 +383,7 @@ def _may_have_arms(match: JointMatch, names: Sequence[str], parents: Indices | N
 def _best_match(
     tables: Sequence[JointTable], joint_names: Sequence[str], parents: Indices | None, loose: bool = False
 ) -> JointMatch:
-    """Match by the table that fits best. Of complete tables, the table of common names comes last."""
+    """Match by the best table. If several are complete, the table of common names comes last."""
     matches = [match_table(candidate, joint_names, parents, loose) for candidate in tables]
     present = {comparison_key(name) for name in joint_names}
 
@@ -428,14 +428,14 @@ def match_table(
 
 @lru_cache(4)
 def _numbers_by_name(names: tuple[str, ...]) -> tuple[dict[str, int], dict[str, int]]:
-    """Number of the first joint with each name. By plain name, and by comparison key."""
+    """Numbers of joints (the first of equal names): by plain name, and by comparison key."""
     numbered = list(reversed(list(enumerate(names))))
     exact = {plain_name(name): number for number, name in numbered}
     return exact, {comparison_key(name): number for number, name in numbered}
 
 
 def _named_roles(table: JointTable, joint_names: Sequence[str]) -> dict[str, int]:
-    """Joint of each role of a table. The first name of the role that exists is used, exact or nearly so."""
+    """Find the joint of each role of a table by its names, in their order: by equal name or equal key."""
     exact, similar = _numbers_by_name(tuple(joint_names))
     roles: dict[str, int] = {}
     for role, names in table.joints.items():
@@ -447,7 +447,7 @@ def _named_roles(table: JointTable, joint_names: Sequence[str]) -> dict[str, int
 
 
 def _loose_roles(table: JointTable, joint_names: Sequence[str]) -> dict[str, int]:
-    """Do the same in any spelling of the sides. Right sides are spelt as the left ones are."""
+    """Do what :func:`_named_roles` does, for any spelling of the sides that is the same on both sides."""
     joint_of = {key: number for number, key in reversed(list(enumerate(loose_keys(tuple(joint_names)))))}
     roles: dict[str, int] = {}
     for role, names in table.joints.items():

@@ -70,7 +70,7 @@ class JointTree:
         self.size = float(self.reach.max(initial=0.0))
 
     def stiffness(self, a: int, b: int) -> float:
-        """1 if the distance of two joints is constant, as along a bone. Less if a joint between bends."""
+        """1 if the distance of two joints is constant, as along a bone; less if a joint between bends."""
         if int(self.parents[b]) == a:
             return 1.0
         distance = np.linalg.norm(self.points[:, a] - self.points[:, b], axis=-1)
@@ -112,7 +112,7 @@ class JointTree:
 
 #: Shares of a leg (thigh, shin, foot) and of an arm (upper arm, forearm, hand) of a typical person.
 _LEG, _ARM = np.array([0.43, 0.41, 0.16]), np.array([0.42, 0.36, 0.22])
-#: Collar, three main joints and tip of legs and arms.
+#: Names of the five joints of legs and arms: collar, three main joints and tip.
 _LEG_PARTS, _ARM_PARTS = (
     ("", "Hip", "Knee", "Ankle", "Toe"),
     ("Collar", "Shoulder", "Elbow", "Wrist", "Fingers"),
@@ -184,7 +184,7 @@ def _limb_pairs(tree: JointTree) -> Iterator[tuple[BranchPair, BranchPair]]:
 
 
 def _person(tree: JointTree, legs: BranchPair, arms: BranchPair) -> tuple[float, dict[str, int]] | None:
-    """Likelihood of a person with these legs and arms, and the roles. Sides are not decided yet."""
+    """Likelihood and roles of a person with these legs and arms; sides undecided. None if they do not fit."""
     leg_limbs, arm_limbs = _limbs(tree, legs, _LEG, 1.05, _FOOT), _limbs(tree, arms, _ARM, 1.2, _HAND)
     trunk = _path_between(tree, legs.joint, arms.joint)
     if leg_limbs is None or arm_limbs is None or trunk is None:
@@ -226,7 +226,7 @@ def _similarity(ratio: float, typical: float, spread: float) -> float:
 
 
 def _end_of_chain(tree: JointTree, chain: list[int], called: re.Pattern[str], from_place: int) -> int | None:
-    """Place of hand, foot or head in a chain, by its name or its children. None if not found."""
+    """Index of hand, foot or head in a chain, found by its name or its children. None if not found."""
     places = range(from_place, len(chain))
     for place in places:
         if tree.children[chain[place]] and called.search(tree.names[chain[place]]):
@@ -244,7 +244,7 @@ def _limbs(
         tree: Joint tree.
         pair: First joints of the limbs.
         typical: (3,) shares of the three parts of a limb.
-        above: Usual length of limb and collar together, as a multiple of the length of the limb.
+        above: Usual length of limb and collar together, as a multiple of the length of the limb alone.
         end: Names of the third joint.
     """
     chains = [tree.chain(branch) for branch in pair.branches]
@@ -272,8 +272,8 @@ def _limbs(
 def _joint_triples(
     tree: JointTree, chain: list[int], typical: Array, above: float, end: re.Pattern[str]
 ) -> dict[tuple[int, int, int], float]:
-    """For places of three joints in a chain, the likelihood (0 to 1) that these joints form a limb. The
-    parameters are the same as in :func:`_limbs`."""
+    """Return, for the indices of three joints in a chain, the likelihood (0 to 1) that these joints form a
+    limb. The parameters are the same as in :func:`_limbs`."""
     last = _end_of_chain(tree, chain, end, from_place=2)
     along = np.cumsum([tree.links[joint] for joint in chain])
     likelihoods = {}
@@ -297,13 +297,13 @@ def _joint_triples(
 
 
 def _collar(tree: JointTree, chain: list[int], place: int) -> int | None:
-    """Last joint before a place in a chain that has a different position."""
+    """Last joint before an index of a chain with a position that differs from the joint at the index."""
     inner = [chain[m] for m in range(place) if tree.links[chain[m + 1]] > 1e-3 * tree.size]
     return inner[-1] if inner else None
 
 
 def _tip(tree: JointTree, chain: list[int], place: int) -> int | None:
-    """First joint after a place in a chain that has a different position."""
+    """First joint after an index of a chain with a position that differs from the joint at the index."""
     return next((joint for joint in chain[place + 1 :] if tree.links[joint] > 0.005 * tree.size), None)
 
 
@@ -376,7 +376,7 @@ def _posed_side(motion: Motion, roles: dict[str, int]) -> int:
 
 
 def _left_of(across: Array, forward: Array, up: Array) -> Array:
-    """Positive (N,) where ``across`` points to the left of ``forward``, both (N, 3)."""
+    """Numbers (N,), positive where ``across`` (N, 3) points to the left of ``forward`` (N, 3)."""
     return np.asarray((np.cross(forward, -across) @ up) * -1.0)
 
 

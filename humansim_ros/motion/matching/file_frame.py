@@ -15,7 +15,7 @@ from humansim_ros.motion.matching.by_name import spread_frames
 from humansim_ros.motion.matching.joint_tables import JointMatch
 from humansim_ros.types import Array, Indices
 
-#: Trunk, legs, hips and shoulders count as those of a standing person up to these angles (degrees).
+#: Largest angles (degrees) between trunk, legs, hips and shoulders of a person who stands.
 _TRUNK_TO_LEGS, _LEG_TO_LEG, _HIPS_TO_SHOULDERS, _HIPS_TO_LEVEL = 35.0, 90.0, 35.0, 35.0
 
 #: Role -> bone. The head of the bone is the joint of the role. The lines of the body go between these joints.
@@ -139,9 +139,9 @@ _ACCEPTED_STATURE = (0.4, 2.6)
 _SNAP_ANGLE = 3.0
 #: Most frames from which the person is measured.
 _MAX_FRAMES = 400
-#: Angle of a person who stands along an axis, at most: in frames, and in a rest pose; degrees.
+#: Largest angle between an axis and a person who stands along it, degrees: in frames, and at rest.
 _UPRIGHT_ANGLE, _EXACT_ANGLE = 45.0, 10.0
-#: Least share of frames along the up axis: if the rest pose contradicts, and if frame 0 does.
+#: Least share of frames in which the person is along the up axis: if the rest pose or frame 0 contradicts.
 _MOSTLY, _HALF = 0.8, 0.5
 #: The floor is at the origin if the lowest joint is between these shares of the person's height.
 _FLOOR_AT_ORIGIN = (-0.06, 0.1)
@@ -299,7 +299,7 @@ class _UpEvidence:
     origin: Array = field(default_factory=lambda: np.zeros(3))
 
     def decide(self, rest: Array | None, starts_at_rest: bool) -> tuple[Array, str | None]:
-        """Decide for an up axis (3,). Also return a warning if something contradicts the axis.
+        """Decide on an up axis (3,). Also returns a warning if something contradicts the axis, else None.
 
         Args:
             rest: Axis along which the OFFSETs stand, (3,). None if the OFFSETs are not a rest pose.
@@ -392,9 +392,9 @@ class _UpEvidence:
         return self._is_on_floor(mean) and not self._is_on_floor(witness)
 
     def _raised(self, mean: Array, witness: Array, least: float) -> bool:
-        """Whether the mean direction is up since the root raises a rest pose that lies in file space.
-        Otherwise the person lies, crawls, or stands on the hands. ``least``: if nothing else decides, the
-        person must be along the mean direction in this share of the frames."""
+        """Whether the mean direction is up because the root rotates a rest pose that lies in file space.
+        Otherwise the person lies, crawls, or stands on the hands. ``least``: share of the frames in which the
+        person must be along the mean direction, if nothing else decides."""
         if _is_usual(mean) != _is_usual(witness):
             return _is_usual(mean)
         on_floor = self._is_on_floor(mean)
@@ -424,7 +424,7 @@ class _UpEvidence:
         return bool(spread > max(_LEAVES_FLOOR, 2 * others))
 
     def _least_moved(self, mean: Array) -> Array:
-        """The mean direction. If the person moves along it above a floor at the origin, y or z."""
+        """Return the mean direction; or y or z, if only this axis has a floor on which the person stays."""
         others = [axis for axis in np.eye(3)[1:] if axis @ mean == 0]
         floors = [axis for axis in others if self._is_on_floor(axis) and self._moves_off(mean, axis)]
         return floors[0] if floors and not self._is_on_floor(mean) else mean

@@ -1,7 +1,7 @@
 """Errors of poses and of the detection of people, as publications report them.
 
-The poses of M matches have C joints, in metres. An absent joint is NaN. docs/evaluation.md has the definition
-of each metric with its source.
+Most functions take the true and the estimated poses of M matches: (M, C, 3) for C joints, metres, NaN for an
+absent joint. docs/evaluation.md defines each metric and names its source.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _LEAST_JOINTS = 3
 
 
 def joint_errors(truth: Array, estimate: Array) -> Array:
-    """Distances (M, C) between the joints of poses (M, C, 3). NaN if one of both is absent."""
+    """Distances (M, C) between true and estimated joints (M, C, 3). NaN where either joint is absent."""
     return np.linalg.norm(estimate - truth, axis=2)
 
 
@@ -35,9 +35,9 @@ def mean_error(errors: Array) -> float | None:
 
 
 def procrustes_aligned(truth: Array, estimate: Array) -> Array:
-    """Estimates (M, C, 3), each transformed by the similarity that fits it best to its truth. Rotation,
-    translation and scale are least squares over the joints that both have [Umeyama 1991], without
-    reflections. The result is NaN where fewer than three joints are common."""
+    """Estimated poses (M, C, 3), each moved, rotated and scaled so that it fits the true pose best, without
+    reflections. The fit has least squares over the joints that both poses have [Umeyama 1991]. NaN where both
+    poses have fewer than three common joints."""
     both = np.asarray(np.isfinite(truth + estimate).all(axis=2))
     enough = both.sum(axis=1) >= _LEAST_JOINTS
     known = both[enough, :, None]
@@ -53,8 +53,9 @@ def pck(errors: Array, threshold: float, missing: int = 0) -> float | None:
     """Percentage of correct keypoints, as a share: errors up to a threshold among all joints of the truth.
 
     Args:
-        errors: Distances. NaN where the truth has no joint, inf where only the estimate lacks it.
-        threshold: Metres.
+        errors: Distances of joints, metres. NaN where the truth lacks the joint, inf where only the estimate
+            lacks the joint.
+        threshold: Largest error of a correct joint, metres.
         missing: Number of joints of people who were not found. They count as wrong.
     """
     total = int((~np.isnan(errors)).sum()) + missing
@@ -70,7 +71,8 @@ def auc(errors: Array, missing: int = 0) -> float | None:
 def correct_parts(
     truth: Array, estimate: Array, limbs: Sequence[tuple[LimbEnd, LimbEnd]], alpha: float = 0.5
 ) -> NDArray[np.int8]:
-    """For each limb of poses, (M, L), whether it is correct for PCP: 1 correct, 0 wrong, -1 not in the truth.
+    """Whether each limb of each pose (M, L) counts as correct for PCP: 1 correct, 0 wrong, -1 not in the
+    truth.
 
     A limb is correct if the mean distance of its ends is at most ``alpha`` times its length
     [Belagiannis 2014].
@@ -99,9 +101,9 @@ class Detections:
     """All estimated people of all frames, for the average precision of Panoptic.
 
     Attributes:
-        scores: (N,) confidence. If the estimate has no scores, its order counts.
+        scores: (N,) confidence of each estimated person. If the estimate has no scores, its order counts.
         distances: (N,) mean joint distance to the nearest person of the truth. inf if there is none.
-        nearest: (N,) number of this person. Each person of each frame has another number.
+        nearest: (N,) number of this nearest person. Numbers are unique over all frames.
         total: Number of people in the truth of all frames.
     """
 
@@ -111,7 +113,8 @@ class Detections:
     total: int
 
     def _hits(self, threshold: float) -> NDArray[np.bool_]:
-        """For each detection, by falling score, whether it is the first within a threshold of its person."""
+        """Sort detections by falling score. Returns whether each is the first within the threshold for its
+        person."""
         order = np.argsort(-self.scores, kind="stable")
         near = self.distances[order] < threshold
         hits = np.zeros(len(order), dtype=bool)
@@ -121,12 +124,12 @@ class Detections:
         return hits
 
     def average_precision(self, threshold: float) -> float | None:
-        """AP at a distance in metres, as VoxelPose computes it on Panoptic [Tu 2020]; None if there are no
+        """Average precision (AP) for a distance threshold in metres, as in VoxelPose [Tu 2020]; None without
         people.
 
         Detections are sorted by score. A detection is correct if it is nearer to its person than the
-        threshold, and the first one for this person. AP is the area below the precision curve, after the
-        curve is made never to rise with recall.
+        threshold, and the first one for this person. AP is the area below the curve of precision over recall,
+        smoothed so that it never rises.
         """
         if not self.total:
             return None
@@ -167,6 +170,7 @@ def acceleration_errors(times: Array, truth: Array, estimate: Array) -> Array:
 
 
 def runs(times: NDArray[np.int64], most: float) -> Sequence[slice]:
-    """Divide increasing times into parts without a gap of more than ``most`` nanoseconds."""
+    """Divide increasing times into runs without a gap of more than ``most`` nanoseconds. Returns their
+    slices."""
     breaks = [0, *(np.flatnonzero(np.diff(times) > most) + 1).tolist(), len(times)]
     return [slice(a, b) for a, b in pairwise(breaks) if b > a]

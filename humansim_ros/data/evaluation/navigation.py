@@ -16,9 +16,9 @@ from humansim_ros.data.evaluation.nearby import PeopleNearby
 from humansim_ros.errors import EvaluationError, some_of, warn_about
 from humansim_ros.types import Array
 
-#: Outer radii of the spaces around a person, metres [Hall 1966]. Public space lies beyond.
+#: Outer radii of the spaces around a person, metres [Hall 1966]. The public space is outside of these.
 SPACES = {"intimate": 0.45, "personal": 1.2, "social": 3.6}
-#: Smallest distance of a robot that does not disturb a person, metres [Francis 2025].
+#: A robot that keeps at least this distance does not disturb a person, metres [Francis 2025].
 COMPLIANCE = 0.5
 #: Radius of an unknown robot, and of a person for the time to collision, metres.
 DEFAULT_RADIUS, PERSON_RADIUS = 0.3, 0.3
@@ -26,8 +26,8 @@ DEFAULT_RADIUS, PERSON_RADIUS = 0.3, 0.3
 
 @dataclass(frozen=True)
 class Gap:
-    """Frames of the truth without a pose of the robot: first and last stamp in nanoseconds, and their
-    number."""
+    """A run of frames of the truth without a pose of the robot: first and last stamp (nanoseconds), and
+    number of frames."""
 
     start: int
     end: int
@@ -54,8 +54,8 @@ class NavigationFrames:
 
 @dataclass(frozen=True)
 class DrivenPath:
-    """The driven path: seconds, metres, mean speed in m/s, and turning beyond what the path needs, rad/m
-    (None if standing)."""
+    """The driven path: duration (s), length (m), mean speed (m/s), and turning beyond what the path needs
+    (rad/m, None for a robot that stands)."""
 
     seconds: float
     length: float
@@ -74,8 +74,8 @@ class Closeness:
             contact. None if bodies are not known.
         collisions: Number of times that a contact begins. None if bodies are not known.
         contact: Seconds in contact. None if bodies are not known.
-        time_to_collision: Smallest time to a collision if both kept their velocity, seconds. None if they
-            would never collide.
+        time_to_collision: Smallest time to a collision if robot and person kept their velocities, seconds.
+            None if they would never collide.
         spaces: Seconds in the intimate, personal, social and public space.
         compliance: Share of the time with a distance above 0.5 m.
     """
@@ -92,8 +92,8 @@ class Closeness:
 
 @dataclass(frozen=True)
 class NavigationEvaluation:
-    """Result: the path, and how close the robot came to the nearest person and to each person. ``radius``:
-    radius of the robot's disc, metres."""
+    """Result: the path of the robot, and how close the robot came to the nearest person and to each person.
+    ``radius``: radius of the robot's disc, metres."""
 
     truth: str
     estimate: str
@@ -108,7 +108,7 @@ def evaluate_navigation(nearby: PeopleNearby, source: str, radius: float) -> Nav
     """Compute all metrics.
 
     Args:
-        nearby: People and places of the robot.
+        nearby: People, and places of the robot, in the frames of the truth.
         source: Where the path comes from, for messages.
         radius: Radius of the robot, metres.
 
@@ -153,7 +153,7 @@ def _gaps(times: NDArray[np.int64], known: NDArray[np.bool_]) -> list[Gap]:
 
 
 def _seconds(times: NDArray[np.int64], known: NDArray[np.bool_]) -> Array:
-    """Seconds (F,) that each frame stands for: half of the time to its neighbouring known frames."""
+    """Seconds (F,) that each known frame stands for: half of the time to the known frame before and after."""
     steps = np.where(known[1:] & known[:-1], np.diff(times) * 1e-9, 0.0)
     return np.asarray((np.append(steps, 0.0) + np.append(0.0, steps)) / 2)
 
@@ -191,7 +191,7 @@ def _closeness(nearby: PeopleNearby, name: str, radius: float, weights: Array) -
 
 
 def _nearest(nearby: PeopleNearby, each: Mapping[str, Closeness], weights: Array) -> Closeness:
-    """Closeness to whoever is nearest in each frame. Collisions and contacts are those with all people."""
+    """Closeness to the person who is nearest in each frame. Collisions and contacts with all people count."""
     found = [closeness for closeness in each.values() if closeness.distance is not None]
     tables = [np.linalg.norm(nearby.places[:, :2] - place, axis=1) for place in nearby.people.values()]
     distances = np.fmin.reduce([*tables, np.full(len(weights), np.nan)])
@@ -211,7 +211,8 @@ def _nearest(nearby: PeopleNearby, each: Mapping[str, Closeness], weights: Array
 
 
 def _times_in_spaces(distances: Array, weights: Array) -> dict[str, float]:
-    """Seconds in each space. A frame without the person counts for no space."""
+    """Time that the robot is in each space around a person, seconds. Frames without the person do not
+    count."""
     numbers = np.searchsorted(list(SPACES.values()), distances, side="right")
     seen = np.isfinite(distances)
     return {

@@ -21,7 +21,7 @@ from humansim_ros.scene.core import HIPS, Scene, SceneStates
 from humansim_ros.scene.features import ROBOT
 from humansim_ros.types import Array
 
-#: Between two poses that are farther apart in time than this (nanoseconds), the place of a robot is unknown.
+#: If more time than this (nanoseconds) is between two poses of a robot, its place in between is unknown.
 MAX_GAP = 500_000_000
 _VERTICES = "/humans/*/vertices"
 _CLOUD = "sensor_msgs/msg/PointCloud2"
@@ -30,7 +30,7 @@ _CLOUD = "sensor_msgs/msg/PointCloud2"
 @dataclass(frozen=True, repr=False)
 class RobotPath:
     """Path of a robot. ``times``: (P,) int64 nanoseconds, increasing. ``places``: (P, 3) x, y and yaw in
-    ``map``. The yaw does not jump by a whole turn."""
+    ``map``. The yaw is continuous: it does not jump by 360°."""
 
     times: NDArray[np.int64]
     places: Array
@@ -38,14 +38,15 @@ class RobotPath:
 
     @classmethod
     def of(cls, times: NDArray[np.int64], matrices: Array, source: str) -> RobotPath:
-        """Path from poses (P, 4, 4) in ``map``. If several poses have one stamp, the last one counts."""
+        """Make a path from poses (P, 4, 4) in ``map``. If several poses have the same stamp, the last one
+        counts."""
         last = np.append(np.diff(times) > 0, True)
         yaw = np.unwrap(np.arctan2(matrices[last, 1, 0], matrices[last, 0, 0]))
         return cls(times[last], np.column_stack([matrices[last, :2, 3], yaw]), source)
 
     def at(self, times: NDArray[np.int64]) -> Array:
-        """Places (F, 3) at some times, interpolated between poses. NaN where the poses around are too far
-        apart."""
+        """Places (F, 3) at ``times``, interpolated between two poses. NaN where these poses are too far apart
+        in time."""
         after = np.clip(np.searchsorted(self.times, times), 1, max(len(self.times) - 1, 1))
         after = np.minimum(after, len(self.times) - 1)
         before = np.maximum(after - 1, 0)
@@ -67,8 +68,8 @@ class PeopleNearby:
         times: (F,) int64 stamps, nanoseconds, increasing.
         places: Places of the robot (F, 3): x, y, yaw. NaN where unknown.
         people: By person: middle of the hips on the floor (F, 2). NaN in frames without the person.
-        nearest: By person with a known body: distance (F,) on the floor from the middle of the robot to the
-            nearest vertex that is not above the robot. None if the bag has no bodies.
+        nearest: For each person with a known body: distance (F,) on the floor from the middle of the robot to
+            the nearest body vertex that is not above the robot. None if the bag has no bodies.
         source: Where the people come from, for messages.
     """
 
@@ -90,10 +91,10 @@ def robot_size(scene: Scene) -> tuple[float, float] | None:
 
 
 def scene_nearby(scene: Scene, path: RobotPath) -> PeopleNearby:
-    """People of a scene in those frames in which a robot drives. Nothing is rendered.
+    """Compute the people of a scene for the time in which a robot drives. Nothing is rendered.
 
     Raises:
-        EvaluationError: The scene has no people or one that is moved live, or it has no frame in this time.
+        EvaluationError: The scene has no people, a live human, or no frame in this time.
     """
     check_motions(scene)
     size = robot_size(scene)
@@ -120,7 +121,7 @@ def scene_nearby(scene: Scene, path: RobotPath) -> PeopleNearby:
 
 
 def bag_nearby(bag: Path, path: RobotPath) -> PeopleNearby:
-    """People of a bag while a robot drives. Their bodies are included if the bag has their vertices.
+    """Read the people of a bag for the time in which a robot drives; with bodies, if the bag has vertices.
 
     Raises:
         EvaluationError: The bag has no people, or a message cannot be read.
@@ -144,8 +145,8 @@ def bag_nearby(bag: Path, path: RobotPath) -> PeopleNearby:
 def _bag_bodies(
     bag: Path, times: NDArray[np.int64], places: Array, people: Sequence[str]
 ) -> dict[str, Array] | None:
-    """By person with a topic of vertices: distances (F,) of the nearest vertex, inf for no message. None for
-    no topics."""
+    """For each person with a topic of vertices: distances (F,) of the nearest vertex, inf for frames without
+    a message. None if there are no such topics."""
     rows = {time: row for row, time in enumerate(times.tolist())}
     pattern = topic_pattern(_VERTICES)
     nearest: dict[str, Array] = defaultdict(lambda: np.full(len(times), np.inf))
@@ -172,7 +173,7 @@ def _ground(names: Sequence[str], positions: Array) -> Array:
 
 
 def _nearest_vertex(vertices: NDArray[np.floating], place: Array, height: float) -> float:
-    """Distance on the floor from a place to the nearest vertex (V, 3) below a height. inf if there is
-    none."""
+    """Distance on the floor from a place to the nearest vertex below ``height``. inf without such a
+    vertex."""
     own = vertices[vertices[:, 2] <= height]
     return float(np.hypot(*(own[:, :2] - place[:2]).T).min()) if len(own) else np.inf

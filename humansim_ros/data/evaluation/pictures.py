@@ -1,4 +1,4 @@
-"""Truth and estimate, drawn over images for reports."""
+"""Draw truth and estimate over images, for reports."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ from humansim_ros.types import Array, Image
 TRUTH_COLOR, ESTIMATE_COLOR = (0, 114, 178), (213, 94, 0)
 #: Longest side of a drawn image in pixels. Ten such images have at most about 1 MB.
 SIDE = 480
-#: Margin around a person, as a share of the size of the person; and smallest side of a section in pixels.
+#: Margin of a cut-out around a person, as a share of the person's size; and smallest side of a cut-out,
+#: pixels.
 _MARGIN, _LEAST = 0.35, 48
 _WHITE = (255, 255, 255)
 #: Fractional bits of coordinates for drawing.
@@ -40,7 +41,7 @@ class Pictures(Protocol):
 
 
 class ScenePictures:
-    """Images of a scene. Each is rendered when it is needed."""
+    """Images of a scene, rendered on demand."""
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
@@ -75,14 +76,14 @@ class ScenePictures:
 
 @dataclass(frozen=True)
 class Shape:
-    """Things that are drawn in one colour.
+    """Points, lines, a box and a mask that are drawn in one colour.
 
     Attributes:
         color: RGB.
         points: (K, 2) pixels; NaN where a point is absent.
         edges: Pairs of points to connect.
-        box: (4,) x, y, width, height from the corner of the image, or None.
-        mask: (H, W) pixels, or None. Their outline is drawn.
+        box: (4,) x, y of the upper left corner, width, height, pixels; or None.
+        mask: (H, W) mask with the size of the image, or None. Only the outline is drawn.
     """
 
     color: tuple[int, int, int]
@@ -103,9 +104,9 @@ class Shape:
 
 
 def draw_over(image: Image, shapes: Sequence[Shape]) -> NDArray[np.uint8]:
-    """Section of an image around some shapes, with the shapes drawn over it, (H, W, 3) RGB.
+    """Draw shapes over an image. Returns a cut-out around the shapes, (H, W, 3) RGB.
 
-    The section contains all shapes, as far as they are within the image.
+    The cut-out contains all shapes, as far as they are within the image.
 
     Args:
         image: (H, W, 3) RGB or (H, W) grey.
@@ -135,8 +136,7 @@ def draw_over(image: Image, shapes: Sequence[Shape]) -> NDArray[np.uint8]:
 
 
 def _section(points: Array, width: int, height: int) -> tuple[int, int, int, int]:
-    """Left, top, right and bottom of the section that shows some points. If there are none, the whole
-    image."""
+    """Left, top, right and bottom of the cut-out that shows some points. Without points, the whole image."""
     if not len(points):
         return 0, 0, width, height
     low, high = points.min(axis=0), points.max(axis=0)

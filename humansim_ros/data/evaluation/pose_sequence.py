@@ -1,4 +1,4 @@
-"""Sequences of 3D poses of people, for truth and estimate; and how their messages arrived."""
+"""Sequences of 3D poses of people (truth or estimate), and the times at which their messages arrived."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ People = Mapping[str, Array]
 
 @dataclass(frozen=True)
 class Arrivals:
-    """How the messages of a sequence arrived.
+    """Times and counts of the messages of a sequence.
 
     Attributes:
-        times: (F,) int64 nanoseconds when the last message of each frame arrived, by any clock.
-        latencies: (L,) seconds from the stamp to the last message of a frame, as far as known.
+        times: (F,) int64 arrival time of the last message of each frame, nanoseconds of any clock.
+        latencies: (L,) seconds from the stamp of a frame to its last message, for frames where this is known.
         messages: Number of messages with a stamp, including repeated ones.
         duplicates: Number of messages that add no person to their frame.
         out_of_order: Number of messages that are older than the previous message of their topic.
@@ -42,11 +42,11 @@ class PoseSequence:
     Attributes:
         names: Names of the K joints.
         times: (F,) int64 nanoseconds, increasing.
-        people: By frame: joints (K, 3) by person, metres in ``map``; NaN where a joint is absent.
-        scores: By frame: confidence by person. None if the source has no confidence.
+        people: For each frame: joints (K, 3) by person, metres in ``map``; NaN where a joint is absent.
+        scores: For each frame: confidence by person. None if the source has no confidence.
         source: Where the poses come from, for messages.
         has_identities: Whether a name means the same person in all frames.
-        arrivals: How its messages arrived. None for files.
+        arrivals: Times and counts of the messages. None for files.
     """
 
     names: tuple[str, ...]
@@ -71,32 +71,33 @@ class PoseSequence:
         return sum(map(len, self.people))
 
     def checked(self) -> PoseSequence:
-        """Return the sequence. Raises EvaluationError if it has no people, since a truth must have some."""
+        """Return the sequence itself, if it can be a truth. Raises EvaluationError if the sequence has no
+        people."""
         if not any(self.people):
             raise EvaluationError("there are no poses in it", path=self.source)
         return self
 
     def with_joints(self, joints: Sequence[int], names: Sequence[str]) -> PoseSequence:
-        """The sequence with only some of its joints, under other names. People with none of them are left
-        out."""
+        """Copy of the sequence with only the joints of these indices, under new names. People without any of
+        these joints are left out."""
         index = list(joints)
         people = [{name: pose[index] for name, pose in frame.items()} for frame in self.people]
         people = [{name: pose for name, pose in frame.items() if _present(pose)} for frame in people]
         return replace(self, names=tuple(names), people=people)
 
     def mapped(self, matrix: Array) -> PoseSequence:
-        """The sequence with all positions multiplied by a matrix (3, 3)."""
+        """Copy of the sequence with all positions multiplied by a matrix (3, 3)."""
         people = [{name: pose @ matrix.T for name, pose in frame.items()} for frame in self.people]
         return replace(self, people=people)
 
     def since(self, time: int) -> PoseSequence:
-        """The frames from a time on, nanoseconds."""
+        """Copy of the sequence with only the frames from ``time`` (nanoseconds) on."""
         first = int(np.searchsorted(self.times, time))
         scores = None if self.scores is None else self.scores[first:]
         return replace(self, times=self.times[first:], people=self.people[first:], scores=scores)
 
     def delayed(self, nanoseconds: int) -> PoseSequence:
-        """The sequence with some nanoseconds added to all times."""
+        """Copy of the sequence with ``nanoseconds`` added to all times."""
         return replace(self, times=self.times + nanoseconds)
 
 
@@ -106,7 +107,7 @@ def _present(pose: Array) -> bool:
 
 @dataclass
 class SequenceBuilder:
-    """Collects poses in any order of time and joints. Readers of all formats use it.
+    """Builds a sequence from poses that come in any order of time and joints. All readers of files use it.
 
     Attributes:
         source: Where the poses come from, for messages.
@@ -187,7 +188,7 @@ class SequenceBuilder:
 
 @dataclass(frozen=True)
 class Latency:
-    """Seconds from the stamp of a frame to its estimate."""
+    """Statistics of the time from the stamp of a frame to the arrival of the estimate, seconds."""
 
     median: float
     p99: float
@@ -196,18 +197,18 @@ class Latency:
 
 @dataclass(frozen=True)
 class Timing:
-    """How messages arrive (docs/evaluation.md).
+    """How fast, how often and how completely messages arrive (docs/evaluation.md).
 
     Attributes:
-        latency: Latencies. None if unknown, as in recordings of lockstep.
-        rate: Frames per second, by times of arrival. None for fewer than two frames.
-        messages: Messages with a stamp, including repeated ones.
-        frames: Frames with an estimate, as number of different stamps.
-        duplicates: Messages that add no person to their frame.
-        out_of_order: Messages that are older than the previous message of their topic.
-        lost: Frames of the truth without an estimate, between the first and the last estimate.
-        lost_share: ``lost`` as a share of the frames of the truth in this time. None if there are none.
-        after: Frames of the truth after the last estimate. None if the truth is computed.
+        latency: Latency of the estimate. None if unknown, as in recordings of lockstep.
+        rate: Frames per second, from the times of arrival. None for fewer than two frames.
+        messages: Number of messages with a stamp, including repeated ones.
+        frames: Number of frames with an estimate (different stamps).
+        duplicates: Number of messages that add no person to their frame.
+        out_of_order: Number of messages that are older than the previous message of their topic.
+        lost: Number of frames of the truth without an estimate, between the first and the last estimate.
+        lost_share: ``lost`` as a share of the frames of the truth in this time. None without such frames.
+        after: Number of frames of the truth after the last estimate. None if the truth is computed.
     """
 
     latency: Latency | None
@@ -251,8 +252,8 @@ def _latency(values: Array) -> Latency | None:
 
 
 def _losses(truth: NDArray[np.int64], own: NDArray[np.int64]) -> tuple[int, int, int]:
-    """Numbers of frames of the truth. First the frames without an estimate within half a period, then all
-    frames between the first and the last estimate, then the frames after the last estimate."""
+    """Three counts of frames of the truth: frames from the first to the last estimate without an estimate
+    within half a period; all frames in this time; and frames after the last estimate."""
     if not len(truth):
         return 0, 0, 0
     half = float(np.median(np.diff(truth))) / 2 if len(truth) > 1 else 0.0

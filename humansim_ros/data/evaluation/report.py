@@ -18,18 +18,18 @@ from humansim_ros.data.evaluation.tracking import TrackingScores
 AnyEvaluation = Evaluation | ImageEvaluation | BoxEvaluation | NavigationEvaluation
 #: Version of the keys in JSON.
 JSON_VERSION = 1
-#: Words for the kinds of detections, and for their kind of similarity.
+#: Words for each kind of detection, and for its measure of similarity.
 TITLES = {"keypoints": ("keypoints", "OKS"), "boxes": ("boxes", "IoU"), "masks": ("masks", "IoU")}
 
 
 def to_data(evaluation: AnyEvaluation) -> dict[str, Any]:
-    """The result for JSON, without the poses. Keys are the attributes of its class."""
+    """Convert a result for JSON, without the poses. The keys are the attributes of the class."""
     data = {field.name: getattr(evaluation, field.name) for field in fields(evaluation) if field.repr}
     return {"version": JSON_VERSION, **{name: _plain(value) for name, value in data.items()}}
 
 
 def _plain(value: Any) -> Any:
-    """A result as mappings, lists and numbers."""
+    """Convert a result to mappings, lists and numbers."""
     if isinstance(value, dict):
         return {name: _plain(each) for name, each in value.items()}
     if isinstance(value, list):
@@ -53,7 +53,7 @@ def seconds(value: float | None) -> str:
 
 
 def thousand(value: float) -> str:
-    """A thousand times a number, with one decimal. A small negative number becomes 0.0, too."""
+    """A number times 1000 as text with one decimal. Never ``-0.0``: this becomes ``0.0``."""
     return f"{round(value * 1000, 1) + 0.0:.1f}"
 
 

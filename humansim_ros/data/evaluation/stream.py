@@ -1,4 +1,4 @@
-"""Messages of an estimate in the order of their arrival, from a bag or from a live graph."""
+"""Collect the messages of an estimate as they arrive, from a bag or from a live ROS graph."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from humansim_ros.data.messages.frames import Frames
 from humansim_ros.data.messages.people import MAX_PEOPLE, Pose, PoseFrame
 from humansim_ros.errors import EvaluationError, printable
 
-#: Most different joint names of an estimate, and most characters of a name, since they come from other
-#: programs.
+#: Most different joint names of an estimate, and most characters of a name. Limits, since other programs send
+#: them.
 MAX_JOINTS, MAX_NAME = 1024, 256
 
 
 class _Part(NamedTuple):
-    """People with one stamp on one topic. Also the arrival of the last message in nanoseconds, and its
-    latency in seconds."""
+    """People with the same stamp on one topic; with arrival (nanoseconds) and latency (seconds) of the last
+    message."""
 
     people: Mapping[str, Pose]
     arrival: int
@@ -33,15 +33,15 @@ class _Part(NamedTuple):
 
 
 class EstimateStream:
-    """Estimate of a tracker, message by message.
+    """Collects the estimate of a tracker message by message, and makes a sequence of it.
 
-    Several messages with one stamp are one frame. If a person comes twice, its first pose counts.
+    Messages with the same stamp make up one frame. If a frame gets a person twice, the first pose counts.
 
     Args:
         source: Where the messages come from, for errors.
-        max_points: Most joint positions that are kept. The oldest frames are forgotten first. If None, all
-            are kept.
-        max_frames: Most frames that are kept. If None, all are kept.
+        max_points: Most joint positions that are stored. The oldest frames are forgotten first. If None, no
+            limit.
+        max_frames: Most frames that are stored. If None, no limit.
     """
 
     def __init__(self, source: str, max_points: int | None = None, max_frames: int | None = None) -> None:
@@ -64,12 +64,12 @@ class EstimateStream:
 
     @property
     def first(self) -> int:
-        """Smallest stamp of all frames that are kept, in nanoseconds; -1 before the first message."""
+        """Smallest stamp of all frames that are not forgotten, nanoseconds; -1 before the first message."""
         return min(self._frames.stamps(), default=-1)
 
     @property
     def newest(self) -> int:
-        """Newest stamp in nanoseconds; -1 before the first message."""
+        """Largest stamp of all frames, nanoseconds; -1 before the first message."""
         return max(self._newest.values(), default=-1)
 
     def add(
@@ -132,12 +132,12 @@ class EstimateStream:
     def _new_name(
         self, known: Mapping[str, Pose], pose: Pose, topic_person: str | None, alone: bool
     ) -> str | None:
-        """Name of a person in a frame; None if the frame has the person already.
+        """Choose the name of a person who is added to a frame; None if the frame has the person already.
 
         Args:
-            known: People of the frame.
-            pose: The person.
-            topic_person: Name that the topic gives to the person.
+            known: People that the frame has already, by name.
+            pose: The person to add.
+            topic_person: Name that the topic gives to the person, or None.
             alone: Whether the message has no other person.
         """
         name = pose.person
@@ -184,5 +184,5 @@ def _is_same(one: Pose, other: Pose) -> bool:
 
 
 def _people_of(parts: Mapping[str, _Part]) -> dict[str, Pose]:
-    """People of a stamp on all topics, by name."""
+    """People with one stamp, from all topics, by name. ``parts``: people by topic."""
     return {name: pose for part in parts.values() for name, pose in part.people.items()}

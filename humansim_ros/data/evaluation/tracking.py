@@ -14,18 +14,20 @@ from scipy.optimize import linear_sum_assignment
 
 from humansim_ros.types import Array, Indices
 
-#: Localisation thresholds of HOTA.
+#: Thresholds of similarity over which HOTA takes the mean.
 ALPHAS: Array = np.arange(0.05, 0.99, 0.05)
 _EPSILON = float(np.finfo(float).eps)
 #: A pair with at least this similarity can be a match for MOTA and IDF1.
 _MATCH = 0.5
-#: A corner on a side may lie outside by this distance because of rounding, metres.
+#: Because of rounding, a corner of a rectangle counts as inside another one up to this distance outside,
+#: metres.
 _TOLERANCE = 1e-12
 
 
 @dataclass(frozen=True)
 class TrackedFrame:
-    """Identities (T,) of the truth and (E,) of the estimate in a frame; similarities (T, E), 0 to 1."""
+    """One frame: identities (T,) of the truth and (E,) of the estimate, and similarity (T, E) of each pair, 0
+    to 1."""
 
     truth: Indices
     estimate: Indices
@@ -44,8 +46,8 @@ class TrackingScores:
         mota: Multiple object tracking accuracy [Bernardin 2008].
         motp: Mean similarity of the matches of MOTA.
         idf1: F1 score of identities [Ristani 2016].
-        switches: Number of changes of the identity of a person.
-        fragments: Interruptions of the tracks of people.
+        switches: Number of times that a true person gets another identity in the estimate.
+        fragments: Number of interruptions in the tracks of true people.
     """
 
     hota: float
@@ -66,8 +68,8 @@ def similarity(distances: Array, gate: float) -> Array:
 
 
 def box_overlap(truth: Array, estimate: Array) -> Array:
-    """3D IoU (T, E) of upright boxes (T, 7) and (E, 7). A box is its centre x, y, z, its sizes along its own
-    axes (metres), and the yaw of its x axis (radians)."""
+    """3D IoU (T, E) of upright boxes (T, 7) and (E, 7). A box is given by its centre x, y, z and its sizes
+    along its own axes (metres), and the yaw of its x axis (radians)."""
     a, b = truth[:, None, :], estimate[None, :, :]
     low = np.maximum(a[..., 2] - a[..., 5] / 2, b[..., 2] - b[..., 5] / 2)
     high = np.minimum(a[..., 2] + a[..., 5] / 2, b[..., 2] + b[..., 5] / 2)
@@ -81,8 +83,8 @@ def box_overlap(truth: Array, estimate: Array) -> Array:
 
 
 def _common_area(a: Array, b: Array) -> Array:
-    """Area (N,) that the rectangles of two boxes (N, 7) have in common on the floor. The corners of this area
-    are the corners of each rectangle inside the other one, and the points where their sides cross."""
+    """Area (N,) on the floor that the rectangles of boxes ``a`` and ``b`` (N, 7) have in common. This area
+    has its corners at corners of one rectangle inside the other, and where sides of both cross."""
     half = a[:, None, 3:5] / 2
     other = _corners(b[:, :2] - a[:, :2], b[:, 3:5], b[:, 6], -a[:, 6])  # in the frame of a
     own = _corners(np.zeros((len(a), 2)), a[:, 3:5], np.zeros(len(a)), np.zeros(len(a)))
@@ -121,10 +123,10 @@ def _corners(offset: Array, sizes: Array, yaw: Array, turn: Array) -> Array:
     """Corners (N, 4, 2) of rectangles.
 
     Args:
-        offset: (N, 2) of the centres of the rectangles.
-        sizes: (N, 2) along their axes.
-        yaw: (N,) of their x axes, radians.
-        turn: (N,) rotation of the result about the origin, radians.
+        offset: (N, 2) centres of the rectangles.
+        sizes: (N, 2) lengths of the sides along their own axes.
+        yaw: (N,) direction of their x axes, radians.
+        turn: (N,) angle by which the corners are then turned about the origin, radians.
     """
     own = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * sizes[:, None] / 2
     return _turned(own, yaw + turn) + _turned(offset[:, None], turn)

@@ -22,30 +22,30 @@ from humansim_ros.scene.config import FIRST_STAMP, LIVE, frame_at
 from humansim_ros.scene.core import Scene
 from humansim_ros.types import Array, Indices
 
-#: Most frames of a scene for which truth is computed: nine hours at 30 Hz.
+#: Most frames for which the truth of a scene is computed: nine hours at 30 Hz.
 MAX_TRUTH_FRAMES = 1_000_000
-#: From this frame on, stamps come from a wall clock.
+#: A stamp that would be of this frame or a later one must come from a wall clock.
 WALL_CLOCK_FRAME = 100 * MAX_TRUTH_FRAMES
-#: Number of frames that are computed at once.
+#: Number of frames that are computed in one array.
 _BLOCK = 1000
 
 
 class SceneTruth:
-    """Ground truth of a scene. ``period``: nanoseconds between frames. ``start``: stamp of the first
-    frame."""
+    """Ground truth that is computed from a scene. ``period``: nanoseconds between frames. ``start``: stamp of
+    the first frame."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
         self.period, self.start = scene.frame_time(1), FIRST_STAMP
 
     def poses(self, span: tuple[int, int], around: float, keypoints: KeypointSet | None) -> PoseSequence:
-        """Joints or keypoints in a span of stamps (nanoseconds), and ``around`` seconds before and after
-        it."""
+        """Joints (keypoints, if a set is given) from stamp ``span[0]`` to ``span[1]`` (nanoseconds), and
+        ``around`` seconds before and after."""
         return scene_truth(self.scene, span, around, keypoints)
 
 
 class RecordedTruth:
-    """Ground truth of a bag. The bag is read as a whole. ``period`` and ``start``: see
+    """Ground truth that is read from a bag, all at once. ``period`` and ``start``: see
     :class:`SceneTruth`."""
 
     def __init__(self, path: Path) -> None:
@@ -53,7 +53,7 @@ class RecordedTruth:
         self.period, self.start = self.joints.period, int(self.joints.times[0])
 
     def poses(self, span: tuple[int, int], around: float, keypoints: KeypointSet | None) -> PoseSequence:
-        """All joints or keypoints."""
+        """Joints or keypoints in all frames of the bag. ``span`` and ``around`` are ignored."""
         return self.joints if keypoints is None else bag_truth(self.path, keypoints)
 
 
@@ -82,8 +82,8 @@ def scene_truth(
         keypoints: Set of keypoints in place of the joints.
 
     Raises:
-        EvaluationError: The scene has no people or one that is moved live, or the times are too late for a
-            scene (those of a wall clock).
+        EvaluationError: The scene has no people or a live human (moved by another node), or the times are too
+            late for a scene, such as those of a wall clock.
     """
     first, last = frames_of(scene, span, around)
     times = np.array([scene.frame_time(index) for index in range(first, last + 1)], np.int64)
@@ -91,7 +91,7 @@ def scene_truth(
 
 
 def check_motions(scene: Scene) -> None:
-    """Raise EvaluationError if a scene has no people, or one that is moved live."""
+    """Raise EvaluationError if a scene has no people, or a live human (moved by another node)."""
     live = [name for name, actor in scene.actors.items() if actor.motion.motion.path == LIVE]
     if live or not scene.actors:
         reason = f"{live[0]} is moved live" if live else "there are no people in it"
@@ -113,7 +113,7 @@ def truth_at(
         keypoints: Set of keypoints in place of the joints.
 
     Raises:
-        EvaluationError: The scene has no people, or one that is moved live.
+        EvaluationError: The scene has no people, or a live human.
     """
     check_motions(scene)
     if keypoints is None:
@@ -132,7 +132,8 @@ def truth_at(
 
 
 def frames_of(scene: Scene, span: tuple[int, int], around: float) -> tuple[int, int]:
-    """First and last frame of a scene that a span of stamps needs. Both are within the scene."""
+    """First and last frame of a scene for a span of stamps, with ``around`` seconds before and after. Frames
+    outside the scene are left out."""
     margin = 0.5 + around * scene.config.rate
     first, last = ((time - FIRST_STAMP) * 1e-9 * scene.config.rate for time in span)
     first, last = max(0, int(first - margin)), max(1, int(last + margin))
@@ -154,7 +155,7 @@ def _paths(scene: Scene, name: str, times: NDArray[np.int64]) -> Iterator[Array]
 
 
 def _keypoint_path(scene: Scene, name: str, times: NDArray[np.int64], keypoints: KeypointSet) -> Array:
-    """Keypoints (F, K, 3) of a human. Bodies are skinned only for points of the skin."""
+    """Keypoints (F, K, 3) of a human. The body is skinned only if some keypoints are on the skin."""
     actor = scene.actors[name]
     locator = KeypointLocator.of(actor.human, keypoints)
     if locator.on_surface.any():
@@ -185,8 +186,8 @@ def bag_truth(path: str | os.PathLike[str], keypoints: KeypointSet | None = None
 
 
 def with_camera_counts(evaluation: Evaluation, scene: Scene) -> Evaluation:
-    """The result, with errors by number of cameras that have a joint in their image. Nothing is rendered, so
-    that an occluded joint in the image counts, too."""
+    """Add the errors by number of cameras that have a joint in their image. Returns a copy of the result.
+    Nothing is rendered, so occluded joints count, too."""
     if not len(evaluation.matches.stamp):  # nobody is matched
         return evaluation
     counts = camera_counts(scene, evaluation.matches.stamp, evaluation.matches.truth)
@@ -201,7 +202,7 @@ def with_camera_counts(evaluation: Evaluation, scene: Scene) -> Evaluation:
 
 def camera_counts(scene: Scene, stamps: Indices, joints: Array) -> Indices:
     """Number of cameras (M, C) that have each joint in their image. ``stamps``: (M,) nanoseconds. ``joints``:
-    (M, C, 3) in ``map``, metres. NaN is in no image."""
+    (M, C, 3) in ``map``, metres. A joint that is NaN is in no image."""
     counts = np.zeros(joints.shape[:2], np.intp)
     frames = {stamp: frame_at(stamp - FIRST_STAMP, scene.config.rate) for stamp in np.unique(stamps).tolist()}
     for camera in scene.scene_cameras.values():

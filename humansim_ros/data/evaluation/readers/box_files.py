@@ -17,14 +17,14 @@ from humansim_ros.files.reading import decode_text, open_file
 #: Suffix of result files.
 SUFFIX = ".txt"
 _PERSON = 0
-#: Largest number of a scene, object or frame; and largest coordinate, metres.
+#: Largest number of a scene, object or frame that a file may have; and largest coordinate, metres.
 _MOST, _FARTHEST = 2**31 - 1, 1e6
 _WHOLE = 4  # columns with whole numbers
 _SIZES = slice(3, 6)  # sizes among the other columns
 
 
 def is_box_file(text: str) -> bool:
-    """Whether an estimate is a result file. Other files with this suffix are detections in images."""
+    """Whether an estimate is a result file with 3D boxes. Other ``.txt`` files have detections in images."""
     return Path(text).suffix.lower() == SUFFIX and ":/" not in text and not Path(text).is_dir()
 
 

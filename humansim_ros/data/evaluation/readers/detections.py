@@ -45,17 +45,18 @@ from humansim_ros.files.reading import (
 from humansim_ros.people.keypoints import COUNTED_SETS, KeypointSet
 from humansim_ros.scene.config import FIRST_STAMP, frame_at
 
-#: Most files that are read to find the kind of a folder.
+#: Most files of a folder that are read to find out which kind of files they are.
 _LOOKED_AT = 200
-#: The kind of a file is found from this number of bytes at its start.
+#: Number of bytes at the start of a file that are read to find out its kind.
 _BEGINNING = 4096
-#: Longest outline of a polygon in pixels, since pycocotools makes five points for each pixel of it.
+#: Longest outline of a polygon, pixels. It limits memory, since pycocotools makes five points per pixel of
+#: outline.
 _MAX_OUTLINE = 1_000_000
 _Record = dict[str, Any]
 
 
 def is_of_images(text: str) -> bool:
-    """Whether an estimate is detections in images, not 3D poses or boxes.
+    """Whether an estimate consists of detections in images (not of 3D poses or 3D boxes).
 
     Raises EvaluationError if a file cannot be read.
     """
@@ -108,9 +109,10 @@ def _is_2d_file(path: Path) -> bool | None:
 def read_image_estimates(
     texts: Sequence[str], images: ImageNumbers, keypoints: KeypointSet | None = None
 ) -> Detections2D:
-    """Read detections in images. Several files make one estimate, such as keypoints and masks.
+    """Read detections in images. Several files, such as one with keypoints and one with masks, are joined.
 
-    ``keypoints``: set of keypoints without names. If None, their number determines the set.
+    ``keypoints``: keypoint set for keypoints without names. If None, the number of keypoints determines the
+    set.
 
     Raises:
         EvaluationError: A file is missing, damaged or of another kind, it names images that the truth lacks,
@@ -196,7 +198,7 @@ def _read(text: str, images: ImageNumbers, keypoints: KeypointSet | None) -> Det
 def read_image_files(path: Path, images: ImageNumbers, given: KeypointSet | None) -> Detections2D:
     """Read a file of one of :data:`LAYOUTS`, or a folder of them.
 
-    ``given``: set for keypoints without names, if their number fits.
+    ``given``: keypoint set for keypoints without names, used if it has as many keypoints.
 
     Raises EvaluationError, which names the key or line, if a file is damaged or names an image that the truth
     lacks.
@@ -253,7 +255,7 @@ def read_image_files(path: Path, images: ImageNumbers, given: KeypointSet | None
 def _checked(
     row: Any, file: ImageFile, keypoints: KeypointSet | None, given: KeypointSet | None
 ) -> tuple[_Record, KeypointSet | None]:
-    """Check a result. Returns the result, and the set of its keypoints. Raises EvaluationError."""
+    """Check one detection. Returns it in the form of COCO, and its keypoint set. Raises EvaluationError."""
     if not isinstance(row, dict):
         raise EvaluationError("a detection must be a mapping")
     images, key = file.images, "".join(f"{each}." for each in [file.where.get("key")] if each)
@@ -285,8 +287,8 @@ def _checked(
 
 
 def _set_of(row: _Record, known: KeypointSet | None, *likely: KeypointSet | None) -> KeypointSet:
-    """Set of the keypoints of a detection: by their names, or that of other detections, or by their
-    number."""
+    """Keypoint set of a detection: from the names of its keypoints; or else ``known``, the set of other
+    detections; or else from the number of keypoints, first among ``likely``."""
     if row.get("names"):
         return set_with_names(row["names"])
     count = len(row["keypoints"]) // 3 if isinstance(row["keypoints"], list) else 0
@@ -307,7 +309,8 @@ def _numbers(values: Any, count: int, key: str) -> list[float]:
 
 
 def _mask(value: Any, size: tuple[int, int], key: str) -> _Record:
-    """Compressed RLE from polygons or RLE. The size is checked, since pycocotools does not check it."""
+    """Convert a mask (polygons or RLE) to compressed RLE. Checks the size, which pycocotools does not
+    check."""
     from pycocotools.mask import frPyObjects, merge
 
     width, height = size
@@ -340,7 +343,7 @@ def _mask(value: Any, size: tuple[int, int], key: str) -> _Record:
 
 
 def _run_lengths(text: str) -> list[int]:
-    """Run lengths of compressed RLE. Raises ValueError for a text that is not valid."""
+    """Decode compressed RLE to run lengths. Raises ValueError for a text that is not valid."""
     lengths: list[int] = []
     value = shift = 0
     for character in text:
@@ -361,8 +364,8 @@ def _run_lengths(text: str) -> list[int]:
 
 
 def read_label_images(path: Path, images: ImageNumbers) -> Detections2D:
-    """Read a folder of label images (PNG, 8 or 16 bit) for each camera. The label 0 is nobody. Raises
-    EvaluationError."""
+    """Read label images (PNG, 8 or 16 bit), with a folder for each camera. Pixels with label 0 show nobody.
+    Raises EvaluationError."""
     results: list[dict[str, Any]] = []
     numbers: list[int] = []
     for file in camera_files(path, [".png"], images):

@@ -1,4 +1,4 @@
-"""Read an estimate from any known format: files, and topics of bags."""
+"""Read estimated 3D poses from any known format: files, and topics of bags."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from humansim_ros.errors import EvaluationError, did_you_mean, located, printabl
 from humansim_ros.files.reading import missing_file
 
 _Reader = Callable[[Path, ReadOptions], PoseSequence]
-#: By suffix: the reader, and the axes that files of this format have.
+#: Reader, and usual axes of the files, by suffix.
 _READERS: dict[str, tuple[_Reader, str]] = {
     ".csv": (read_csv, "z-up"),
     ".trc": (read_trc, "y-up"),
@@ -44,7 +44,7 @@ _READERS: dict[str, tuple[_Reader, str]] = {
 }
 #: Suffixes of files in a folder with one file per person.
 _ONE_PERSON = (".csv", ".trc", ".c3d")
-#: Suffixes of files of estimates. Bags have others.
+#: Suffixes of files that can be estimates, apart from bags.
 ESTIMATE_SUFFIXES = tuple(_READERS)
 #: If stamp and log time differ by more than this (nanoseconds), they come from different clocks.
 _SAME_CLOCK = 3600 * 10**9
@@ -64,8 +64,8 @@ def split_topic(text: str) -> tuple[str, str | None]:
 
 
 def read_estimates(texts: Sequence[str], options: ReadOptions) -> PoseSequence:
-    """Read an estimate in ``map``, metres. It is ``BAG:TOPIC``, a file, a folder of files, or several of
-    these.
+    """Read an estimate, and convert it to metres in ``map``. Each text is ``BAG:TOPIC``, a file, or a folder
+    of files.
 
     Raises:
         EvaluationError: A file is missing, of an unknown kind, empty or damaged, or two files have the same
@@ -111,7 +111,7 @@ def _read_folder(path: Path, options: ReadOptions) -> PoseSequence:
 
 
 def in_map(sequence: PoseSequence, axes: str, options: ReadOptions) -> PoseSequence:
-    """Apply the scale and axes of ``options`` to a sequence. ``axes``: axes of its format."""
+    """Apply the scale and axes of ``options`` to a sequence. ``axes``: axes if the options have none."""
     matrix = options.scale * axes_matrix(options.axes or axes)
     return sequence if np.array_equal(matrix, np.eye(3)) else sequence.mapped(matrix)
 
@@ -129,7 +129,7 @@ def _merged(parts: Sequence[PoseSequence]) -> PoseSequence:
 
 
 def topic_pattern(topic: str) -> re.Pattern[str]:
-    """Pattern for topics. Each ``*`` stands for a part without ``/``, and becomes a group."""
+    """Regular expression for topic names. Each ``*`` stands for text without ``/``, and becomes a group."""
     return re.compile("([^/]+)".join(re.escape(part) for part in topic.split("*")))
 
 
@@ -143,8 +143,8 @@ def read_bag_topic(path: str | os.PathLike[str], topic: str, options: ReadOption
 
     ``*`` in the name of the topic stands for the name of a person, or any other part without ``/``. Several
     messages with one stamp on one topic are several people without names. Latencies are measured from stamp
-    to log time. They are unknown if time stood still while a frame was computed. If no message has a stamp,
-    since all are empty marker arrays, log times replace the stamps.
+    to log time; in lockstep they are unknown, since time stands still while a frame is computed. If no
+    message has a stamp, since all are empty marker arrays, log times replace the stamps.
 
     Raises:
         EvaluationError: No topic matches, or the topic has no message, a type without poses, or messages that
@@ -202,7 +202,8 @@ def deserialised_message(data: Any, topic: BagTopic) -> Any:
 
 
 def bag_transforms(path: str | os.PathLike[str], frames: Collection[str]) -> Transforms:
-    """Transforms of a bag that lead upwards from some frames: those of tf, and poses of cameras and scanners.
+    """Read the transforms of some frames, and of all their parent frames, from a bag: those of tf, and poses
+    of cameras and scanners.
 
     The bag is read twice, since it may have thousands of frames that are not needed, such as those of
     ROS4HRI.
@@ -229,7 +230,7 @@ def bag_transforms(path: str | os.PathLike[str], frames: Collection[str]) -> Tra
 
 
 def _for_transforms(path: str | os.PathLike[str], use: Callable[[bytes, BagTopic], None]) -> None:
-    """Call a function with each message of a bag that has transforms."""
+    """Call ``use`` with each serialised message of a bag that has transforms."""
     with BagReader(path) as reader:
         for message in reader.messages(
             [each.name for each in reader.topics if each.type in (TF, _EXTRINSICS)]
@@ -240,15 +241,15 @@ def _for_transforms(path: str | os.PathLike[str], use: Callable[[bytes, BagTopic
 
 
 def in_world(frame: PoseFrame, transforms: Transforms, is_needed: bool) -> PoseFrame:
-    """The people of a message in ``map``.
+    """Convert the people of a message to ``map``.
 
     Args:
-        frame: The message.
-        transforms: Transforms that are known.
-        is_needed: Whether a frame without transform is an error. If False, it is returned unchanged.
+        frame: People of the message.
+        transforms: Known transforms.
+        is_needed: Whether a missing transform is an error. If False, the people are then returned unchanged.
 
     Raises:
-        EvaluationError: The frame has no transform.
+        EvaluationError: No transform to ``map`` is known.
     """
     found = None if frame.stamp is None else transforms.pose(frame.frame_id, frame.stamp)
     if found is not None and found[1] == WORLD_FRAME:

@@ -21,21 +21,22 @@ from humansim_ros.motion.files import number
 from humansim_ros.people.keypoints import COUNTED_SETS, KeypointSet
 
 PERSON = 1
-#: Folders of a project, and where files of cameras are in them. The first place with files counts.
+#: Subfolders of an output folder of some programs in which the files of cameras are. The first one with files
+#: counts.
 _FOLDERS = (".", "pose", "instance", "labels", "predictions")
 _PATTERNS = ("*/*", "*/labels/*", "*/gt/*", "*/det/*", "*")
 #: Keys of people in 2D; and keys of people in 3D, which some programs leave empty in 2D.
 _KEYS_2D = ("pose_keypoints_2d", "joints", "keypoints")
 _KEYS_3D = ("pose_keypoints_3d", "keypoints3d", "joints19", "joints15")
-#: Coordinates of DeepLabCut.
+#: Names of the columns of each keypoint in files of DeepLabCut.
 _AXES = ("x", "y", "likelihood")
 _Record = dict[str, Any]
-#: Numbers of a text file, by line.
+#: Numbers in each line of a text file, by line number.
 _Rows = Mapping[int, list[float]]
 
 
 class ImageNumbers(Protocol):
-    """Images of a truth: cameras, numbers, sizes, rate, and keypoint set."""
+    """What readers must know about the images of a truth: cameras, numbers, sizes, rate, and keypoint set."""
 
     @property
     def cameras(self) -> Sequence[str]:
@@ -65,10 +66,10 @@ class ImageFile:
 
     Attributes:
         path, images, camera: The file, the images of the truth, and the camera in the path (or None).
-        digits: Frame in the name of the file, or empty. ``shift`` is added to it.
+        digits: Frame number in the name of the file, or empty. ``shift`` is added to the number.
         where: ``key`` or ``line`` that is being read, for messages.
         searched: Numbers of the images in the file.
-        is_sparse: Whether images without people are left out of the file. Then all images count as searched.
+        is_sparse: Whether the file may leave out images without people. Then all images count as searched.
     """
 
     def __init__(self, path: Path, images: ImageNumbers) -> None:
@@ -101,7 +102,8 @@ class ImageFile:
 
 
 def camera_in(text: str, images: ImageNumbers, default: bool = True) -> str | None:
-    """Last camera of the truth that a text names. If there is none, the only camera (``default``) or None."""
+    """Last camera name of the truth that occurs in a text. If none occurs: with ``default``, the name of the
+    only camera; otherwise None."""
     found = _camera_names(tuple(images.cameras)).findall(text)
     return found[-1] if found else images.cameras[0] if default and len(images.cameras) == 1 else None
 
@@ -119,9 +121,8 @@ def _digits(name: str, camera: str | None) -> str:
 
 
 def camera_files(path: Path, suffixes: Sequence[str], images: ImageNumbers) -> list[Path]:
-    """Files in a folder with the name of a camera in their own name or in that of their folder. Of several
-    suffixes, the first one that occurs counts, such as ``.json``. Raises EvaluationError if there is no
-    file."""
+    """Files with the name of a camera in the name of the file or of its folder. Only files with the first of
+    the suffixes that occurs are returned. Raises EvaluationError if there is no file."""
     for suffix, name in product(suffixes, _FOLDERS):
         root = path / name
         for pattern in _PATTERNS:
@@ -142,8 +143,8 @@ def camera_files(path: Path, suffixes: Sequence[str], images: ImageNumbers) -> l
 
 
 def _records(image: int, points: Any, box: Any, score: Any = None, size: Any = (1, 1)) -> Iterator[_Record]:
-    """Yield a result of COCO; nothing if it has neither points nor box. ``points``: (K, 2 or 3) x, y and
-    confidence. ``size``: pixels per unit."""
+    """Yield a detection as a COCO result; nothing without points and box. ``points``: (K, 2 or 3) x, y and,
+    if known, confidence. ``size``: pixels per unit in x and y."""
     row: _Record = {"image_id": image, "category_id": PERSON, "score": 1.0}
     if points is not None:
         given = np.array(points, float)
@@ -172,7 +173,8 @@ def is_2d(content: Any) -> bool | None:
 
 
 def _coco_rows(content: Any) -> Any:
-    """Results of COCO, or annotations of a data set; None for other JSON."""
+    """Rows of parsed JSON that is COCO: its results, or the annotations of a data set. None for other
+    JSON."""
     if isinstance(content, dict):
         return content.get("annotations")
     first = content[0] if isinstance(content, list) and content else {}
@@ -180,8 +182,8 @@ def _coco_rows(content: Any) -> Any:
 
 
 def _coco(content: Any, file: ImageFile) -> Iterator[Any]:
-    """Rows of COCO, unchanged. In a data set, images have names instead of numbers, and people the score
-    1."""
+    """Yield the rows of COCO. For a data set, numbers of images are replaced by names, and the score 1 is
+    added."""
     file.is_sparse = True
     rows = content.get("images", ()) if isinstance(content, dict) else ()
     names = {row["id"]: row["file_name"] for row in rows if "file_name" in row}
@@ -191,7 +193,7 @@ def _coco(content: Any, file: ImageFile) -> Iterator[Any]:
 
 
 def _images_of(content: Any, key: str = "") -> Iterator[tuple[str | int | None, list[Any], str]]:
-    """Images of parsed JSON: name or position, people, and key of the people."""
+    """Yield the images in parsed JSON: name or position of the image, people, and key of the people."""
     if isinstance(content, list) and content and "instances" in content[0]:  # frames of a video
         first = min(frame["frame_id"] for frame in content)  # all frames are listed, and counted from 0 or 1
         for place, frame in enumerate(content):
@@ -209,7 +211,7 @@ def _images_of(content: Any, key: str = "") -> Iterator[tuple[str | int | None, 
 
 
 def _json(content: Any, file: ImageFile) -> Iterator[_Record]:
-    """People of OpenPose, AlphaPose, MMPose, and of ``to_json`` of ultralytics."""
+    """Yield the people in JSON of OpenPose, AlphaPose, MMPose, and ``to_json`` of ultralytics."""
     info = content.get("meta_info", {}) if isinstance(content, dict) else {}
     names = tuple(
         name for _, name in sorted(info.get("keypoint_id2name", {}).items(), key=lambda row: int(row[0]))
@@ -255,8 +257,8 @@ def _ai_city(rows: _Rows, file: ImageFile) -> Iterator[_Record]:
 
 
 def _yolo(rows: _Rows, file: ImageFile) -> Iterator[_Record]:
-    """Rows of YOLO: class, box, keypoints with or without confidence, confidence and identity, if
-    requested."""
+    """Yield the detections of YOLO. A row has class, box, keypoints (maybe with confidence) and, if YOLO was
+    asked for them, confidence and identity."""
     number = file.number()
     for line, row in rows.items():
         file.where = {"line": line}
@@ -274,7 +276,7 @@ def _yolo(rows: _Rows, file: ImageFile) -> Iterator[_Record]:
 
 
 def _yolo_shape(row: Sequence[float], own: int = 0) -> tuple[int, int] | None:
-    """Number of keypoints, and of columns per keypoint; None for numbers of another program."""
+    """Number of keypoints in a row of YOLO, and columns per keypoint; None for a row of another program."""
     for count, width in ((count, width) for count in (0, own, *COUNTED_SETS) for width in (3, 2)):
         if 0 <= len(row) - 5 - width * count <= 2 and not max(row[1:5]) >= 2:
             return count, width
@@ -301,8 +303,9 @@ def _deeplabcut(rows: Sequence[Sequence[str]], file: ImageFile) -> Iterator[_Rec
 
 
 _Layout = tuple[str, Callable[[Any], Any], Callable[[Any, ImageFile], Iterator[Any]]]
-#: Layouts by suffix: name, test whether the layout fits, and reader. Content is parsed JSON, the cells of a
-#: CSV file, or numbers by line (then the first line is tested). The first layout that fits reads the file.
+#: Layouts by suffix: name, function that tests whether the layout fits, and reader. Both get parsed JSON, the
+#: cells of a CSV file, or numbers by line (the test gets the first line). The first layout that fits reads
+#: the file.
 LAYOUTS: Mapping[str, Sequence[_Layout]] = {
     ".json": (
         ("COCO", lambda content: _coco_rows(content) is not None, _coco),

@@ -30,12 +30,13 @@ _HELP = (
     "the first line must name the columns: time (seconds), stamp (nanoseconds) or frame; person, if there "
     "are several; then joint, x, y, z, or three columns of each joint, such as l_knee_x, l_knee_y, l_knee_z"
 )
-#: Columns of Anipose and FreeMoCap, with the names that they have here.
+#: Names of columns in files of Anipose and FreeMoCap, with the names that this module uses.
 _FOREIGN = {"fnum": "frame", "keypoint": "joint"}
-#: Columns of FreeMoCap: of times, where each row is a frame, and of contents, which select the rows of the
-#: body.
+#: Columns of FreeMoCap: those with times, in files where each row is a frame; and those that tell which rows
+#: belong to the body, with a pattern of their values.
 _TIMES, _BODY_ROWS = {"timestamp", "timestamp_by_camera"}, {"model": ".*body", "trajectory": "3d_xyz"}
-#: Points in arrays of FreeMoCap. The body comes first, then hands and face.
+#: Keypoint set of the body, and possible numbers of points in arrays of FreeMoCap: body first, then hands and
+#: face.
 _BODY, _FREEMOCAP = "mediapipe33", (33, 75, 543, 553)
 #: Metres per unit of Panoptic, and of FreeMoCap; and a spread of joints that no person has, metres.
 _CENTIMETRE, _MILLIMETRE, _GIANT = 0.01, 0.001, 20.0
@@ -52,7 +53,7 @@ _PANOPTIC["joints15"] = _PANOPTIC["joints19"][:15]
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """Facts that some formats do not state.
+    """Facts that the reader needs, but some formats lack.
 
     Attributes:
         names: Names of the points, in their order, for formats without names.
@@ -85,8 +86,8 @@ def nanoseconds(value: float, path: str | os.PathLike[str], line: int, key: str)
 
 
 def split_name(label: str, path: Path) -> tuple[str, str]:
-    """Person and joint of a label such as ``anna:l_knee``. A label without person belongs to the person of
-    the file's name."""
+    """Split a label such as ``anna:l_knee`` into person and joint. Without a person, the file name is the
+    person."""
     person, joint = label_parts(label)
     return person or path.stem, joint
 
@@ -153,8 +154,8 @@ def _read(rows: Any, path: Path, options: ReadOptions) -> PoseSequence:
 
 
 def _metres(sequence: PoseSequence, options: ReadOptions) -> PoseSequence:
-    """Convert poses of unknown unit to metres. Without a scale, the unit is millimetres if metres would make
-    giants."""
+    """Convert poses of unknown unit to metres. If no scale is given, the unit is metres or, if people would
+    then be larger than 20 m, millimetres."""
     size = body_size(pose for people in sequence.people for pose in people.values())
     return sequence.mapped(_MILLIMETRE * np.eye(3)) if options.scale == 1 and size > _GIANT else sequence
 
@@ -171,7 +172,7 @@ def _csv_time(text: str, clock: str, options: ReadOptions, path: Path, line: int
 
 
 def _joint_columns(header: Sequence[str]) -> dict[str, list[int]]:
-    """Columns of x, y, z by joint. Joints without all three are left out."""
+    """Indices of the columns with x, y, z, by joint. Joints without all three columns are left out."""
     found: dict[str, dict[str, int]] = {}
     for index, word in enumerate(header):
         if (match := _AXIS.fullmatch(word)) and word.lower() not in ("x", "y", "z"):
@@ -192,7 +193,7 @@ def read_trc(path: Path, options: ReadOptions) -> PoseSequence:
 
 
 def _of_markers(path: Path, file: MarkerFile, stamps: Sequence[int]) -> PoseSequence:
-    """Poses from the points of a file. ``stamps``: stamps of its frames."""
+    """Make poses from the markers of a TRC or C3D file. ``stamps``: stamp of each frame, nanoseconds."""
     markers = [split_name(label, path) for label in file.labels]
     people: dict[str, list[int]] = {}
     for index, (person, _) in enumerate(markers):
@@ -258,7 +259,7 @@ def read_npy(path: Path, options: ReadOptions) -> PoseSequence:
 
 
 def _names(count: int, path: Path, options: ReadOptions, key: str | None = None) -> tuple[str, ...]:
-    """Names of points: those of the options, or those of a set with as many points. Raises
+    """Names of ``count`` points: from the options, or from the keypoint set with as many points. Raises
     EvaluationError."""
     names = options.names or (COUNTED_SETS[count].names if count in COUNTED_SETS else ())
     if len(names) != count:
@@ -307,7 +308,7 @@ def _add_people(
     path: Path,
     options: ReadOptions,
 ) -> None:
-    """Add people of OpenPose or EasyMocap. ``field``: key of their points."""
+    """Add the people of one frame of OpenPose or EasyMocap. ``field``: key of the points of a person."""
     for person in people:
         points = person.get(field) if isinstance(person, dict) else None
         if not points:

@@ -31,10 +31,10 @@ from humansim_ros.types import Array
 
 #: Frame of the robot, if the scene has no robot.
 _BASE_FRAME = "base_link"
-#: Topic of the robot of a scene file.
+#: Topic in ``SCENE:TOPIC`` that stands for the robot of a scene file.
 _ODOMETRY = "/odom"
 _SCENE_SUFFIXES = (".yaml", ".yml")
-#: By message type: function that takes the pose of the robot from a message. tf has poses, too.
+#: By message type: function that returns the pose in a message. Poses are also read from tf.
 _POSES: dict[str, Callable[[Any], Any]] = {
     "nav_msgs/msg/Odometry": lambda message: message.pose.pose,
     "geometry_msgs/msg/PoseWithCovarianceStamped": lambda message: message.pose.pose,
@@ -45,8 +45,8 @@ _Sample = tuple[int, str, Array]
 
 
 def is_robot_path(text: str) -> bool:
-    """Whether an estimate is the path of a robot: a topic of a bag with poses of a robot, or one of a scene
-    file. Raises BagError if the bag cannot be read."""
+    """Whether an estimate is the path of a robot: a topic with poses of a robot in a bag, or the robot of a
+    scene file. Raises BagError if the bag cannot be read."""
     name, topic = split_topic(text)
     path = Path(name)
     if topic is None or not path.exists():
@@ -67,8 +67,8 @@ def read_robot_path(text: str, scene: Scene | None) -> RobotPath:
         scene: The scene of the truth. It defines the frames of the robot, and where its odometry starts.
 
     Raises:
-        HumansimError: A file cannot be read, stamps go back, a pose is not valid, or no transforms lead to
-            map.
+        HumansimError: A file cannot be read, stamps go back, a pose is not valid, or a transform to map is
+            missing.
     """
     name, topic = split_topic(text)
     assert topic is not None
@@ -94,7 +94,7 @@ def _scene_path(scene: Scene, text: str) -> RobotPath:
 
 
 def _bag_path(path: Path, topic: str, scene: Scene | None) -> RobotPath:
-    """Path of a robot from a topic. The transforms of the bag lead from the robot's frame to map."""
+    """Read the path of a robot from a topic, and convert it to ``map`` with the transforms of the bag."""
     robot = scene.robot if scene is not None else None
     base = robot.config.base_frame if robot is not None else _BASE_FRAME
     samples: list[_Sample] = []

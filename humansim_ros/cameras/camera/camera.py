@@ -27,7 +27,7 @@ from humansim_ros.types import Array, ImageSize
 
 #: A rotation is corrected up to this error of orthonormality. A matrix with a larger error is refused.
 _ROTATION_TOLERANCE = 1e-3
-#: The rounding of numbers in files explains errors up to this. A larger error causes a warning.
+#: An error of orthonormality up to this comes from rounded numbers in files. A larger one causes a warning.
 _ROTATION_ROUNDING = 1e-5
 #: Largest image side in pixels.
 MAX_SIZE = 8192
@@ -61,8 +61,8 @@ class Camera(Pictured):
     model: str | None = None
     rectification: Array | None = None
     rectified: Array | None = None
-    #: Distortion model and coefficients. Equal cameras share one lens, so that its derived values are
-    #: computed once.
+    #: Distortion model and coefficients. Equal cameras share one lens, so that values derived from the lens
+    #: are computed once.
     lens: Lens = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -90,9 +90,9 @@ class Camera(Pictured):
             object.__setattr__(self, name, value)
 
     def at(self, R: Array, t: Array) -> Camera:
-        """The same camera with another pose: ``R`` (3, 3) and ``t`` (3,) as in the arguments of the class.
+        """Return a copy of the camera with another pose, ``R`` (3, 3) and ``t`` (3,), world to optical frame.
 
-        Neither is checked: R must be a rotation, and t finite.
+        The pose is not checked: R must be a rotation, and t finite.
         """
         camera = object.__new__(Camera)
         camera.__dict__.update({each.name: self.__dict__[each.name] for each in fields(self)}, R=R, t=t)
@@ -235,7 +235,7 @@ class Camera(Pictured):
         """Derivatives (N, 2, 3) of the pixels of :meth:`project` with respect to world points (N, 3), pixels
         per metre.
 
-        A derivative has a meaning only where :meth:`project` gives a pixel.
+        A derivative is valid only where :meth:`project` returns a pixel that is not NaN.
 
         Example:
             >>> camera = Camera.look_at((3, 0, 1), (0, 0, 1))
@@ -251,8 +251,8 @@ class Camera(Pictured):
             return np.asarray(self.K[:2, :2] @ self.lens.jacobian(plane) @ across @ self.R)
 
     def rays(self, pixels: ArrayLike) -> Array:
-        """Directions (..., 3) in the optical frame, with z = 1, of the rays of pixels (..., 2). It is NaN for
-        pixels that no ray reaches through the lens."""
+        """Directions (..., 3) of the rays through pixels (..., 2), in the optical frame, with z = 1. A
+        direction is NaN if no ray reaches its pixel through the lens."""
         uv = np.asarray(pixels, dtype=float)
         homogeneous = np.concatenate([uv, np.ones((*uv.shape[:-1], 1))], axis=-1)
         directions = homogeneous @ np.linalg.inv(self.K).T
@@ -261,7 +261,7 @@ class Camera(Pictured):
         return np.concatenate([self.lens.undistort(directions[..., :2]), homogeneous[..., 2:]], axis=-1)
 
     def unproject(self, pixels: ArrayLike, depth: ArrayLike) -> Array:
-        """World points (N, 3) of pixels (N, 2) at depths (N,) along z. This is the inverse of
+        """World points (N, 3) that pixels (N, 2) show at depths (N,) along z, metres. This is the inverse of
         :meth:`project`."""
         rays = self.rays(pixels)
         return (rays * np.asarray(depth, dtype=float)[..., None] - self.t) @ self.R
@@ -269,10 +269,10 @@ class Camera(Pictured):
     def opengl_clip(self, near: float, far: float) -> Array:
         """Matrix (4, 4) from the optical frame to OpenGL clip coordinates.
 
-        The matrix has no lens. With a distorted camera, distort the points first, and keep their depth.
-        OpenGL has pixel centres at half-integers, so the principal point is moved by +0.5. The first image
-        row is the lowest row of the window, so that images are read back with the top row first. Depth is as
-        in the standard perspective matrix, -1 at ``near``.
+        The matrix ignores the lens. For a camera with distortion, distort the points first, and keep their
+        depth. OpenGL has pixel centres at half-integers, so the principal point is moved by +0.5. The first
+        image row is the lowest row of the window, so that images are read back with the top row first. Depth
+        is as in the standard perspective matrix, -1 at ``near``.
         """
         width, height = self.size
         k = self.K
@@ -288,12 +288,12 @@ class Camera(Pictured):
 
 @lru_cache(maxsize=256)
 def _shared(lens: Lens) -> Lens:
-    """Return the first of all equal lenses."""
+    """Return a cached lens that equals ``lens``, so that equal cameras share one lens."""
     return lens
 
 
 def ideal_matrix(K: Array, size: ImageSize, square: bool = False, center: bool = True) -> Array:
-    """Intrinsics (3, 3) of the ideal camera of a real camera [thesis §9.8]. They have no skew.
+    """Intrinsics (3, 3), without skew, of the ideal camera that replaces a real camera [thesis §9.8].
 
     Args:
         K: Intrinsics of the camera, (3, 3).
@@ -309,7 +309,7 @@ def ideal_matrix(K: Array, size: ImageSize, square: bool = False, center: bool =
 
 
 def pinhole(fx: float, fy: float, cx: float, cy: float) -> Array:
-    """K (3, 3) without skew.
+    """Make the intrinsics K (3, 3) of a camera without skew.
 
     Args:
         fx: Focal length along x, pixels.
@@ -321,7 +321,7 @@ def pinhole(fx: float, fy: float, cx: float, cy: float) -> Array:
 
 
 def _rotation(value: ArrayLike, key: str) -> Array:
-    """Check a rotation matrix, and correct small errors of orthonormality."""
+    """Check a rotation matrix, and return it with small errors of orthonormality corrected."""
     r = _matrix(value, (3, 3), key)
     error = float(np.abs(r @ r.T - np.eye(3)).max())
     if error > _ROTATION_TOLERANCE or np.linalg.det(r) < 0:
@@ -336,7 +336,7 @@ def _rotation(value: ArrayLike, key: str) -> Array:
 
 
 def _checked_size(size: ImageSize) -> ImageSize:
-    """Check the width and height of an image."""
+    """Check the width and height of an image, and return them as integers."""
     try:
         width, height = (int(n) for n in size)
         integers = (width, height) == tuple(size)
@@ -351,7 +351,7 @@ def _checked_size(size: ImageSize) -> ImageSize:
 
 
 def pinhole_of_fov(size: ImageSize, fov: float) -> Array:
-    """K (3, 3) of an ideal camera by its horizontal field of view in radians.
+    """Intrinsics K (3, 3) of an ideal camera with a horizontal field of view ``fov``, radians.
 
     Raises:
         CameraError: ``fov`` is not between 0 and pi.
@@ -399,7 +399,7 @@ def _matrix(value: ArrayLike, shape: tuple[int, ...], key: str) -> Array:
 
 @dataclass(frozen=True)
 class Region:
-    """Part of a sensor that a driver publishes. ``roi``: x, y, width and height in sensor pixels; None for
+    """Part of a sensor that published images show. ``roi``: x, y, width and height in sensor pixels; None for
     the whole sensor. ``binning``: number of sensor pixels along x and y that make one image pixel."""
 
     roi: tuple[int, int, int, int] | None = None
@@ -411,7 +411,7 @@ class Region:
         return self.roi is None and self.binning == (1, 1)
 
     def of(self, camera: Camera) -> Camera:
-        """Camera of the published image. ``camera``: camera of the whole sensor.
+        """Return the camera of the published image. ``camera``: camera of the whole sensor.
 
         As in image_geometry, x = (x_sensor - roi.x_offset) / binning_x. The lens is unchanged.
 
@@ -437,7 +437,7 @@ class Region:
         )
 
     def _to_image(self, matrix: Array, x: int, y: int) -> Array:
-        """Convert K or P to pixels of the image."""
+        """Convert K or P from pixels of the sensor to pixels of the published image."""
         out = matrix.copy()
         out[0] = (matrix[0] - x * matrix[2]) / self.binning[0]
         out[1] = (matrix[1] - y * matrix[2]) / self.binning[1]

@@ -1,7 +1,7 @@
 """Ideal cameras of real cameras [thesis §9.8]: no distortion, no skew, a centred principal point.
 
-An ideal camera has the same R and t as the real camera. Only K differs. One remap in each direction converts
-images between the two without approximation.
+An ideal camera has the same R and t as the real camera. Only K differs. A single call of cv2.remap converts
+an image of one camera to the other camera, without approximation.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ Fit = Literal["focal", "all", "no_black"]
 _OUTSIDE = 16384.0
 #: Number of pixels that are mapped at once, so that they fit into the processor cache.
 _BLOCK = 1 << 16
-#: Points along each side of an image, to find the scale of a fit.
+#: Number of points along each side of an image that are tested to find the scale of a fit.
 _BORDER_POINTS = 400
-#: Smallest factor of the focal lengths.
+#: Smallest factor by which a fit may multiply the focal lengths.
 _SMALLEST_SCALE = 0.02
 
 
@@ -38,7 +38,7 @@ _SMALLEST_SCALE = 0.02
 class Ideal:
     """A real camera and its ideal camera. Their images have the same size (width, height).
 
-    The ideal camera may be rotated (stereo rectification).
+    For stereo rectification, the ideal camera is rotated against the real camera.
     """
 
     real: Camera
@@ -46,9 +46,9 @@ class Ideal:
 
     @cached_property
     def real_from_ideal(self) -> NDArray[np.float32]:
-        """Map (H, W, 2) for cv2.remap: x, y in the real image for each pixel of the ideal image. Pixels
-        beyond the real lens have the coordinate 16384, which is outside any image. Larger coordinates are
-        clipped to it."""
+        """Map (H, W, 2) for cv2.remap: x, y in the real image for each pixel of the ideal image. A pixel that
+        no ray reaches through the real lens has the coordinate 16384, which is outside any image. Larger
+        coordinates are clipped to 16384."""
         return _map(self.points_to_real, self.camera.size)
 
     @cached_property
@@ -57,11 +57,11 @@ class Ideal:
         return _map(self.points_to_ideal, self.real.size)
 
     def points_to_real(self, pixels: ArrayLike) -> Array:
-        """Convert pixels (N, 2) of the ideal image to pixels of the real image. NaN beyond the lens."""
+        """Convert pixels (N, 2) of the ideal image to the real image. Pixels outside the lens become NaN."""
         return self.real.project_optical(self.camera.rays(pixels) @ self._real_from_ideal_frame.T)[0]
 
     def points_to_ideal(self, pixels: ArrayLike) -> Array:
-        """Convert pixels (N, 2) of the real image to pixels of the ideal image. NaN beyond the lens."""
+        """Convert pixels (N, 2) of the real image to the ideal image. Pixels outside the lens become NaN."""
         return self.camera.project_optical(self.real.rays(pixels) @ self._real_from_ideal_frame)[0]
 
     @cached_property
@@ -88,7 +88,7 @@ class Ideal:
 
     @cached_property
     def _inside(self) -> NDArray[np.bool_]:
-        """Which pixels (H, W) of the ideal image lie on a pixel of the real image."""
+        """Mask (H, W) of the pixels of the ideal image that have a counterpart in the real image."""
         width, height = self.real.size
         x, y = np.moveaxis(self.real_from_ideal, -1, 0)
         return (x >= -0.5) & (x <= width - 0.5) & (y >= -0.5) & (y <= height - 0.5)
@@ -133,8 +133,8 @@ def idealize(camera: Camera, square: bool = False, center: bool = True, fit: Fit
 
 
 def rectify(camera: Camera) -> Ideal:
-    """Camera of ``image_rect``, from R and P of a camera's CameraInfo. The baseline in the P of a stereo
-    camera does not affect the image and is ignored."""
+    """Ideal camera of ``image_rect``, from R and P of the camera's CameraInfo. The baseline in the P of a
+    stereo camera does not affect the image and is ignored."""
     rotation, k = camera.rectification_matrix, camera.rectified_projection[:, :3]
     if not camera.distorted and np.array_equal(rotation, np.eye(3)) and np.array_equal(k, camera.K):
         return Ideal(camera, camera)
@@ -145,8 +145,8 @@ def rectify(camera: Camera) -> Ideal:
 
 
 def _fitting_scale(camera: Camera, k: Array, fit: Fit) -> float:
-    """Factor of the focal lengths of an ideal K for a fit. With this factor, the border of the real image
-    touches the ideal image from inside (``all``) or outside (``no_black``)."""
+    """Factor by which the focal lengths of the ideal K must be multiplied for ``fit``. With this factor, the
+    border of the real image touches the ideal image from inside (``all``) or outside (``no_black``)."""
     last, center = np.array(camera.size) - 1.0, k[:2, 2]
     outline = _outline(camera, inner=fit == "all") * k.diagonal()[:2]
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -185,7 +185,7 @@ def _outline(camera: Camera, inner: bool) -> Array:
 
 
 def _map(points: Callable[[Array], Array], size: tuple[int, int]) -> NDArray[np.float32]:
-    """Map (H, W, 2) of all pixels of an image."""
+    """Map (H, W, 2) for cv2.remap: the function ``points``, applied to all pixels of an image of ``size``."""
     width, height = size
     out = np.empty((height, width, 2), np.float32)
     rows = max(1, _BLOCK // width)

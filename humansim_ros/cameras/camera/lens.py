@@ -25,7 +25,7 @@ MODELS = {
 _MAX_ANGLE = np.radians(89.5)
 #: Number of angles and of directions at which a lens is tested for folding.
 _ANGLES, _DIRECTIONS = 1000, 24
-#: Newton steps of the inverse, and its tolerance on the normalised image plane.
+#: Most Newton steps to invert a distortion, and tolerance of the result on the normalised image plane.
 _STEPS, _TOLERANCE = 30, 1e-10
 
 
@@ -75,7 +75,8 @@ class Lens:
         return self.model != "equidistant" and not any(self.coefficients)
 
     def distort(self, points: ArrayLike) -> Array:
-        """Distort points (..., 2) of the normalised image plane. NaN beyond :attr:`valid_radius`."""
+        """Distort points (..., 2) of the normalised image plane. Beyond :attr:`valid_radius`, they become
+        NaN."""
         n = np.asarray(points, dtype=float)
         if self.ideal:
             return n
@@ -84,7 +85,8 @@ class Lens:
             return np.where(valid[..., None], self._distort(n), np.nan)
 
     def undistort(self, points: ArrayLike) -> Array:
-        """Invert :meth:`distort` for points (..., 2), to 1e-10. NaN for points that no valid ray reaches."""
+        """Invert :meth:`distort` for points (..., 2), with errors up to 1e-10. Points that no valid ray
+        reaches become NaN."""
         d = np.asarray(points, dtype=float)
         if self.ideal:
             return d
@@ -108,9 +110,9 @@ class Lens:
 
     @cached_property
     def valid_radius(self) -> float:
-        """Tangent of the largest angle to the optical axis for which the distortion is one-to-one. It is the
-        smallest angle at which, in some direction, the Jacobian of the distortion is singular or a
-        denominator is zero. It is at most 89.5 degrees."""
+        """Tangent of the largest angle to the optical axis for which the distortion is one-to-one. At this
+        angle, in some direction, the Jacobian of the distortion is singular or a denominator is zero. The
+        angle is at most 89.5 degrees."""
         if self.ideal:
             return float(np.tan(_MAX_ANGLE))
         low, high = 0.0, _MAX_ANGLE
@@ -141,7 +143,7 @@ class Lens:
             return np.asarray(valid.all(axis=1))
 
     def _ratio(self, r2: Array) -> tuple[Array, Array | float]:
-        """Numerator and denominator of the radial part."""
+        """Numerator and denominator of the radial factor at squared radii ``r2``."""
         k1, k2, _, _, k3, *more = self.coefficients
         numerator = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
         if not more:
@@ -206,7 +208,7 @@ class Lens:
 
     @cached_property
     def _radii(self) -> tuple[Array, Array]:
-        """Radii and their distorted radii without the tangential part, both ascending."""
+        """Sampled radii, and the same radii after the radial distortion. Both are ascending."""
         r = np.tan(np.linspace(0, np.arctan(self.valid_radius), 4 * _ANGLES))
         if self.model == "equidistant":
             return r, np.maximum.accumulate(self._angle(r)[0])
@@ -219,7 +221,7 @@ class Lens:
         return np.asarray(d * np.where(length > 1e-12, factor, 1.0)[:, None], dtype=float)
 
     def _within(self, n: Array) -> Array:
-        """Points (..., 2). Those beyond the valid radius are moved to it."""
+        """Move the points (N, 2) that are beyond the valid radius onto this radius. Other points stay."""
         length = np.sqrt(np.einsum("ij,ij->i", n, n))
         return np.asarray(n * np.minimum(1.0, self.valid_radius / np.maximum(length, 1e-12))[:, None])
 
@@ -236,8 +238,8 @@ def fit_lens(ideal: ArrayLike, distorted: ArrayLike) -> tuple[Lens, float]:
     distortion.
 
     Returns:
-        The lens, and the root mean square of its errors. It is plumb_bob, or rational_polynomial if that fits
-        better.
+        The lens, and the root mean square of its errors. The model of the lens is plumb_bob, or
+        rational_polynomial if this model fits better.
     """
     import scipy  # imported here, since the import is slow
 

@@ -90,10 +90,10 @@ def common_point(cameras: Iterable[Camera]) -> Array | None:
 
 BoardSide = Literal["floor", "z_up", "z_down", "standing"]
 _UP = np.array([0.0, 0.0, 1.0])
-#: Assumed height of the point at which cameras look; and of cameras that do not look at a common point,
-#: metres.
+#: Heights in metres: assumed height of the point at which cameras look; assumed height of cameras that do not
+#: look at a common point; lowest height of a camera.
 _TARGET_HEIGHT, _CAMERA_HEIGHT, _LOWEST_CAMERA = 1.0, 1.8, 0.3
-#: Distance to the target for cameras that do not look at a common point: least, most and usual, metres.
+#: Assumed distance to the target for cameras that do not look at a common point: least, most, usual, metres.
 _NEAREST, _FARTHEST, _AHEAD = 1.0, 10.0, 3.0
 #: The horizontal axes of cameras determine the vertical if the smallest eigenvalue per camera is above this.
 _DETERMINED = 0.01
@@ -118,10 +118,10 @@ class FloorPoint:
 class FoundPlacement:
     """A placement, and how well it agrees with the input.
 
-    ``residuals``: root mean squares by name. ``reprojection_px``, ``plane_mm``, ``map_mm`` are those of floor
-    points, ``roll_deg`` those of the cameras, ``axes_mm`` those of the optical axes from their common point.
-    ``scale``: ratio of distances in ``map`` to distances in the file, if floor points give both. ``points``:
-    the floor points (N, 3) in ``map``.
+    ``residuals``: root mean square errors by name. ``reprojection_px``, ``plane_mm`` and ``map_mm`` are
+    errors of floor points. ``roll_deg`` is the roll of the cameras. ``axes_mm`` is the distance of the
+    optical axes from their common point. ``scale``: ratio of distances in ``map`` to distances in the file,
+    if floor points give both. ``points``: the floor points (N, 3) in ``map``.
     """
 
     placement: RigPlacement
@@ -252,7 +252,8 @@ def place_by_level(cameras: Mapping[str, Camera], height: float | None = None) -
 
 
 def turned(found: FoundPlacement, yaw: float, at: ArrayLike) -> FoundPlacement:
-    """The same placement, turned about the z axis of ``map`` by an angle in radians, then moved by x, y."""
+    """The same placement, turned about the z axis of ``map`` by ``yaw`` (radians), then moved by ``at`` (x, y
+    in metres)."""
     turn = RigPlacement(
         scipy.spatial.transform.Rotation.from_rotvec(yaw * _UP).as_matrix(),
         np.array([*np.asarray(at, dtype=float), 0.0]),
@@ -264,8 +265,8 @@ def turned(found: FoundPlacement, yaw: float, at: ArrayLike) -> FoundPlacement:
 def triangulate(
     cameras: Mapping[str, Camera], pixels: Mapping[str, ArrayLike], number: int = 1
 ) -> tuple[Array, float]:
-    """Find the point (3,) with the least squares of its distances to pixels. Returns also their root mean
-    square, pixels.
+    """Find the point (3,) with projections nearest to the given pixels (least squares). Returns also the root
+    mean square of the distances between projections and pixels.
 
     Args:
         cameras: Cameras by name.
@@ -320,7 +321,8 @@ def look_target(cameras: Mapping[str, Camera]) -> Array:
 
 
 def _standing(up: Array, point: Array, height: float) -> RigPlacement:
-    """Smallest rotation that turns ``up`` (3,) to z, with a point (3,) at a height above the floor."""
+    """Placement with the smallest rotation that turns ``up`` (3,) to z. It puts ``point`` (3,) at ``height``
+    metres above the floor."""
     direction = up / np.linalg.norm(up)
     axis, cosine = np.cross(direction, _UP), float(direction @ _UP)
     if cosine < -1 + 1e-12:
@@ -332,7 +334,7 @@ def _standing(up: Array, point: Array, height: float) -> RigPlacement:
 
 
 def _over_origin(placement: RigPlacement, cameras: Mapping[str, Camera]) -> RigPlacement:
-    """The same placement, moved along the floor so that the cameras look at a point above 0, 0."""
+    """The same placement, moved along the floor so that the cameras look at a point above (0, 0)."""
     target = look_target({name: placement.camera(camera) for name, camera in cameras.items()})
     return placement.moved([-target[0], -target[1], 0.0])
 
@@ -340,9 +342,9 @@ def _over_origin(placement: RigPlacement, cameras: Mapping[str, Camera]) -> RigP
 def _aligned(
     placement: RigPlacement, floor: Array, on_map: Array
 ) -> tuple[RigPlacement, float, float | None]:
-    """Turn and move a placement along the floor, so that points (N, 3) come to x, y (N, 2) of ``map``.
-    Returns also the root mean square of their distances to these places, mm, and the scale of
-    FoundPlacement."""
+    """Turn and move a placement along the floor, so that the points ``floor`` (N, 3) come to the places
+    ``on_map`` (N, 2). Returns also the root mean square of the distances between points and places, mm, and
+    ``scale`` of FoundPlacement."""
     level = placement.points(floor)[:, :2]
     here, there = level - level.mean(0), on_map - on_map.mean(0)
     yaw = float(np.arctan2((here[:, 0] * there[:, 1] - here[:, 1] * there[:, 0]).sum(), (here * there).sum()))
@@ -356,7 +358,7 @@ def _aligned(
 
 
 def _rolls(placement: RigPlacement, cameras: Mapping[str, Camera]) -> dict[str, float]:
-    """Root mean square of the angles between the horizontal axes of images and the floor."""
+    """Residual ``roll_deg``: root mean square of the angles between the floor and the x axes of images."""
     if not cameras:
         return {}
     right = np.array([placement.camera(camera).R[0] for camera in cameras.values()])
@@ -373,7 +375,7 @@ def _rms(values: ArrayLike) -> float:
 
 
 _Number = Annotated[float, Field(ge=-1e9, le=1e9)]
-#: This name before the colon stands for a place in ``map``, not for a camera.
+#: In the text of a floor point, ``map:`` is followed by a place in ``map``; other names are those of cameras.
 _MAP = "map"
 
 
@@ -422,7 +424,7 @@ def read_floor_points(path: str | os.PathLike[str], in_metres: Array) -> list[Fl
 
 
 def parse_floor_point(text: str, in_metres: Array) -> FloorPoint:
-    """Floor point of text such as ``left:312,400 right:280.5,410`` or ``0.1,0.2,3 map:0,1``.
+    """Parse a floor point from a text such as ``left:312,400 right:280.5,410`` or ``0.1,0.2,3 map:0,1``.
 
     ``in_metres`` is the same as for :func:`read_floor_points`.
 

@@ -58,12 +58,14 @@ class Optics:
 
 @dataclass(frozen=True)
 class Rig:
-    """Place of cameras around a target. Its methods return the cameras by name.
+    """Placement of cameras around a target. Each method makes one kind of rig, and returns its cameras by
+    name.
 
     Args:
         look_at: Target, (3,) metres in ``map``.
-        radius: Distance of the cameras from the target, metres; of a dome in space, else along the floor.
-        height: Height of the cameras (of the centre of a wall) above the floor, metres. A dome has none.
+        radius: Distance of the cameras from the target, metres. For a dome it is the distance in space, for
+            other rigs the distance along the floor.
+        height: Height of the cameras, or of the centre of a wall, above the floor, metres. A dome ignores it.
         optics: Image size and lens of the cameras.
         start: Azimuth of the first camera, or of the centre of a wall or pair, radians.
 
@@ -85,14 +87,15 @@ class Rig:
         object.__setattr__(self, "look_at", target)
 
     def ring(self, count: int) -> dict[str, Camera]:
-        """Cameras evenly on a circle, counterclockwise."""
+        """Cameras at equal distances on a circle, counterclockwise from ``start``."""
         azimuths = self.start + np.arange(_checked(count)) * 2 * np.pi / count
         circle = np.column_stack([np.cos(azimuths), np.sin(azimuths)])
         floor = np.asarray(self.look_at)[:2] + self.radius * circle
         return self._named(np.column_stack([floor, np.full(count, self.height)]))
 
     def grid(self, rows: int, columns: int, spacing: float) -> dict[str, Camera]:
-        """Cameras on a wall, ``spacing`` metres apart, by rows from the top left as the target sees it."""
+        """Cameras on a wall, ``spacing`` metres apart, row by row. The first one is at the top left, as seen
+        from the target."""
         _checked(rows * columns if min(rows, columns) > 0 else 0)
         _check_positive("spacing", spacing)
         out = np.array([np.cos(self.start), np.sin(self.start), 0.0])
@@ -103,8 +106,8 @@ class Rig:
         return self._named(positions.reshape(-1, 3))
 
     def dome(self, count: int) -> dict[str, Camera]:
-        """Cameras on a spiral over the upper half of a sphere, from the lowest one. The shares of the half
-        sphere are equal."""
+        """Cameras on a spiral over the upper half of a sphere, from the lowest one. Each camera covers an
+        equal share of the half sphere."""
         sine = (np.arange(_checked(count)) + 0.5) / count
         azimuths = self.start + np.arange(count) * _GOLDEN_ANGLE
         cosine = np.sqrt(1 - sine * sine)
@@ -131,7 +134,7 @@ class Rig:
 
     @property
     def _middle(self) -> Array:
-        """Position (3,) at the height, the radius and the start."""
+        """Position (3,) of the first camera, or of the centre of a wall or pair."""
         out = np.array([np.cos(self.start), np.sin(self.start), 0.0])
         return np.array([*np.asarray(self.look_at)[:2], self.height]) + self.radius * out
 
@@ -165,9 +168,9 @@ End = Literal["clamp", "loop", "ping_pong"]
 #: Largest file: more than a million poses.
 _MAX_BYTES = 1 << 26
 _COLUMNS = "timestamp tx ty tz qx qy qz qw"
-#: Rounding explains errors of the length of a quaternion up to this.
+#: A quaternion is taken as rounded if its length differs from 1 by at most this.
 _ROUNDING = 1e-2
-#: Limits of the length of a quaternion.
+#: Shortest and longest quaternion that is accepted.
 _SHORTEST, _LONGEST = 1e-2, 1e2
 #: Number of poses of an orbit. The line between two poses differs from the circle by less than 1e-5 of its
 #: radius.
@@ -325,8 +328,8 @@ class Trajectory:
         return position, slerp(self.rotations[after - 1], self.rotations[after], part)
 
     def difference_times(self, seconds: float, step: float) -> tuple[float, float]:
-        """Times one step before and after a time, for finite differences. They do not pass the ends of a
-        loop."""
+        """Times one step before and after ``seconds``, for finite differences. Both stay in the same round of
+        a loop, since the pose jumps at its end."""
         before, after = seconds - step, seconds + step
         if self.end != "loop":
             return before, after
@@ -334,7 +337,8 @@ class Trajectory:
         return max(before, start), min(after, start + self.duration * (1 - 1e-9))
 
     def _time_in_trajectory(self, seconds: float | Array) -> Array:
-        """Times within the trajectory, seconds since the first pose."""
+        """Convert times to times between the first and the last pose, seconds after the first pose (see
+        ``end``)."""
         seconds = np.asarray(seconds, dtype=float)
         if self.end == "clamp" or self.duration == 0:
             return np.asarray(np.clip(seconds, 0.0, self.duration))

@@ -1,4 +1,4 @@
-"""Calibration formats, one module per family; ``writing.py`` has the table."""
+"""Formats of calibration files, one module per family of formats; ``writing.py`` lists all formats."""
 
 from humansim_ros.lazy import lazy_exports
 

@@ -28,8 +28,8 @@ from humansim_ros.types import Array, ImageSize
 
 Key = str | int
 Keys = tuple[Key, ...]
-#: Place of a value below a camera: a key, or a key path. The last key may be several keys with blanks between
-#: them. Then each of these keys has one number of the value.
+#: Where a value is in the mapping of a camera: a key, or a key path. The last key may be several keys with
+#: blanks between them, so that each of these keys holds one number of the value.
 Place = str | Keys
 
 #: Largest magnitude of a number. Cameras have smaller numbers, and the cubes of larger numbers overflow.
@@ -44,7 +44,7 @@ FLIP = OPENGL[:3, :3]
 _LENGTH_SLACK = 1e-2
 #: Most cameras of a file.
 MAX_CAMERAS = 10_000
-#: Fields of a pose, and names of other locations.
+#: Fields of a pose; and fields with a location that is stored under the name of another field.
 _POSE, _SHOWN = ("R", "rvec", "t", "center"), {"rvec": "R", "center": "t"}
 #: Shapes of the fields of a camera.
 _SHAPES = {"K": (3, 3), "R": (3, 3), "t": (3,), "center": (3,), "rectification": (3, 3), "rectified": (3, 4)}
@@ -56,7 +56,7 @@ _IMAGE_SUFFIX = re.compile(r"(?<=.)\.(?:png|jpe?g|bmp|tiff?|pgm|ppm|webp)\Z", re
 
 @dataclass(frozen=True)
 class SourceLocation:
-    """Key and line of a value in a file. ``path``: the file, if it is another one than the file that is being
+    """Key and line of a value in a file. ``path``: the file, if the value is not in the file that is being
     read."""
 
     key: str | None = None
@@ -68,7 +68,7 @@ class SourceLocation:
 class RawCamera:
     """A camera in the unit and the world axes of its file. ``K`` (3, 3), ``R`` (3, 3), ``t`` (3,): x_cam = R
     x + t. The camera may have ``center`` (3,) in place of t. R is None if the file has no extrinsics of the
-    camera. ``locations``: place in the file of each of these values, and of the camera under ""."""
+    camera. ``locations``: where these values are in the file, by field; "" is the location of the camera."""
 
     K: Array
     R: Array | None = None
@@ -98,8 +98,8 @@ class CalibrationFile:
 
     Keys are paths into ``document``. A wrong value raises CameraError, which names the file, the key, and the
     line if it is known. ``tree``: nodes of YAML. ``key_lines``: lines of the keys of TOML. ``given_size``:
-    image size that the caller knows. ``syntax``: see ``CalibrationFormat``. ``renamed``: name in the file by
-    key of ``document``, where both differ.
+    image size that the caller states. ``syntax``: see ``CalibrationFormat``. ``renamed``: for a key of
+    ``document`` that the file spells differently, its spelling in the file.
     """
 
     path: str
@@ -120,7 +120,7 @@ class CalibrationFile:
         return SourceLocation(".".join(map(str, keys)) or None, line)
 
     def error(self, message: str, *keys: Key, line: int | None = None) -> CameraError:
-        """Error about the value at a key path."""
+        """Make an error about the value at a key path."""
         location = self.location(*keys)
         return CameraError(message, path=self.path, line=line or location.line, key=location.key)
 
@@ -141,7 +141,8 @@ class CalibrationFile:
         return self.get(*keys) is not None
 
     def first(self, at: Keys, *keys: str) -> str | None:
-        """The first of these keys with a value below a key path; None if there is no value."""
+        """The first of ``keys`` with a value in the mapping at the key path ``at``; None if no key has
+        one."""
         return next((key for key in keys if self.has(*at, key)), None)
 
     def need(self, *keys: Key) -> Any:
@@ -170,14 +171,14 @@ class CalibrationFile:
         return [(*keys, index) for index, _ in enumerate(self.items(*keys))]
 
     def elements(self, at: Keys, *tags: str) -> list[Keys]:
-        """Key paths of the elements of XML below a key path: of all lists with the first tag, and so on."""
+        """Key paths of XML elements below the key path ``at``. ``tags``: tag at each level below ``at``."""
         found = [at]
         for tag in tags:
             found = [path for one in found for path in self.paths(*one, tag)]
         return found
 
     def numbers(self, shape: tuple[int, ...], *keys: Key) -> Array:
-        """Array of a shape from numbers in row order. The nesting of their lists is ignored."""
+        """Array of a shape from the numbers at a key path, in row order. Nested lists count as one list."""
         values = self.some_numbers(*keys)
         if len(values) != np.prod(shape):
             size = " x ".join(map(str, shape))
@@ -185,20 +186,20 @@ class CalibrationFile:
         return values.reshape(shape)
 
     def some_numbers(self, *keys: Key, most: int = 1000) -> Array:
-        """All numbers (N,) of a value in row order."""
+        """All numbers (N,) at a key path, in row order."""
         try:
             return np.array([to_number(v) for v in _flat(self.need(*keys), most)], dtype=float)
         except ValueError as reason:
             raise self.error(str(reason), *keys) from None
 
     def number(self, *keys: Key, otherwise: float | None = None) -> float:
-        """Number at a key path. If the key is absent, ``otherwise`` is returned, if given."""
+        """Number at a key path. If the key is absent: ``otherwise``, or an error if this is None."""
         if otherwise is not None and self.get(*keys) is None:
             return otherwise
         return float(self.numbers((), *keys))
 
     def words(self, count: int, *keys: Key) -> Array:
-        """Numbers (count,) of a text with spaces between them."""
+        """Numbers (count,) of the text at a key path, which has spaces between them."""
         words = str(self.need(*keys)).split()
         if len(words) != count:
             raise self.error(f"needs {count} numbers, not {len(words)}", *keys)
@@ -208,7 +209,8 @@ class CalibrationFile:
     def unit_rotation(
         self, xyzw: Array, *keys: Key, line: int | None = None, slack: float = _LENGTH_SLACK
     ) -> Array:
-        """Rotation (3, 3) of a quaternion (4,) from a key path or a line. Its length is 1 up to ``slack``."""
+        """Rotation (3, 3) of a quaternion (4,). Raises CameraError, which names the key path or the line, if
+        the length differs from 1 by more than ``slack``."""
         length = float(np.linalg.norm(xyzw))
         if abs(length - 1) > slack:
             message = f"the quaternion is not a rotation: its length is {length:g}, not 1"
@@ -216,7 +218,7 @@ class CalibrationFile:
         return quaternion_to_matrix(xyzw / length)
 
     def rotation(self, *keys: Key) -> Array:
-        """Matrix (3, 3) from 9 numbers in row order, or from a rotation vector of 3 numbers, radians."""
+        """Matrix (3, 3) from the 9 numbers (in row order) or the rotation vector (radians) at a key path."""
         values = self.some_numbers(*keys)
         if len(values) == 3:
             return np.asarray(Rotation.from_rotvec(values).as_matrix(), dtype=float)
@@ -232,19 +234,21 @@ class CalibrationFile:
             raise self.error(f"{model} has {count} coefficients, not {len(distortion)}{hint}", *keys)
 
     def optional_numbers(self, *keys: Key) -> Array:
-        """All numbers (N,) of a value in row order. Empty, (0,), if the key is absent or the list is
+        """All numbers (N,) at a key path, in row order. Empty, (0,), if the key is absent or the list is
         empty."""
         return np.zeros(0) if self.get(*keys) in (None, []) else self.some_numbers(*keys)
 
     def pose_matrix(self, *keys: Key, rows: int, tolerance: float = 1e-9) -> Array:
-        """Matrix (3, 4) or (4, 4) of R and t. A fourth row must be 0 0 0 1 to a tolerance."""
+        """Matrix (``rows``, 4) of R and t at a key path. ``rows``: 3 or 4. Raises CameraError if a fourth row
+        differs from 0 0 0 1 by more than a tolerance."""
         matrix = self.numbers((rows, 4), *keys)
         if rows == 4 and not np.allclose(matrix[3], [0, 0, 0, 1], atol=tolerance):
             raise self.error("needs 0 0 0 1 as the last row of its 4 x 4 numbers", *keys)
         return matrix
 
     def locations(self, at: Keys, **parts: str | Keys) -> dict[str, SourceLocation]:
-        """Locations of a camera and of its values. ``parts``: keys or key paths of the values below it."""
+        """Locations of a camera and of its values. ``at``: key path of the camera. ``parts``: by field, the
+        key or key path of a value below ``at``."""
         paths = {part: (key,) if isinstance(key, str) else key for part, key in parts.items()}
         return {"": self.location(*at), **{part: self.location(*at, *keys) for part, keys in paths.items()}}
 
@@ -257,7 +261,7 @@ class CalibrationFile:
         return self.size_of(self.numbers((2,), *keys), *keys) if self.has(*keys) else None
 
     def size_of(self, values: Array, *keys: Key) -> ImageSize:
-        """Image size from two numbers of a key path."""
+        """Image size from two numbers that were read at a key path."""
         if any(value != int(value) or value <= 0 for value in values):
             raise self.error("needs width and height, whole numbers above zero", *keys)
         return int(values[0]), int(values[1])
@@ -270,7 +274,7 @@ class CalibrationFile:
         return int(value)
 
     def projection(self, p: Array, where: SourceLocation, size: ImageSize | None = None) -> RawCamera:
-        """Camera of a projection matrix (3, 4) at a location."""
+        """Camera of a projection matrix (3, 4). ``where``: location of the matrix in a file."""
         try:
             # any size is good enough here, since the decomposition of P does not depend on it
             camera = Camera.from_projection_matrix(p, (1, 1))
@@ -310,7 +314,7 @@ class CalibrationFile:
 
     @cached_property
     def head(self) -> list[str]:
-        """First three of :meth:`lines`. Formats recognise a file by them."""
+        """Texts of the first three of :meth:`lines`. Formats recognise a file by these texts."""
         return [line for _, line in islice(self.lines(), 3)]
 
     def all_lines(self) -> Iterator[tuple[int, str]]:
@@ -365,8 +369,8 @@ def _short(value: Any) -> str:
 
 
 def _flat(value: Any, most: int, depth: int = 4) -> list[Any]:
-    """Items of nested lists, at most ``most``, since YAML aliases can multiply the content of a small
-    file."""
+    """Items of nested lists as one list. Raises ValueError if there are more than ``most``, since YAML
+    aliases can multiply the content of a small file."""
     if not isinstance(value, (list, tuple)):
         return [value]
     flat: list[Any] = []
@@ -380,7 +384,7 @@ def _flat(value: Any, most: int, depth: int = 4) -> list[Any]:
 
 
 def without_suffix(name: str) -> str:
-    """Name of a camera, made from the name of its image."""
+    """Name of a camera: the name of its image without the suffix."""
     return _IMAGE_SUFFIX.sub("", name)
 
 
@@ -398,13 +402,13 @@ def find_cameras(file: CalibrationFile, is_camera: Predicate, is_part: Predicate
     Args:
         file: File that is being read.
         is_camera: Whether a value has all keys of a camera.
-        is_part: Whether a value has some of these keys. Such a value is a camera if another item next to it
-            is one.
+        is_part: Whether a value has some of these keys. Such a value counts as a camera if another item of
+            the same list or mapping is a camera.
 
     Returns:
         Cameras; empty if the document has none. In a list without names, the indices are the names. If
-        several groups (such as devices with streams) have the same names, each name begins with that of its
-        group.
+        several groups (such as devices with streams) have cameras of the same names, the name of the group is
+        put before each name.
     """
     if is_camera(file.document):
         return [(_name(file.document, Path(file.path).stem), ())]
@@ -432,7 +436,7 @@ def _search(
 
 
 def _name(camera: Any, otherwise: str) -> str:
-    """Name of a camera that is not under its own key in a mapping."""
+    """Name that the values of a camera state; ``otherwise`` if they state no name."""
     for key in _NAMES:
         value = camera.get(key)
         if isinstance(value, (str, int)) and not isinstance(value, bool) and str(value).strip():
@@ -452,7 +456,8 @@ def reader_of(
         is_camera: See :func:`find_cameras`.
         is_part: See :func:`find_cameras`.
         read_camera: Reads the camera at a key path.
-        named: Whether the key ``name`` of a camera goes before the key of the camera.
+        named: Whether the value ``name`` of a camera is its name, if it is there. Otherwise the key of the
+            camera is its name.
     """
 
     def read(file: CalibrationFile) -> dict[str, RawCamera]:
@@ -466,11 +471,11 @@ def reader_of(
 
 
 def has_keys(*needed: set[str]) -> Predicate:
-    """Make a function that tells whether a value is a mapping with at least one key of each of these sets."""
+    """Make a function that tells whether a value is a mapping with a key of each set in ``needed``."""
     return lambda value: isinstance(value, dict) and all(keys & value.keys() for keys in needed)
 
 
-#: Numbers of coefficients of each model in files. More coefficients may follow if they are zero.
+#: How many coefficients a file may have for each lens model. Further coefficients must be zero.
 _FILE_COUNTS = {"plumb_bob": (4, 5), "rational_polynomial": (8,), "equidistant": (4,)}
 #: Names of each model in lower case, with only letters and digits.
 _NAMES_OF_MODELS = {
@@ -489,7 +494,7 @@ def model_of(name: str) -> str | None:
 
 
 def opencv_model(distortion: Array) -> str:
-    """Model of OpenCV by the number of coefficients (N,) that are used."""
+    """Lens model of OpenCV for coefficients (N,). Their number, without zeros at the end, decides."""
     return "plumb_bob" if len(np.trim_zeros(distortion, "b")) <= 5 else "rational_polynomial"
 
 
@@ -504,9 +509,11 @@ def camera_at(file: CalibrationFile, at: Keys, places: Mapping[str, Place], **ow
     Args:
         file: File that is being read.
         at: Key path of the camera.
-        places: Places of its values, by field of :class:`RawCamera`. K is a matrix, or four numbers. ``rvec``
-            is R, as a matrix or a rotation vector. A camera without R, t and center has no pose.
-        own: Values that are not read from ``places``. Without a model, the number of coefficients decides.
+        places: Where the values of the camera are, by field of :class:`RawCamera`. K is a matrix, or four
+            numbers. ``rvec`` is R, as a matrix or a rotation vector. A camera without R, t and center has no
+            pose.
+        own: Fields of the camera with their values, which are not read from ``places``. Without a model, the
+            number of coefficients decides.
     """
     paths: dict[str, list[Keys]] = {}
     for part, place in places.items():
@@ -535,7 +542,7 @@ def camera_at(file: CalibrationFile, at: Keys, places: Mapping[str, Place], **ow
 
 
 def _value(file: CalibrationFile, part: str, keys: list[Keys]) -> Any:
-    """Value of a camera at the key paths of :func:`camera_at`."""
+    """Read the field ``part`` of :class:`RawCamera` at one key path, or number by number."""
     if part == "distortion":
         if len(keys) == 1:
             return file.optional_numbers(*keys[0])

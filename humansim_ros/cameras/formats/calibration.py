@@ -51,11 +51,12 @@ _SUFFIXES = (
     *(".yaml", ".yml", ".json", ".toml", ".xml", ".ini", ".txt", ".cam", ".krtd", ".npz", ".csv", ".conf"),
     *(".xcp", ".mcal", ".sfm", ".out", ".cal", ".calib", ".calibration"),
 )
-#: Folder of WildTrack with the images as they were taken. The images of the data set have no distortion.
+#: Folders of WildTrack: calibrations of the images as they were taken, which are ignored if the other folder
+#: exists; and calibrations of the images of the data set, which have no distortion.
 _TAKEN, _UNDISTORTED = "intrinsic_original", "intrinsic_zero"
-#: A folder with more files than this in its folders holds frames, not cameras.
+#: A folder with more files than this in its subfolders is taken for a folder of frames, not of cameras.
 _MOST_BELOW = 200
-#: Images are taken to be of equal size if their principal points are at most this fraction from their median.
+#: Images are taken to be of equal size if principal points differ from the median by at most this fraction.
 _SAME_IMAGE = 0.25
 #: Smallest image side that is guessed, pixels.
 _SMALLEST_GUESS = 16
@@ -101,8 +102,8 @@ def read_calibration(
         unit: Metres per unit of the file. If None, the unit of the format.
         up: Axis of the file that points up, such as ``z`` or ``-y``. If None, the axis of the format.
         image: PNG or JPEG file that has the size of the images.
-        extrinsics: File with the extrinsics, if ``path`` has only intrinsics. The cameras of both files have
-            the same names, or the same number and order.
+        extrinsics: File with the extrinsics, if ``path`` has only intrinsics. Both files must name the
+            cameras alike, or have the same number of cameras in the same order.
 
     Returns:
         Cameras by name, in the order of the file. If only some cameras have extrinsics, the others are left
@@ -136,7 +137,7 @@ def load_calibration(
     extrinsics: str | os.PathLike[str] | None = None,
     all_cameras: bool = False,
 ) -> Calibration:
-    """Read a calibration file like :func:`read_calibration`, and keep its format, unit, axis and sizes.
+    """Read a file like :func:`read_calibration`. Returns also its format, unit, up axis and image sizes.
 
     Args:
         path: The same as in :func:`read_calibration`, like all arguments up to ``extrinsics``.
@@ -189,7 +190,7 @@ def load_calibration(
 
 
 def _file_of(path: str | os.PathLike[str]) -> Path:
-    """File or folder of a path or URL. For the folder of a COLMAP model, its file of images or cameras."""
+    """File or folder of a path or URL. For a folder with a COLMAP model, its file of images or cameras."""
     file = resolve_url(path) if isinstance(path, str) and "://" in path else Path(path)
     if exists(file) and (file / CAMERAS).is_file():
         return file / (IMAGES if (file / IMAGES).is_file() else CAMERAS)
@@ -324,8 +325,7 @@ def _folder(
 
 
 def _files(folder: Path, pattern: str) -> list[Path]:
-    """Find the calibration files in a folder, except those that are read together with another one. Raises
-    CameraError."""
+    """Find the calibration files in a folder, without the second files of pairs. Raises CameraError."""
     try:
         next(folder.iterdir(), None)
         files = sorted(f for f in folder.glob(pattern) if f.suffix.lower() in _SUFFIXES and f.is_file())
@@ -342,7 +342,7 @@ def _files(folder: Path, pattern: str) -> list[Path]:
 def join_calibrations(read: Mapping[str, Mapping[str, Camera]]) -> dict[str, Camera]:
     """Join the cameras of several files (path -> cameras) to one rig.
 
-    ``read``: cameras of each path. Cameras with the same name get the names of their files, with a
+    ``read``: cameras of each path. If cameras have the same name, each is named after its file, with a
     HumansimWarning.
 
     Raises:
@@ -402,7 +402,8 @@ def _detect_format(file: CalibrationFile) -> CalibrationFormat:
 def _sizes(
     path: str, raw: Mapping[str, RawCamera], format: CalibrationFormat, given: ImageSize | None
 ) -> dict[str, ImageSize]:
-    """Find image sizes: the given size, or the size in the file, or a size that fits the principal points."""
+    """Find the image size of each camera: the given size, or else the size in the file, or else a size that
+    fits the principal points."""
     sizes = {name: given or camera.size for name, camera in raw.items()}
     unknown = [name for name, size in sizes.items() if size is None]
     if unknown:
@@ -458,7 +459,7 @@ def _mirrors(raw: RawCamera, part: str) -> bool:
 
 
 def _orthonormal(r: Array) -> Array:
-    """Return the rotation that Camera makes of a matrix, or the matrix unchanged if Camera refuses it."""
+    """Correct a rotation matrix as Camera does. A matrix that Camera refuses is returned unchanged."""
     error = np.abs(r @ r.T - np.eye(3)).max()
     return nearest_rotations(r) if 1e-12 < error < 1e-3 else r
 
@@ -469,10 +470,10 @@ def _orthonormal(r: Array) -> Array:
 def resolve_url(url: str, name: str | None = None) -> Path:
     """Find the file of a ``camera_info_url`` in the same way as ROS's camera_info_manager.
 
-    A URL is ``file:///…`` or ``package://<package>/…``. ``${NAME}`` stands for the ``name`` of the camera,
-    ``${ROS_HOME}`` for this environment variable or ~/.ros. An empty URL is
-    file://${ROS_HOME}/camera_info/${NAME}.yaml. Packages are searched in AMENT_PREFIX_PATH. A path that is no
-    URL is returned unchanged.
+    A URL is ``file:///…`` or ``package://<package>/…``. In the URL, ``${NAME}`` stands for ``name``, the name
+    of the camera. ``${ROS_HOME}`` stands for the environment variable ROS_HOME or, if it is not set, for
+    ~/.ros. An empty URL is file://${ROS_HOME}/camera_info/${NAME}.yaml. Packages are searched in
+    AMENT_PREFIX_PATH. A path that is not a URL is returned unchanged.
 
     Raises:
         CameraError: The URL is not valid, or its package is missing.

@@ -1,5 +1,5 @@
-"""Plausibility checks of cameras and rigs: field of view, principal point, image size. A check changes
-nothing.
+"""Plausibility checks of cameras and rigs: field of view, principal point, image size. Checks return
+messages.
 
 Image sizes come from image files. Where a calibration has no size, it is guessed from principal points.
 """
@@ -31,10 +31,11 @@ from humansim_ros.types import Array, ImageSize
 _MOST_IN_WIDTH = 20
 #: Largest plausible distance of a principal point from the image centre, as a fraction of the image side.
 _OFF_CENTER = 0.075
-#: Another image size fits better if its centre is nearer by this factor; the shapes may differ by this.
+#: Another image size fits better if its centre is nearer to the principal point by this factor. The ratios of
+#: width to height may differ by the second number.
 _BETTER, _SAME_SHAPE = 6.0, 0.02
-#: No lens has a principal point this far from the centre. The image was scaled, not cropped, if this fraction
-#: differs by less than the second number between both sides.
+#: No lens has a principal point this far from the centre, as a fraction of the image side. The image was
+#: scaled, not cropped, if x / width and y / height of the point differ by less than the second number.
 _FAR_OFF, _SAME_SCALE = 0.2, 0.1
 #: Plausible focal lengths of the rectified image, as multiples of the focal lengths of the real image.
 _ZOOM = (0.4, 2.5)
@@ -78,8 +79,8 @@ def has_pose(camera: Camera) -> bool:
 
 
 def baseline(camera: Camera) -> float:
-    """Baseline of a stereo camera from its rectified P: distance in metres to the right of the first
-    camera."""
+    """Baseline of a stereo camera, from its rectified P: by how many metres it is to the right of the first
+    camera of the pair. 0 for the first camera."""
     return float(-camera.rectified_projection[0, 3] / camera.rectified_projection[0, 0])
 
 
@@ -141,7 +142,7 @@ def check_image_size(camera: Camera) -> list[str]:
 
 
 def note_principal_points(cameras: Mapping[str, Camera]) -> list[str]:
-    """Return one note about all cameras of a file with a principal point far from the image centre."""
+    """Look for principal points far from the image centre. Returns at most one message, about all cameras."""
     distances = {
         name: float(np.abs(_principal_share(camera) - 0.5).max())
         for name, camera in cameras.items()
@@ -233,8 +234,9 @@ _HEADER_BYTES = 1 << 20
 
 
 def guess_image_size(principal_points: ArrayLike, preferred: Sequence[ImageSize] = ()) -> ImageSize:
-    """Guess the image size with its centre at these principal points (N, 2). If a size of ``preferred`` fits
-    within 6 %, it is used; or else a common size that fits within 6 %; or else the best fit."""
+    """Guess the image size from principal points (N, 2), which are near the image centre. The first of these
+    is taken: a size of ``preferred`` that fits within 6 %, a common size that fits within 6 %, the size that
+    fits best."""
     center = np.median(np.atleast_2d(np.asarray(principal_points, dtype=float)), axis=0)
     fitted = 2 * center + 1
     return (
@@ -253,7 +255,8 @@ def _nearest(fitted: Array, sizes: Iterable[ImageSize]) -> ImageSize | None:
 
 
 def size_of_named_image(folder: Path, name: str) -> ImageSize | None:
-    """Size of an image that a file in ``folder`` names. Returns None if the image is missing."""
+    """Read the size of an image that a file in ``folder`` refers to by ``name``. Returns None if the image is
+    missing."""
     path = resolve_inside(folder, name)
     return _declared_size(path) if path is not None and path.is_file() else None
 

@@ -1,11 +1,12 @@
 """Find what a file leaves open: what R and t mean, the model of a lens, and the unit.
 
-Each reading of the poses gives a rig. Two facts support a rig: its optical axes meet in a point in front of
-all cameras, and its cameras are level or upright about one vertical. The evidence of a reading is the
-logarithm of its likelihood. Misses and rolls are taken as normally distributed with unknown deviation. Each
-measured number that the common point and the vertical do not use up is one degree of freedom. A reading is
-sure if its evidence exceeds that of each other reading by :data:`_MARGIN`. Otherwise the warning names both
-readings. ``benchmarks/conventions.py`` measures how many readings of random rigs are wrong or doubtful.
+A reading is one possible meaning of R and t. Each reading gives a rig. Two facts support a rig: its optical
+axes meet in a point in front of all cameras, and its cameras are level or upright about one vertical. The
+evidence of a reading is the logarithm of its likelihood. Misses and rolls are taken as normally distributed
+with unknown deviation. Each measured number that the common point and the vertical do not use up is one
+degree of freedom. A reading is sure if its evidence exceeds that of each other reading by :data:`_MARGIN`.
+Otherwise the warning names both readings. ``benchmarks/conventions.py`` measures how many readings of random
+rigs are wrong or doubtful.
 
 ``cv2.calibrateCamera`` returns five coefficients or more. Four coefficients are either those of
 ``cv2.fisheye`` (k1 to k4), or plumb_bob without k3, as other programs write it (k1, k2, and small p1, p2).
@@ -39,19 +40,20 @@ from humansim_ros.cameras.formats.spellings import leaves_of, plain, shape_of
 from humansim_ros.errors import CameraError, some_of, warn_about
 from humansim_ros.types import Array
 
-#: The cameras of a rig look at a common place if they miss it by at most this fraction of their distance.
+#: Cameras look at a common place if their axes miss it by at most this fraction of the distance to it.
 _SURE = 0.35
-#: A reading is sure if its evidence is larger by at least this: in total, and by the common point alone.
+#: A reading is sure if its evidence exceeds the next best by more than this: in total; and from the common
+#: point.
 _MARGIN, _CROSSING_MARGIN = 8.0, 2.0
-#: Usual misses (fractions of the distance) and rolls (radians) of a real rig, and most degrees of freedom
-#: that count.
+#: Usual misses (fractions of the distance) and rolls (radians) of a real rig; the number of degrees of
+#: freedom is limited to the last value.
 _MISS, _ROLL, _MOST_FREEDOM = 0.008, 0.05, 9
 #: Evidence against a camera that looks away from the common point, and against a rig that looks outwards.
 _AWAY, _OUTWARD = 3.0, 3.0
 #: The common point is known if the mean square of the sine between two optical axes is above this.
 _PARALLEL = 3e-3
-#: A camera has an up direction if at least this share of the vertical is in its image plane. Roll that is
-#: assumed for a camera without one.
+#: A camera has an up direction if at least this share of the vertical is in its image plane. The second
+#: number is the roll (radians) that is assumed for a camera without an up direction.
 _STEEP, _STEEP_ROLL = 0.3, 0.1
 
 
@@ -125,7 +127,7 @@ def resolved(
 
 
 def _reading(file: CalibrationFile, poses: list[FilePose]) -> tuple[int, str]:
-    """Index of the convention of the unclear poses of a file, and a sentence about it."""
+    """Index of the convention of the unclear poses of a file, and a sentence that explains the choice."""
     unclear = [pose for pose in poses if not pose.clear]
     if not unclear:
         return 0, ""
@@ -163,7 +165,7 @@ def _how(*readings: int) -> str:
 
 
 class _Evidence(NamedTuple):
-    """Evidence of a reading: by its common point, and in total; and how far the axes miss this point."""
+    """Evidence of a reading: from its common point alone, and in total. ``miss``: error of this point."""
 
     crossing: float
     total: float
@@ -230,14 +232,14 @@ _WIDE = 0.9
 #: A lens with at least this evidence for a fisheye causes no warning.
 _CERTAIN = 3
 _MOST_VALUES = 20_000
-#: Words of keys for lists of numbers of a lens; keys of its single numbers; keys of lenses that cameras do
-#: not have.
+#: Patterns of keys: for lists of numbers of a lens; for single numbers of a lens; for lens models that this
+#: package does not have.
 _LISTS = re.compile(r"dist(?!ance)\w*|disto\w*|coeff?s?|coefficients|radial\w*|tangential\w*|poly\w*|lens")
 _NUMBERS = re.compile(
     r"(?:cam)?[kpd][0-9]|xi|alpha|beta|omega|kappa\w*|(?:radial|tangential)\w+|\w*distortion"
 )
 _NEVER = ("xi", "beta", "omega")
-#: Pattern of keys that name a lens, and names that a camera without distortion does not have.
+#: Patterns of keys that hold the name of a lens model, and of names of models with distortion.
 _KIND = re.compile("type|model|lens|projection|camera")
 _NAMED = re.compile(
     r"fish[-_]?eye\d*|equi(?:distant)?|kannala.*|kb[48]|omni.*|mei|ds|e?ucm|fov|ocam.*|scaramuzza|atan|double.*"
@@ -285,7 +287,7 @@ def model_of_four(
 
 
 def other_lens(file: CalibrationFile) -> str:
-    """Sentence that names a lens which cameras do not have, if a document has one; else empty."""
+    """Sentence that names the unknown lens model of a document; empty if there is none."""
     named = (
         f" Its lens {shape[:40]!r} is not supported; known are {', '.join(MODELS)}."
         for keys, shape in islice(leaves_of(file), _MOST_VALUES)
@@ -297,7 +299,7 @@ def other_lens(file: CalibrationFile) -> str:
 
 def check_unread(file: CalibrationFile, cameras: Mapping[str, RawCamera]) -> None:
     """Warn if a document has lens values that are not used, and a camera has no distortion. A parameter of a
-    lens that no camera can have, such as xi, is enough for a warning."""
+    lens model that this package does not have, such as xi, is enough for a warning."""
     fisheyes = any(c.model == "equidistant" for c in cameras.values())
     straight = any(not any(c.distortion) and c.model != "equidistant" for c in cameras.values())
     read = {float(v) for c in cameras.values() for v in (0.0, *c.distortion, *c.K.ravel(), *(c.size or ()))}
@@ -321,11 +323,11 @@ def check_unread(file: CalibrationFile, cameras: Mapping[str, RawCamera]) -> Non
 
 
 def fitted_lens(file: CalibrationFile, what: str, ideal: Array, distorted: Array, focal: float) -> Lens:
-    """Fit a lens to a lens model that cameras do not have. A warning states the error.
+    """Approximate a lens model that this package does not have. A warning states the error of the fit.
 
     Args:
         file: File that is being read.
-        what: The lens, for the warning.
+        what: Name of the lens model, for the warning.
         ideal: Points (N, 2) of the normalised image plane, over the image.
         distorted: The same points (N, 2) after distortion.
         focal: Focal length, pixels.
@@ -390,8 +392,8 @@ _UNIT_KEYS = tuple(
 )
 
 
-#: If the extent of a rig exceeds this number of units, the unit is millimetres. It lies between a room of 30
-#: m and 10 cm.
+#: If the extent of a rig exceeds this number of units, the unit is millimetres. The number lies between a
+#: room of 30 m, in metres, and a rig of 10 cm, in millimetres.
 _MILLIMETRES = 50.0
 
 
@@ -409,7 +411,7 @@ def stated_unit(file: CalibrationFile) -> float | None:
 
 
 def find_unit(file: CalibrationFile, cameras: Mapping[str, RawCamera]) -> float:
-    """Metres per unit of a file. Its key ``unit`` decides, or else the extent of the rig: metres or
+    """Metres per unit of a file. The key ``unit`` decides, or else the extent of the rig: metres or
     millimetres. If the unit is guessed, a HumansimWarning says so. Raises CameraError for an unknown unit."""
     stated = stated_unit(file)
     if stated is not None:

@@ -155,7 +155,7 @@ def _read_panoptic(file: CalibrationFile) -> dict[str, RawCamera]:
 
 
 def _panoptic_values(own: Values, camera: Camera) -> Values:
-    """Type of a camera, and its panel and node in the studio. Its name consists of them."""
+    """Values for the template, from the name of a camera: its type, and its panel and node in the studio."""
     matched = _PANEL_AND_NODE.fullmatch(own["name"])
     panel, node = (int(matched[1]), int(matched[2])) if matched else (0, own["index"])
     return {"type": "hd" if camera.size == (1920, 1080) else "vga", "panel": panel, "node": node}
@@ -216,7 +216,7 @@ ANIPOSE = calibration_format(
 _LENS = ("distCoeff", "distCoeffs", "distCoef", "distortion_coefficients", "D")
 
 
-#: Keys of a camera. If other camera parameters are there, the file has another format.
+#: Keys of a camera. If a camera has other parameters, the file has another format.
 _OWN = {"K", "RT", "R", "T", "t", "imgSize", "name", "id", *_LENS}
 
 
@@ -303,7 +303,7 @@ def _frame_camera(file: CalibrationFile, index: int, size: ImageSize | None) -> 
 
 
 def _keys(file: CalibrationFile, index: int, key: str) -> Keys:
-    """Key path of a value of a frame. The frame has the key itself, or the file has it for all frames."""
+    """Key path of a value of a frame: in the frame or, if it is for all frames, at the top of the file."""
     own = ("frames", index, key)
     return own if file.has(*own) else (key,)
 
@@ -322,7 +322,8 @@ def _size(file: CalibrationFile, index: int) -> ImageSize | None:
 
 
 def _matrix(file: CalibrationFile, index: int, size: ImageSize | None) -> Array:
-    """K of a frame. The size is needed if the file has an angle, or no principal point."""
+    """K of a frame. ``size`` is needed if the file has an angle of view in place of a focal length, or no
+    principal point."""
     width, height = size or (None, None)
     given = _focal_length(file, index, "x", width), _focal_length(file, index, "y", height)
     lengths = [length for length in given if length is not None]
@@ -380,7 +381,7 @@ _BLENDER_LENS = {"lens", "angle", "angle_x", "focal_length_mm"}
 
 
 def _blender_value(file: CalibrationFile, at: Keys, key: str, otherwise: float | None = None) -> float:
-    """Number from a camera, or from the section ``render``, or from the file."""
+    """Number with a key of a camera, or else of the section ``render``, or else of the file."""
     places: tuple[Keys, ...] = ((*at, key), (*at, "render", key), ("render", key), (key,))
     found = next((place for place in places if file.get(*place) is not None), None)
     if found is None and otherwise is not None:
@@ -422,7 +423,7 @@ def _blender_camera(file: CalibrationFile, at: Keys) -> RawCamera:
 
 
 def _blender_pose(file: CalibrationFile, at: Keys) -> tuple[Array, Array]:
-    """Rotation from the axes of the camera to the world, and its centre."""
+    """Rotation from the axes of a camera to the world, and the centre of the camera."""
     if file.has(*at, "matrix_world"):
         pose = file.pose_matrix(*at, "matrix_world", rows=4, tolerance=1e-6)
         lengths = np.linalg.norm(pose[:3, :3], axis=0)

@@ -10,8 +10,9 @@
 - RealSense (dumps of rs2_intrinsics by librealsense and pyrealsense2): the fields of rs2_intrinsics, for one
   camera or for streams by name; also rs2_extrinsics from depth to colour (metres, rotation in column order).
   https://github.com/realsenseai/librealsense/wiki/Projection-in-RealSense-SDK-2.0
-- Open3D: matrices in column order, and maybe extrinsics (x = R X + t, metres). It measures pixels from the
-  centre of the first one, as RealSense does. https://www.open3d.org/docs/release/python_api/open3d.camera.html
+- Open3D: matrices in column order, and maybe extrinsics (x = R X + t, metres). Open3D measures pixels from
+  the centre of the first pixel, as RealSense does.
+  https://www.open3d.org/docs/release/python_api/open3d.camera.html
 """
 
 from __future__ import annotations
@@ -51,7 +52,7 @@ _ZED_LENS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 
 
 def _zed_document(file: CalibrationFile) -> CalibrationFile:
-    """The file with its sections as a document. Sections are in upper case, keys in lower case."""
+    """The file with its sections parsed as ``document``. Sections are in upper case, keys in lower case."""
     parsed = text_document(file, role_of)
     document: dict[str, dict[str, Any]] = {}
     for section, items in (parsed.document or {}).items():
@@ -65,7 +66,7 @@ def _zed_document(file: CalibrationFile) -> CalibrationFile:
 
 
 def _zed_number(file: CalibrationFile, section: str, *keys: str, needed: bool = True) -> float:
-    """Number of the first of these keys in a section. An absent number that is not needed is 0."""
+    """Number with the first of ``keys`` that a section has. Without one: 0, or CameraError if ``needed``."""
     key = file.first((section,), *map(str.lower, keys))
     if key is None and needed:
         raise file.error("is missing", section, keys[0])
@@ -150,7 +151,7 @@ ZED = calibration_format(
 _K4A: Keys = ("CalibrationInformation", "Cameras")
 _BROWN = "CALIBRATION_LensDistortionModelBrownConrady"
 _COLOR = "CALIBRATION_CameraPurposePhotoVideo"
-#: By size of a mode: side of the scaled sensor, and the first pixel of the mode in the sensor.
+#: Modes of the depth camera by image size: side of the sensor after binning, and first pixel on it.
 _DEPTH_MODES = {
     (640, 576): (1024, (192, 180)),
     (320, 288): (512, (96, 90)),
@@ -182,7 +183,7 @@ def _read_k4a(file: CalibrationFile) -> dict[str, RawCamera]:
 
 
 def _mode(size: ImageSize, sensor: ImageSize, color: bool) -> tuple[Array, Array] | None:
-    """Size (2,) of the scaled sensor, and first pixel (2,) of a mode in the sensor; None for an unknown
+    """Size (2,) of the sensor in pixels of a mode, and first pixel (2,) of the mode; None for an unknown
     mode."""
     if size == sensor:
         return np.array(sensor, dtype=float), np.zeros(2)
@@ -233,7 +234,7 @@ K4A = calibration_format("k4a", lambda file: isinstance(file.get(*_K4A), list), 
 
 # -- RealSense and Open3D
 
-#: Names of rs2_distortion in lower case, and its numbers.
+#: Lens models by the names (in lower case) and the numbers of rs2_distortion.
 _MODELS = {
     **dict.fromkeys(("none", "0"), None),
     **dict.fromkeys(("modified brown conrady", "1", "inverse brown conrady", "2"), "plumb_bob"),
@@ -322,7 +323,7 @@ _EXTRINSICS = ("extrinsics", "depth_to_color", "depth_to_color_extrinsics", "ext
 
 
 def _read_realsense(file: CalibrationFile) -> dict[str, RawCamera]:
-    """Read streams. If rs2_extrinsics from the depth to the colour stream are known, the depth camera is the
+    """Read streams. With rs2_extrinsics from the depth to the colour stream, the depth camera is the
     world."""
     cameras = reader_of(*_STREAMS, _realsense_camera)[1](file)
     at = next((key for key in _EXTRINSICS if isinstance(file.get(key), dict)), None)

@@ -40,13 +40,13 @@ from humansim_ros.types import Array
 _MOST_BYTES = 8 << 20
 #: Cameras by name, or in a list. Each is a mapping of keys.
 _Cameras = dict[str, dict[str, Any]] | list[dict[str, Any]]
-#: Names of the parameters of lenses that do not name them.
+#: Names of the parameters of each lens with a name that does not list them.
 _LENSES = {"KannalaBrandtK3": "fx_fy_cx_cy_kb4", "Linear": "fx_fy_cx_cy"}
 _FROM_DEPTH = re.compile(r'Extrinsic from "Depth"\s+To\s+"(.+?)"')
 _LEAST_POINTS = 50
 _HALF_PIXEL = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
 _FLYDRA = ("fc1", "fc2", "cc1", "cc2", "k1", "k2", "p1", "p2")
-#: Pose of a camera that is the world.
+#: Pose of a camera with the world as its frame.
 _ORIGIN = {"c2w": np.eye(4)[:3].tolist()}
 #: Columns of the text files of Argus, by number of columns.
 _ARGUS = {
@@ -57,8 +57,8 @@ _ARGUS = {
 
 
 def _with_params(file: CalibrationFile, items: dict[Any, Any], key: str) -> dict[Any, Any]:
-    """Items with the numbers of ``params`` under their own names. The lens decides the names. ``key``: key of
-    the lens."""
+    """Give each number of ``params`` a key, which depends on the lens. ``key``: key of the lens, for
+    errors."""
     if "params" not in items:
         return items
     model, numbers = str(items.get("model")), replace(file, document=items).some_numbers("params").tolist()
@@ -108,7 +108,8 @@ def _calibu(file: CalibrationFile) -> _Cameras:
 def _through(
     file: CalibrationFile, name: str, p: Array, k: Array, lens: Sequence[float], size: Sequence[float] | Array
 ) -> dict[str, Any]:
-    """Camera of a matrix P (3, 4) of undistorted pixels. The lens has its own K (3, 3)."""
+    """Camera with a matrix P (3, 4) to undistorted pixels. The ``k`` (3, 3) of the lens may be another
+    one."""
     camera = {"P": nested(p), "distortion": list(lens), **({"size": list(size)} if len(size) else {})}
     with located(CameraError, path=file.path, key=name):
         own, bending = Camera.from_projection_matrix(p, (1, 1)).K, Lens.of(lens)
@@ -139,7 +140,8 @@ def _flydra(file: CalibrationFile) -> _Cameras:
 
 
 def _selfcal(file: CalibrationFile) -> _Cameras:
-    """Camera of ``cameraN.Pmat.cal``, with ``*N.rad``, and line N of Res.dat and camera_order.txt."""
+    """Camera of ``cameraN.Pmat.cal``, with the lens of ``*N.rad``, the size in line N of Res.dat, and the
+    name in line N of camera_order.txt."""
     path = Path(file.path)
     number = int((re.search(r"([0-9]{1,4})\.Pmat", path.name, re.IGNORECASE) or "00")[1])
     name, size = (_line(path.with_name(other), number) for other in ("camera_order.txt", "Res.dat"))
@@ -169,7 +171,7 @@ def _stephi(file: CalibrationFile) -> _Cameras:
 
 
 def _captury(file: CalibrationFile) -> _Cameras:
-    """Cameras of Captury. Lengths on the sensor are in mm; the scale of the width holds for both axes."""
+    """Cameras of Captury. Lengths on the sensor are in mm. The width gives the pixels per mm."""
     if file.given_size is None:
         raise file.error("the file has no image size: give the size", "size")
     width, cameras = file.given_size[0], {}
@@ -257,7 +259,7 @@ def _orbslam3(file: CalibrationFile) -> _Cameras:
 
 
 def _ncamera(file: CalibrationFile) -> _Cameras:
-    """Cameras of a rig. The lens that this format calls fisheye is FOV."""
+    """Cameras of a rig. The lens that this format calls fisheye has the FOV model."""
     cameras = []
     for at in file.paths("cameras"):
         camera, lens = dict(file.mapping(*at, "camera")), dict(file.mapping(*at, "camera", "distortion"))
@@ -305,7 +307,7 @@ def _opensfm(file: CalibrationFile) -> _Cameras:
 
 
 def _pymvg(file: CalibrationFile) -> _Cameras:
-    """Cameras of pymvg. Pose (Q, translation) is that of the rectified camera, and R rectifies."""
+    """Cameras of pymvg. (Q, translation) is the pose of the rectified camera. R rectifies."""
     cameras = []
     for at in file.paths("camera_system"):
         camera = file.mapping(*at)
@@ -317,7 +319,7 @@ def _pymvg(file: CalibrationFile) -> _Cameras:
 
 
 def _matlab(file: CalibrationFile) -> _Cameras:
-    """Cameras of MATLAB. Pixels count from 1. Vectors are rows, except for K and PoseCamera2 (since 2022)."""
+    """Cameras of MATLAB. Pixels count from 1. Matrices are for row vectors, but not K and PoseCamera2."""
     pair = [key for key in ("CameraParameters1", "CameraParameters2") if file.get(key) is not None]
     cameras: dict[str, dict[str, Any]] = {}
     for name in pair or [Path(file.path).stem]:

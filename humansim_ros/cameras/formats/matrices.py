@@ -3,8 +3,8 @@
 ``cameras/formats/spellings.py`` finds the parameters. Intrinsics and extrinsics may be in one file or in two.
 Pixels are those of OpenCV. R and t mean x = R X + t, as in OpenCV, unless keys such as rvec, w2c, c2w and
 center say something else. The keys R and t, rotation and translation, extrinsics, and pose are unclear. For
-them the views of three or more cameras decide between the usual conventions, and a warning says which one is
-taken.
+unclear keys, the views of three or more cameras decide between the usual conventions, and a warning says
+which one is taken.
 
 NeuS stores two values for each image in cameras_sphere.npz: ``world_mat_i``, which is P = K [R | t] in 4 x 4
 numbers, and ``scale_mat_i``, which moves a unit sphere to the object and is not used here.
@@ -173,7 +173,7 @@ def missing_parts(found: Found) -> str:
 
 
 def _leaf_cameras(found: Found, identities: list[Identity]) -> list[Identity]:
-    """Cameras, without groups of parameters that several cameras share."""
+    """Names of the real cameras, without groups of parameters that several cameras share."""
     shared = {one[:length] for one in identities for length in range(len(one))}
     return [one for one in identities if one not in shared]
 
@@ -231,7 +231,7 @@ def _pairs(file: CalibrationFile, found: Found) -> _Pairs:
 
 
 def _short(pairs: _Pairs, identities: Mapping[str, Identity]) -> _Pairs:
-    """The same pairs. The first parts of key paths that are the same for all cameras are removed."""
+    """The same pairs by shorter names, without the first parts of key paths that all cameras share."""
     common = 0
     paths = list(identities.values())
     while len(paths) > 1 and all(len(path) > common + 1 for path in paths):

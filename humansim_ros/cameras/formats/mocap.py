@@ -170,7 +170,8 @@ def _xml_cameras(file: CalibrationFile) -> list[Keys]:
 
 
 def _xml_camera(file: CalibrationFile, at: Keys, shift: str, **own: Any) -> RawCamera:
-    """Camera in the unit of its element ``intrinsic``. ``shift``: whether x, y, z are t or the center."""
+    """Camera with K in the unit of its element ``intrinsic``. ``shift``: ``t`` or ``center``, which x, y, z
+    are."""
     keys = (file.first((*at, "intrinsic", 0), *names) for names in _LENS_KEYS)
     lens = [0.0 if key is None else file.number(*at, "intrinsic", 0, key) for key in keys]
     camera = camera_at(
@@ -208,7 +209,7 @@ THEIA = calibration_format("theia", _is_theia, _read_theia)
 
 # -- Qualisys
 
-#: Focal lengths and principal points are in this fraction of a pixel.
+#: Units of focal lengths and principal points per pixel.
 _SUBPIXELS = 64.0
 #: Windows of the video in the sensor, in order of precedence.
 _WINDOWS = ("fov_video", "fov_video_max", "fov_marker", "fov_marker_max")
@@ -233,7 +234,7 @@ def _read_qualisys(file: CalibrationFile) -> dict[str, RawCamera]:
 
 
 def _window(file: CalibrationFile, at: Keys) -> tuple[Array, ImageSize | None]:
-    """First pixel (2,) of the video in the sensor, and its size."""
+    """First pixel (2,) of the video on the sensor, and size of the video (None if unknown)."""
     for name in _WINDOWS:
         window = (*at, name, 0)
         if file.get(*window) is None:

@@ -43,7 +43,7 @@ from humansim_ros.types import Array, ImageSize
 # -- Metashape
 
 _ROOTS = ("document", "chunk")
-#: Steps for the inversion of a lens.
+#: Number of fixed-point steps to invert a lens model.
 _INVERSION_STEPS = 200
 
 
@@ -92,7 +92,8 @@ def _read_metashape(file: CalibrationFile) -> dict[str, RawCamera]:
 
 
 def _sensor_lens(file: CalibrationFile, at: Keys) -> RawCamera:
-    """Lens of a sensor: the adjusted calibration, or the initial one, or focal length and pixel size."""
+    """Intrinsics of a sensor: of the adjusted calibration, the initial one, or focal length and pixel
+    size."""
     calibrations = file.items(*at, "calibration")
     order = sorted(range(len(calibrations)), key=lambda i: calibrations[i].get("class") != "adjusted")
     if order:
@@ -241,19 +242,19 @@ METASHAPE = calibration_format(
 
 # -- OpenMVG and Meshroom: views with a lens and a pose
 
-#: Coefficients in the order of a lens, and its model.
+#: Names of the coefficients of a lens, in the order of the file, and its model.
 _Coefficients = tuple[tuple[str, ...], str | None]
 _RADIAL: _Coefficients = (("k1", "k2", "k3"), "plumb_bob")
 _BROWN: _Coefficients = (("k1", "k2", "k3", "p1", "p2"), "plumb_bob")
 _FISHEYE: _Coefficients = (("k1", "k2", "k3", "k4"), "equidistant")
-#: By key of the lens of OpenMVG.
+#: Coefficients and models by the key of a lens in OpenMVG.
 _OPENMVG: Mapping[str, _Coefficients] = {
     "disto_k1": (("k1",), "plumb_bob"),
     "disto_k3": _RADIAL,
     "disto_t2": _BROWN,
     "fisheye": _FISHEYE,
 }
-#: By lens type of AliceVision.
+#: Coefficients and models by the type of a lens in AliceVision.
 _ALICE: Mapping[str, _Coefficients] = {
     **dict.fromkeys(("none", "pinhole"), ((), None)),
     **dict.fromkeys(("radial1", "radialk1"), (("k1",), "plumb_bob")),
@@ -264,14 +265,14 @@ _ALICE: Mapping[str, _Coefficients] = {
 
 
 def _coefficients(file: CalibrationFile, keys: Keys, lens: _Coefficients) -> tuple[float, ...]:
-    """Coefficients of a model of ROS from numbers in the order of a lens."""
+    """Coefficients in the order of ROS. In the file, they are in the order of ``lens``."""
     names, model = lens
     given = dict(zip(names, file.numbers((len(names),), *keys), strict=True))
     return tuple(given.get(name, 0.0) for name in MODELS[str(model)])
 
 
 def _by_id(file: CalibrationFile, section: str, key: str, *below: str) -> dict[str, Keys]:
-    """Key paths below the items of a section, by the value of their key."""
+    """Key paths of the items of a section, extended by ``below``, by the value of ``key`` in each item."""
     items = enumerate(file.items(section))
     return {
         str(item.get(key) if isinstance(item, Mapping) else None): (section, index, *below)

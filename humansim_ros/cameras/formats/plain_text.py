@@ -8,7 +8,7 @@
 - par.txt: a count, then lines of an image name, K (9), R (9) and t (3); P = K [R | t].
   https://vision.middlebury.edu/mview/data/
 - cam.txt of MVSNet: the matrix from the world to the camera (4x4) and K. https://github.com/YoYo000/MVSNet
-- COLMAP: cameras.txt (intrinsics) and images.txt (poses, world to camera). The centre of its first pixel is
+- COLMAP: cameras.txt (intrinsics) and images.txt (poses, world to camera). The centre of the first pixel is
   (0.5, 0.5), so principal points are shifted by half a pixel when they are read or written.
   https://colmap.github.io/format.html, https://colmap.github.io/cameras.html
 """
@@ -118,7 +118,7 @@ def _name_and_size(comment: str) -> tuple[str, ImageSize | None]:
 PROJECTION = calibration_format("p", lambda file: next(_rows(file), None) is not None, _read_projection)
 
 
-#: most coefficients of OpenCV, and most lines
+#: Most distortion coefficients of OpenCV, and most lines of a KRTD file.
 _MAX_COEFFICIENTS, _MAX_LINES = 14, 21
 
 
@@ -301,8 +301,8 @@ def camera_of_model(model: str, values: Sequence[float], location: SourceLocatio
 
 
 def _image_lines(file: CalibrationFile) -> Iterator[tuple[int, list[str]]]:
-    """Lines of images. After each one, the file has a line with points (three words each), which may be
-    empty."""
+    """Line numbers and words of images. After each image, a line of points (three words each) or an empty
+    line is left out."""
     image = False
     for line, text in file.all_lines():
         if text.startswith("#"):

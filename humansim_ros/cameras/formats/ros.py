@@ -167,7 +167,7 @@ def _read_ini(file: CalibrationFile) -> dict[str, RawCamera]:
 
 
 def _sections(file: CalibrationFile) -> CalibrationFile:
-    """The file with its sections as a document: lists of numbers by section and key."""
+    """The file with its sections parsed as ``document``: lists of numbers by section and key."""
     document: dict[str, dict[str, list[float]]] = {}
     lines: dict[tuple[str, ...], int] = {}
     section: dict[str, list[float]] = {}
@@ -236,7 +236,7 @@ def _read_kalibr(file: CalibrationFile) -> dict[str, RawCamera]:
 
 
 def _rigid(matrix: Array) -> Array:
-    """The same transform with an exact rotation, if rounding explains its error."""
+    """The same transform (4, 4), with an exact rotation if the error can come from rounding."""
     rotation = matrix[:3, :3]
     if np.abs(rotation @ rotation.T - np.eye(3)).max() > _ROUNDING:
         return matrix

@@ -38,8 +38,8 @@ def words(text: str) -> frozenset[str]:
 #: Spellings of each parameter, and keys of groups. They are in lower case, without separators between words.
 CAMERA_KEYS = read_table("camera_keys")
 _ROLES = {word: role for role, lines in CAMERA_KEYS["parameters"].items() for word in " ".join(lines).split()}
-#: Possible numbers of numbers in one value of each parameter, largest first. A list of such values has one
-#: for each camera.
+#: How many numbers a value of each parameter may have, largest first. A list of such values has one value for
+#: each camera.
 _COUNTS = {
     "K": (16, 9, 4),
     **dict.fromkeys(("R", "Rinverse"), (9, 3)),
@@ -86,7 +86,7 @@ _DIRECTION = tuple(
 _WHOLE = {""} | words(
     "h t mat matrix tf transform transformation transformationmatrix rt se3 pose extrinsics extrinsic"
 )
-#: By parameter with a direction: the same parameter from the camera to the world.
+#: Parameters from the world to the camera, and the same parameters from the camera to the world.
 _OPPOSITES = {"R": "Rinverse", "t": "center", "pose": "inverse"}
 #: Ends of keys of single numbers that together make a vector, a quaternion or a matrix; and their parameters.
 _ENDS = (
@@ -162,7 +162,7 @@ class Entry:
         return replace(self.file.location(*self.keys), path=self.file.path)
 
     def numbers(self, *shape: int) -> Array:
-        """Array of a shape. If no shape is given, all numbers (N,)."""
+        """Numbers of the value as an array of a shape. If no shape is given, the array is (N,)."""
         return self.file.numbers(shape, *self.keys) if shape else self.file.some_numbers(*self.keys)
 
     def error(self, message: str) -> CameraError:
@@ -181,7 +181,7 @@ class Found:
     views: bool = False
 
     def having(self, roles: frozenset[str]) -> list[Identity]:
-        """Cameras that have one of these parameters themselves."""
+        """Cameras that have at least one of these parameters, not counting shared parameters."""
         return [identity for identity, entries in self.cameras.items() if roles & entries.keys()]
 
     def entries_of(self, identity: Identity) -> dict[str, Entry]:
@@ -256,7 +256,7 @@ def find_parameters(*files: CalibrationFile) -> Found:
 
 
 def colmap_model(entries: Mapping[str, Entry]) -> str | None:
-    """COLMAP's camera model of a camera with these parameters; None for no model or another one."""
+    """Name of COLMAP's camera model in these parameters; None if they have no model, or none of COLMAP's."""
     model = str(entries["model"].value).strip().upper() if "model" in entries else ""
     return model if model in COLMAP_MODELS else None
 
@@ -328,7 +328,7 @@ def plain(
 
 
 def _parsed(file: CalibrationFile) -> CalibrationFile:
-    """The file with a document. Plain text with keys and values is parsed, too."""
+    """The file with ``document`` set, also for plain text with keys and values."""
     no_document = file.document is None and file.syntax == "text"
     return text_document(file, role_of) if no_document else file
 
@@ -362,7 +362,7 @@ def _joined(items: dict[Any, Any]) -> dict[Any, Any]:
 
 
 def keys_of(file: CalibrationFile) -> set[str]:
-    """Keys of a document, of its first thousands of values."""
+    """Keys of a document. If the document is large, only those of its first thousands of values."""
     return {str(key) for keys, _ in islice(leaves_of(file), 2000) for key in keys}
 
 
@@ -516,7 +516,7 @@ def _parts(keys: Keys) -> Identity:
 
 
 def _count(role: str, shape: _Shape) -> int | None:
-    """Number of cameras that a value has: 0 for a single value. None if the shape does not fit."""
+    """Number of cameras in a list of values; 0 for a single value; None if the shape does not fit."""
     if isinstance(shape, str):
         return 0 if role in _TEXTS or (role in SCALARS and is_number(shape)) else None
     size = int(np.prod(shape))
@@ -536,7 +536,7 @@ def _count(role: str, shape: _Shape) -> int | None:
 
 
 def numbers_found(file: CalibrationFile, most: int = 4, least: int = 1) -> list[str]:
-    """For messages: unknown keys in a document with lists of at least ``least`` numbers, and their sizes."""
+    """For messages: first unknown keys with at least ``least`` numbers in a document, and the shapes."""
     found: list[str] = []
     for count, (keys, shape) in enumerate(leaves_of(file)):
         if len(found) == most or count > 1000:

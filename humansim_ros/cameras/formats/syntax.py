@@ -315,8 +315,8 @@ RoleOf = Callable[[str], str | None]
 
 
 def text_document(file: CalibrationFile, role_of: RoleOf) -> CalibrationFile:
-    """The file with its keys and values as a document. It is unchanged if there are no keys, or a key comes
-    twice. Raises CameraError if a row of a table has another number of columns than the header."""
+    """The file with its keys and values parsed as ``document``; unchanged if there are no keys, or a key
+    comes twice. Raises CameraError if a row of a table has another number of columns than the header."""
     if len(file.text) > _MOST_CHARACTERS:
         return file
     document: dict[Any, Any] = {}
@@ -397,7 +397,8 @@ def _numbers(text: str) -> list[float]:
 
 
 def _blocks(values: list[tuple[Keys, Any, int]]) -> _Values:
-    """The same values. From the first key that comes again, each block has a number in front of its keys."""
+    """The same values in blocks, one per camera. The first key that is repeated begins each block. In front
+    of the keys of a block, its number is inserted."""
     keys = [keys for keys, _, _ in values]
     counts = {key: index for index, key in reversed(list(enumerate(keys)))}
     again = next((key for index, key in enumerate(keys) if counts[key] < index), None)

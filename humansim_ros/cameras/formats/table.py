@@ -55,7 +55,7 @@ class CalibrationFormat:
         lenses: Distortion models that the format can store, with the number of their coefficients.
         sizes: Usual image sizes of a format that does not store the size.
         find_unit: Finds the metres per unit of a file, if the format does not define the unit.
-        also: Other syntaxes that the format is read from, after the formats of that syntax have been tried.
+        also: Other syntaxes in which the format can be read. It is tried after the formats of that syntax.
     """
 
     name: str
@@ -127,8 +127,8 @@ def _values(name: str, index: int, camera: Camera) -> dict[str, Any]:
     """Values of a camera that templates may use.
 
     Matrices are ``K``, ``R``, ``Rt``, ``w2c``, ``c2w`` (camera to world) and ``gl`` (like ``c2w`` with the
-    camera axes of OpenGL: y up, z backward). The end ``_flat`` gives row order, ``_columns`` column order.
-    ``_lines`` gives a line for each row, ``_list`` numbers with commas.
+    camera axes of OpenGL: y up, z backward). A name may end in ``_flat`` (numbers in row order), ``_columns``
+    (in column order), ``_lines`` (a line for each row) or ``_list`` (numbers with commas).
     Single numbers of R and gl have row and column in their names (``R12``). Vectors are ``t`` and ``center``,
     also with the end ``_column``.
     """

@@ -34,7 +34,7 @@ from humansim_ros.types import Array, ImageSize
 BLENDER_TO_CAMERA = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])
 #: From the camera axes of the thesis to the axes of a ROS optical frame (right, down, forward).
 _OPTICAL = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])
-#: From (row, column) from the corner to (column, row) from the centre of the first pixel.
+#: Converts (row, column) from the image corner to (column, row) from the centre of the first pixel.
 _PIXELS = np.array([[0.0, 1, -0.5], [1, 0, -0.5], [0, 0, 1]])
 #: Largest skew and offset of the principal point that count as zero, pixels.
 _ROUNDING = 1e-6

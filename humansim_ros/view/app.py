@@ -1,4 +1,4 @@
-"""The page of ``humansim view``: ties source, player, 3D scene and panels in one thread."""
+"""The page of ``humansim view``: runs the source, the player, the 3D scene and the panels in one thread."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from humansim_ros.view.sources.source import FrameRequest, ViewFrame, ViewSource
 _LOG = logging.getLogger(__name__)
 #: Frames per second of the page.
 _RATE = 30.0
-#: Seconds between two checks whether the file of the scene has changed.
+#: The file of the scene is checked for changes every this number of seconds.
 _LOOK = 0.5
 #: Without a browser, the page waits this number of seconds between two checks for one.
 _IDLE = 0.2
@@ -45,9 +45,9 @@ _FIRST_IMAGES = 60.0
 
 
 class ViewApp:
-    """A page that shows a source.
+    """The page in the browser: shows a source, such as a scene or a bag.
 
-    Everything runs in the thread that calls :meth:`run`. Callbacks of other threads :meth:`post` functions to
+    Everything runs in the thread that calls :meth:`run`. Other threads use :meth:`post` to run a function in
     this thread.
 
     Args:
@@ -108,7 +108,7 @@ class ViewApp:
     # --- the thread of the page --------------------------------------------------------------------------
 
     def run(self) -> None:
-        """Show frames until :meth:`stop`."""
+        """Show frames until :meth:`stop` is called."""
         self.source.prepare(self.shown_cameras, self.shown_channels)
         due = time.monotonic()
         while not self._stopped.is_set():
@@ -137,7 +137,7 @@ class ViewApp:
         self._wanted.set()
 
     def close(self) -> None:
-        """Free the source, and stop serving."""
+        """Close the panels and the source, and stop the server."""
         if self.commands is not None:
             self.commands.close()
         if self.human is not None:
@@ -155,32 +155,32 @@ class ViewApp:
         self._wanted.set()
 
     def refresh(self) -> None:
-        """Show the frame again, also while paused."""
+        """Draw the present frame again, even while the player is paused."""
         self._needs_frame = True
         self._wanted.set()
 
     # --- what panels ask for (in the thread of the page) ---------------------------------------------------
 
     def seek(self, index: int) -> None:
-        """Pause, and show a frame."""
+        """Pause the player, and show the frame with number ``index``."""
         self.player.playing = False
         self._unseen_since = None
         self.player.seek(index)
         self.refresh()
 
     def scrub(self, index: int) -> None:
-        """Pause, and show a frame while the time is dragged. The images of the frame may come later."""
+        """Pause the player, and show a frame while the user drags the time. Its images may come later."""
         self._scrubbed = time.monotonic()
         self.seek(index)
 
     def set_options(self, options: Options) -> None:
-        """Change the drawings in 3D."""
+        """Choose what is drawn in 3D."""
         self.options = options
         self._stage.set_options(options)
         self.refresh()
 
     def step_back(self, redo: bool = False) -> None:
-        """Undo the last edit of the scene, or redo it."""
+        """Undo the last edit of the scene. If ``redo``, redo the edit that was undone last."""
         if self.editor is not None:
             (self.editor.redo if redo else self.editor.undo)()
 
@@ -199,7 +199,7 @@ class ViewApp:
         self.gui.configure_theme(dark_mode=dark, show_logo=False, show_share_button=False)
 
     def replace_source(self, source: ViewSource) -> None:
-        """Show another source. If the source has the time that is shown, the time stays."""
+        """Show another source, at the present frame number, or at its last frame if the source is shorter."""
         previous, index = self.source, self.player.index
         playing = self.player.playing
         self._remove_panels()
@@ -234,7 +234,7 @@ class ViewApp:
         self.replace_source(source)
 
     def pick_pixel(self, camera: str, across: float, down: float) -> None:
-        """Show the numbers of a pixel, given as shares of the width and height of an image."""
+        """Show the values of a pixel, such as its depth. ``across``, ``down``: place in the image, 0 to 1."""
         if self._frame is None or camera not in self._frame.cameras:
             return
         width, height = self._frame.cameras[camera].size
@@ -245,7 +245,7 @@ class ViewApp:
         self._numbers.show(info)
 
     def pick_person(self, name: str, origin: Array, direction: Array) -> None:
-        """Show the numbers of the point of a person that a ray hits."""
+        """Show the values of the point where a ray (origin and direction (3,) in ``map``) hits a person."""
         frame = self._frame
         if frame is None or name not in frame.joints or name not in self.source.people:
             return
@@ -264,7 +264,7 @@ class ViewApp:
         return self.player.index * self.source.period * 1e-9
 
     def saved(self, path: Path) -> None:
-        """Note that the scene has been saved as a file. The file is watched from now on."""
+        """Watch the file that the scene has just been saved to, to see changes by other programs."""
         self._path, self._modified = path, file_signature(path)
 
     def notify(self, title: str, text: str) -> None:
@@ -278,7 +278,7 @@ class ViewApp:
         self.editor.show_scene()
 
     def _take_files(self) -> None:
-        """Let browsers send files. If a file is refused, the user is told."""
+        """Let browsers upload files, and notify the user when an upload is refused."""
         self.server.add_script("uploads.js", most=MOST_UPLOAD)
 
         def refused(reason: str) -> None:
@@ -320,13 +320,13 @@ class ViewApp:
             self.human.stage_made()
 
     def _content(self) -> object:
-        """What the panels and the 3D scene were made for. If it changes, they are made again."""
+        """People, cameras, objects and channels: if they change, panels and 3D scene must be rebuilt."""
         source = self.source
         people = {name: id(human) for name, human in source.people.items()}
         return people, tuple(source.cameras), tuple(source.objects), source.channels
 
     def _tell(self, messages: Sequence[str]) -> None:
-        """Show what the user should know about the source."""
+        """Show the messages of the source to the user, above the tabs."""
         text = "\n\n".join(plain_markdown(message) for message in messages)
         if text != self._messages.content:
             self._messages.content, self._messages.visible = text, bool(text)
@@ -337,7 +337,7 @@ class ViewApp:
         self._messages.remove()
 
     def _place_view(self) -> None:
-        """Begin with a view of everything from above."""
+        """Set the first view of the 3D scene, from above, far enough away to show all cameras."""
         centers = [camera.center for camera in self.source.cameras.values()]
         reach = max([3.0, *(float(np.linalg.norm(center[:2])) for center in centers)])
         start = self.server.viser.initial_camera
@@ -381,8 +381,7 @@ class ViewApp:
         return self.enlarged is not None and self.enlarged[0] == camera
 
     def _images_are_pending(self) -> bool:
-        """Whether the first images of another source are still on their way. The page does not wait for
-        them."""
+        """Whether the first images of a new source are missing yet. Meanwhile the page shows poses only."""
         shown, since = self._frame, self._unseen_since
         if since is None:
             return False

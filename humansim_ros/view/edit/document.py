@@ -1,4 +1,4 @@
-"""A scene file that is edited: its text with comments, undo and redo, errors by key and line, saving."""
+"""A scene file that is being edited: keys, comments, undo and redo, errors by key and line, saving."""
 
 from __future__ import annotations
 
@@ -61,20 +61,20 @@ from humansim_ros.view.edit.scene_keys import (
 )
 from humansim_ros.view.edit.yaml_edit import YamlKey, remove_value, rename_key, set_value, value_at
 
-#: Sections with members that have a place; ``rig`` is the whole rig, and its name is ``rig``.
+#: Sections of items that have a place in the scene. The rig is one item, with the name ``rig``.
 SectionName = Literal["humans", "objects", "cameras", "rig"]
 
 _SINGULAR = {"humans": "person", "objects": "object", "cameras": "camera"}
-#: Camera of a scene that has none yet.
+#: Camera that stands in while a scene has no cameras yet.
 _A_CAMERA = {"position": [3.0, 0.0, 1.8], "look_at": [0, 0, 0.9]}
 #: Height of new cameras, and of the point at which they look, metres.
 _EYE, _CHEST = 1.8, 0.9
-#: Scene times at which a new camera sees the people, seconds, and its least distance from a wall, metres.
+#: Scene times at which a new camera should see people, seconds; its least distance from a wall, metres.
 _FIRST, _FROM_WALL = np.linspace(0.0, 2.0, 5), 0.3
 
 
 class SceneFault(NamedTuple):
-    """A key with an error, the line of the key in the text (None if unknown), and the reason."""
+    """An error in a scene file: its key, the line of the key (None if unknown), and the reason."""
 
     key: str
     line: int | None
@@ -82,14 +82,11 @@ class SceneFault(NamedTuple):
 
 
 class SceneDocument(SceneFile):
-    """A scene file that is edited.
+    """A scene file that is being edited.
 
     Each edit changes only the lines of its key. Comments, order, anchors and quotes of all other lines stay.
     After an edit the scene may have errors, which :meth:`errors` lists. Methods may be called from several
-    threads.
-
-
-    ``version`` grows with each change.
+    threads. ``version`` increases with each change.
 
     Args:
         text: Content of the scene file.
@@ -121,26 +118,26 @@ class SceneDocument(SceneFile):
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> SceneDocument:
-        """Open a scene file. It may be wrong. Raises SceneError if it cannot be read or is binary."""
+        """Open a scene file, which may have errors. Raises SceneError if it cannot be read or is binary."""
         document = cls("", path)
         document._read()
         return document
 
     @classmethod
     def copy_of(cls, path: str | os.PathLike[str], folder: Path | None = None) -> SceneDocument:
-        """A new scene with the text of a file, such as a built-in one. ``folder``: folder for the files of
-        the scene. If None, the folder of the file."""
+        """Make a new, unsaved scene with the text of a file, such as a built-in scene. ``folder``: folder for
+        the files of the scene. If None, the folder of the file."""
         original = cls.load(path)
         return cls(original.text(), folder=folder or original.folder)
 
     # --- the text and its values
 
     def data(self) -> dict[str, Any]:
-        """Values of the text, with anchors and merge keys applied. Raises SceneError if it is not valid."""
+        """The text parsed as YAML, with anchors and merge keys applied. Raises SceneError if that fails."""
         return copy.deepcopy(self._values())
 
     def _values(self) -> dict[str, Any]:
-        """Values of :meth:`data`, to read only."""
+        """Cached result of :meth:`data`. Callers must not change it."""
         with self._lock:
             if self._parsed is None or self._parsed[0] != self._text:
                 data, _ = parse_yaml(self._text, SceneError, self._name)
@@ -150,7 +147,7 @@ class SceneDocument(SceneFile):
             return self._parsed[1]
 
     def value(self, key: str | Sequence[YamlKey]) -> Any:
-        """Value of a key in the text, or else the default of the key; None if the key has neither.
+        """Value of a key in the text, or its default if the key is absent; None without a default.
 
         Args:
             key: Dotted key, such as ``humans.anna.motion.yaw_deg``, or its parts.
@@ -181,7 +178,7 @@ class SceneDocument(SceneFile):
         return isinstance(items, dict) and str(keys[-1]) in map(str, items)
 
     def names(self, kind: SectionName) -> list[str]:
-        """Names in a section, in the order of the file; ``["rig"]`` for a rig."""
+        """Names of the items in a section, in the order of the file; ``["rig"]`` if there is a rig."""
         section = self._values().get(kind)
         if kind == "rig":
             return ["rig"] if section is not None else []
@@ -233,8 +230,8 @@ class SceneDocument(SceneFile):
 
         Args:
             name: Name of the person. If the name is taken, a number is added.
-            near: Point (2,) or (3,) of the floor. The person gets the nearest place that is 0.8 m from other
-                people.
+            near: Point (2,) or (3,) of the floor. The person gets the nearest place that is 0.8 m from people
+                and objects.
             body: Name of a human, or a file.
             motion: Name of a motion, or a file.
 
@@ -247,8 +244,7 @@ class SceneDocument(SceneFile):
         return self.add_section("humans", name, section)
 
     def add_object(self, name: str = "object", near: ArrayLike = (0.0, 0.0), mesh: str = "box") -> str:
-        """Add an object on the floor. Parameters and result are the same as in :meth:`add_person`. ``mesh``:
-        shape of the object."""
+        """Add an object on the floor. ``mesh``: its shape. The rest is as in :meth:`add_person`."""
         section: SectionKeys = {"mesh": mesh}
         height = 0.0
         if mesh in ("box", "sphere", "cylinder"):
@@ -265,7 +261,6 @@ class SceneDocument(SceneFile):
             name: Name of the camera. If the name is taken, a number is added.
             near: Position (3,) of the camera, or (2,) at a height of 1.8 m. If None, the camera sees the
                 people from a direction far from the other cameras.
-
             look_at: Point (3,) that the camera looks at. If None, the middle of the people.
 
         Returns:
@@ -288,7 +283,7 @@ class SceneDocument(SceneFile):
         return self.add_section("cameras", name, section)
 
     def duplicate(self, kind: SectionName, name: str) -> str:
-        """Add a copy of a person, an object or a camera half a metre next to it; returns the name."""
+        """Add a copy of a person, an object or a camera, half a metre away. Returns the name of the copy."""
         section = self._section(kind, name)
         with self.step(f"Duplicate {name}"):
             short = find_key([kind, name]).short_key
@@ -311,18 +306,18 @@ class SceneDocument(SceneFile):
     ) -> None:
         """Place a person, an object, a camera or the rig.
 
-        Writes the keys in the form that the file has: ``position`` and ``look_at``, or R and t, or P of a
-        camera. Keys override the pose of a camera from a calibration file. A camera that is only moved still
-        looks at its ``look_at``.
+        Keeps the form of the pose of a camera: ``position`` and ``look_at``, or R and t, or P. These keys
+        override a pose from a calibration file. If only ``position`` is given, a camera keeps its
+        ``look_at``.
 
         Args:
             kind: Section.
             name: Name in it.
             position: (3,) in ``map``, metres; (2,) for the same height. A person stays on the floor.
-            yaw_deg: Heading in ``map``, degrees from +x to the left.
+            yaw_deg: Heading in ``map``, degrees, counter-clockwise from +x.
             quaternion: Rotation (4,) xyzw instead of ``yaw_deg``, as :meth:`pose` gives it.
-            seconds: Scene time at which keyframes move the item to this place.
-            continues: Whether the change joins the undo step of the last placing.
+            seconds: Scene time at which the item is at this place, if it has keyframes.
+            continues: Whether the change joins the undo step of the last placing, as during a drag.
 
         Raises:
             SceneError: The item cannot be placed, because a trajectory moves it, or because it is a camera of
@@ -355,9 +350,9 @@ class SceneDocument(SceneFile):
         """Pose of a person (the anchor of its motion), an object, a camera or the rig.
 
         Args:
-            kind: Section.
+            kind: Section of the item.
             name: Name in it.
-            seconds: Scene time, for keyframes.
+            seconds: Scene time of the pose, if the item has keyframes.
 
         Raises:
             HumansimError: The item is not in the file, or its section is wrong.
@@ -373,18 +368,18 @@ class SceneDocument(SceneFile):
         return ItemPose(placement.position, placement.rotation)
 
     def own_pose(self, kind: SectionName, name: str) -> ItemPose:
-        """Pose of a person or an object in the space that its keyframes move; see :meth:`pose`."""
+        """Pose of a person or an object before its keyframes are applied; see :meth:`pose`."""
         config = self.config(kind, name)
         return human_pose(config) if kind == "humans" else object_pose(config)
 
     # --- the scene of the text
 
     def errors(self) -> list[SceneFault]:
-        """Errors of the text, by the check of scene files; empty if the scene loads. Never raises."""
+        """Errors that loading the scene finds; empty if the scene can be loaded. Never raises."""
         return list(self._build()[0])
 
     def scene(self) -> Scene:
-        """The scene of the text. Raises SceneError with the first error."""
+        """The scene, built from the text and cached. Raises SceneError with the first error of the text."""
         faults, scene = self._build()
         if scene is None:
             first = faults[0]
@@ -393,7 +388,7 @@ class SceneDocument(SceneFile):
 
     @property
     def lacks_cameras(self) -> bool:
-        """Whether the scene has no cameras yet. It cannot run then, but the page shows what the scene has."""
+        """Whether the scene has no cameras yet. It cannot run then, but the page shows it."""
         try:
             data = self._values()
         except SceneError:
@@ -401,10 +396,10 @@ class SceneDocument(SceneFile):
         return not data.get("cameras") and data.get("rig") is None
 
     def scene_so_far(self) -> Scene:
-        """The scene; of a scene without cameras, the scene with one that is not in the text.
+        """The scene to show. If it has no cameras, one is added (not in the text), so that it can be built.
 
         Raises:
-            HumansimError: Something else is wrong, too.
+            HumansimError: The scene has another error.
         """
         if not self.lacks_cameras:
             return self.scene()
@@ -416,7 +411,7 @@ class SceneDocument(SceneFile):
                 raise schema_errors(reason, SceneConfig, SceneError)[0] from None
 
     def findings(self) -> list[SceneFault]:
-        """Probable mistakes in a scene that loads, as ``humansim check`` finds them; takes about 1 s."""
+        """Probable mistakes in a valid scene, as ``humansim check`` finds them. This takes about 1 s."""
         scene = self._build()[1]
         if scene is None:
             return []
@@ -447,7 +442,7 @@ class SceneDocument(SceneFile):
     # --- parts
 
     def _moved_to(self, folder: Path) -> str:
-        """Text with relative file names that start from another folder."""
+        """Text of the scene in which relative file names are relative to another folder."""
         if folder == self.folder:
             return self._text
         text, data = self._text, self.data()
@@ -459,18 +454,18 @@ class SceneDocument(SceneFile):
         return text
 
     def _expand(self, keys: Sequence[YamlKey]) -> None:
-        """Write sections on a path that are a text alone as mappings."""
+        """Rewrite sections above a key that are a single text, such as ``anna: adult_woman``, as mappings."""
         for number in range(1, len(keys)):
             value, short = self._raw(keys[:number]), find_key(keys[:number]).short_key
             if isinstance(value, str) and short is not None:
                 self._edit(set_value(self._text, keys[:number], {short: value}, self._name))
 
     def _raw(self, keys: Sequence[YamlKey]) -> Any:
-        """Value as it is in the text, to read only; None if absent."""
+        """Value of a key as written in the text, not a copy; None if absent."""
         return value_at(self._values(), keys)
 
     def _written_keys(self, data: Any, keys: Sequence[YamlKey]) -> Sequence[YamlKey]:
-        """Path of a value in the text: shorter where a text stands for its section."""
+        """Path of a value in the text. It ends earlier if a section is written short, as a single text."""
         for number, key in enumerate(keys):
             if isinstance(data, str):
                 return keys[:number]
@@ -489,7 +484,7 @@ class SceneDocument(SceneFile):
         return f"not in the file; there are {', '.join(self.names(kind)[:20]) or 'none'}"
 
     def config(self, kind: SectionName, name: str) -> Any:
-        """Checked section of a person, an object, a camera or the rig. Raises SceneError if it is wrong."""
+        """Section of an item or the rig as a config object. Raises SceneError if the section is wrong."""
         models: dict[str, type[Section]] = {
             "humans": HumanConfig,
             "objects": ObjectConfig,
@@ -504,12 +499,12 @@ class SceneDocument(SceneFile):
             raise error.within(kind if kind == "rig" else f"{kind}.{name}") from None
 
     def camera(self, name: str) -> Camera:
-        """A camera of the file, with its whole sensor. Raises HumansimError if it is wrong."""
+        """Build a camera of the file, with its uncropped image. Raises HumansimError if it is wrong."""
         with self.source.locating_errors(), in_section("cameras"):
             return SceneCamera.build(name, self.config("cameras", name), self.source).whole
 
     def track(self, kind: SectionName, name: str) -> KeyframeTrack | None:
-        """Keyframes of a person or an object, or None. Raises HumansimError if they are wrong."""
+        """Keyframes of a person or an object; None if it has none. Raises HumansimError if they are wrong."""
         keyframes: KeyframesConfig | None = self.config(kind, name).keyframes
         if keyframes is None:
             return None
@@ -520,7 +515,7 @@ class SceneDocument(SceneFile):
     def _asked(
         keys: SectionKeys, position: ArrayLike | None, yaw_deg: float | None, quaternion: ArrayLike | None
     ) -> list[str]:
-        """The keys that a placing has to write: of the position, of the rotation, or both."""
+        """Those of the keys of position and rotation that must be written, because a new value is given."""
         first, second = keys
         turned = yaw_deg is not None or quaternion is not None
         return ([first] if position is not None else []) + ([second] if turned else [])
@@ -536,11 +531,11 @@ class SceneDocument(SceneFile):
 
         Args:
             kind: Section.
-            name: Its name; if it is taken, with a number.
-            section: Its keys and values.
+            name: Name of the item. If the name is taken, a number is added.
+            section: Keys and values of the item.
 
         Returns:
-            Its name.
+            Name of the new item.
         """
         find_key([kind, name])
         taken = self._names()
@@ -554,7 +549,7 @@ class SceneDocument(SceneFile):
         return free
 
     def _floor_places(self) -> dict[str, tuple[float, float]]:
-        """Places on the floor of people and objects."""
+        """Place (x, y) of each person and object on the floor, metres, such as ``humans.anna``."""
         places = {}
         for kind, keys in (("humans", ("motion", "position")), ("objects", ("position",))):
             for name in self.names("humans" if kind == "humans" else "objects"):
@@ -572,7 +567,8 @@ class SceneDocument(SceneFile):
         return placed
 
     def _free_view(self, target: Array) -> Array:
-        """Place (3,) for a camera that looks at a target: in the room, and where nothing hides people."""
+        """Find a place (3,) in the room for a camera that looks at a target, where nothing hides the
+        people."""
         people = [at for name, at in self._floor_places().items() if name.startswith("humans.")]
         points = np.array([[x, y, z] for x, y in people or [(target[0], target[1])] for z in (0.1, 1.8)])
         seen = PeoplePoints(points, np.zeros(len(points)))

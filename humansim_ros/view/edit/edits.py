@@ -1,4 +1,4 @@
-"""Edits of a scene that read or write other files: calibrations, ideal cameras, keyframes."""
+"""Edits of a scene that also read or write other files: calibrations, ideal cameras, keyframes."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ from humansim_ros.types import Array
 from humansim_ros.view.edit.document import SceneDocument, SectionName
 from humansim_ros.view.edit.scene_keys import metres
 
-#: Folder next to a calibration file for its ideal cameras.
+#: Name of the folder, next to a calibration file, that holds the file with the ideal cameras.
 _IDEAL = "ideal"
-#: Keys of a rig that belong to its file. Other keys stay when another file is loaded.
+#: Keys of a rig that depend on its calibration file. All other keys stay when another file is loaded.
 _OF_FILE = ("cameras", "size", "unit", "up_axis", "position", "rotation_deg", "look_at")
-#: Decimals of the angles of a placed rig: cameras are metres from the origin of their file.
+#: Decimals of the angles (degrees) of a placed rig: many, since cameras can be metres from the rig's origin.
 _DIGITS = 4
 #: Places of cameras without poses: distance, height and target, metres.
 _RADIUS, _HEIGHT, _TARGET = 3.5, 1.8, [0, 0, 0.9]
@@ -46,15 +46,14 @@ def add_calibration(
     as_file: bool = False,
     only: Sequence[str] | None = None,
 ) -> list[str]:
-    """Add the cameras of a calibration file. They become the rig and replace another rig. Cameras without
-    poses are added singly.
+    """Add the cameras of a calibration file. They become the rig, and replace an earlier rig. If no camera
+    has a pose, the cameras are added one by one instead.
 
     Args:
         document: The scene.
         path: Calibration file; relative to the folder of the scene.
         floor_points: File of floor points (docs/rigs.md) that place the rig. Without this file, the cameras
             are assumed to stand upright.
-
         as_file: Whether the world of the file is ``map``.
         only: Names of the cameras to take. If None, all are taken.
 
@@ -104,16 +103,16 @@ def is_ideal(document: SceneDocument, kind: SectionName, name: str) -> bool:
 
 
 def set_ideal(document: SceneDocument, kind: SectionName, name: str, ideal: bool) -> None:
-    """Take the ideal cameras [thesis §9.8] of a camera or of the rig, or the real ones again.
+    """Give a camera or the rig ideal cameras (without distortion) [thesis §9.8], or the real ones again.
 
-    The ideal cameras of a calibration file are written as a file of the same name in the folder ``ideal``
-    next to it. A camera with K in the scene loses its distortion; undo takes it back.
+    The ideal cameras of a calibration file are written to a file of the same name in the folder ``ideal``
+    next to that file. If the scene has K, its distortion is removed; only undo brings it back.
 
     Args:
         document: The scene.
         kind: ``cameras`` or ``rig``.
         name: Name in the section.
-        ideal: Ideal cameras, or real ones.
+        ideal: Whether to use ideal cameras; otherwise real ones.
 
     Raises:
         HumansimError: There is no such camera, its file cannot be written in its format, or the real lens is
@@ -163,7 +162,7 @@ def _placement(
 
 
 def _add_singly(document: SceneDocument, file: str, cameras: Mapping[str, Camera]) -> None:
-    """Add cameras without poses, on a circle around the middle."""
+    """Add cameras that have no poses, and place them on a circle around the origin."""
     for number, name in enumerate(cameras):
         angle = 2 * np.pi * number / len(cameras)
         plain = re.sub(r"\W", "_", name, flags=re.ASCII).strip("_")
@@ -176,7 +175,7 @@ def _add_singly(document: SceneDocument, file: str, cameras: Mapping[str, Camera
 
 
 def _file_key(document: SceneDocument, kind: SectionName, name: str) -> list[str] | None:
-    """Key of the calibration file of a camera or of the rig; None for a camera without one."""
+    """Path of the key that names the calibration file of a camera or of the rig; None without a file."""
     if kind == "rig":
         return ["rig", "file"]
     key = [kind, name, "calibration"]
@@ -184,7 +183,7 @@ def _file_key(document: SceneDocument, kind: SectionName, name: str) -> list[str
 
 
 def _named_as(old: str, path: Path, folder: Path) -> str:
-    """Name of a file in the scene: relative if the old one was."""
+    """Write a path as the scene names files: relative to ``folder`` if the old name was relative."""
     return str(path) if Path(old).is_absolute() else os.path.relpath(path, folder)
 
 
@@ -200,7 +199,8 @@ def _idealize_keys(document: SceneDocument, name: str) -> None:
 def _check_same(
     document: SceneDocument, kind: SectionName, name: str, key: list[str], cameras: Mapping[str, Camera]
 ) -> None:
-    """Remove unit and up axis of the real file where the ideal file has its own; check the rest."""
+    """Check that the ideal file reads as the ideal cameras; if not, try again without ``unit`` and
+    ``up_axis``, which were for the real file. Raises CameraError if that fails, too."""
     for attempt in range(2):
         config = document.config(kind, name)
         read = read_cameras(document.value(key), key[-1], config, document.source).cameras
@@ -226,7 +226,7 @@ _LONGEST = 36_000.0
 
 
 def keyframe_times(document: SceneDocument, kind: SectionName, name: str) -> list[float]:
-    """Scene times of the keys of a person or an object, seconds; none without keyframes."""
+    """Scene times of the keys of a person or an object, seconds; empty if there are no keyframes."""
     track = document.track(kind, name)
     if track is None:
         return []
@@ -241,22 +241,22 @@ def set_keyframe(
     position: ArrayLike | None = None,
     quaternion: ArrayLike | None = None,
 ) -> None:
-    """Add a key, or change the one at that time, so that a person or an object is at a place then.
+    """Add a key at a time, or change the key at that time, so that a person or an object is at a place then.
 
-    The keys are written to a file of their own next to the scene, ``<scene>_<name>.xml``; keys of another
-    file are copied to it, and that file stays as it is.
+    The keys are written to the file ``<scene>_<name>.xml`` next to the scene. If the item has keys in another
+    file, they are copied, and that file does not change.
 
     Args:
         document: The scene. It must have a file.
         kind: ``humans`` or ``objects``.
         name: Name in the section.
-        seconds: Scene time; rounded to a frame of the keyframes.
+        seconds: Scene time; rounded to a whole frame of the keyframe file.
         position: Position (3,) in ``map`` of the object, or of the anchor of the person's motion. If None,
             the position stays.
         quaternion: Rotation (4,) xyzw. If None, the rotation stays.
 
     Raises:
-        HumansimError: It is not in the file; the scene has no file; a number is not finite.
+        HumansimError: The scene has no such item, or no file yet; or a number is not finite.
     """
     if kind not in ("humans", "objects"):
         raise SceneError("people and objects have keyframes, cameras have a trajectory", key=kind)
@@ -283,7 +283,7 @@ def set_keyframe(
 
 
 def remove_keyframe(document: SceneDocument, kind: SectionName, name: str, seconds: float) -> None:
-    """Remove the keyframe nearest to a time. With the last keyframe, the keyframes of the item end.
+    """Remove the keyframe nearest to a time. If it is the last one, the key ``keyframes`` is removed, too.
 
     Args:
         document: The scene.
@@ -292,7 +292,7 @@ def remove_keyframe(document: SceneDocument, kind: SectionName, name: str, secon
         seconds: Scene time.
 
     Raises:
-        SceneError: There are no keys.
+        SceneError: The item has no keyframes.
     """
     track = document.track(kind, name)
     if track is None:
@@ -306,7 +306,7 @@ def remove_keyframe(document: SceneDocument, kind: SectionName, name: str, secon
 
 
 def _table(track: KeyframeTrack | None) -> Array:
-    """Keys (K, 10) of a track: frame, position, rotation and size of each."""
+    """Array (K, 10) with a row for each key of a track: frame, position, rotation, size."""
     if track is None:
         return np.zeros((0, 10))
     return np.column_stack([track.frames, track.positions, track.rotations, track.sizes])

@@ -1,4 +1,4 @@
-"""A person that is made of a mesh, step by step: mesh, skeleton, weights, and the files next to the scene."""
+"""A person who is made from a mesh in steps: mesh, skeleton, weights, files next to the scene."""
 
 from __future__ import annotations
 
@@ -26,27 +26,27 @@ from humansim_ros.view.edit.scene_keys import find_key
 from humansim_ros.view.edit.yaml_edit import flow
 from humansim_ros.view.server.server import inside
 
-#: Most steps back.
+#: Largest number of steps that can be undone.
 _MOST_STEPS = 200
-#: First line of the descriptions that the page writes: it replaces no others.
+#: First line of descriptions that the page writes. The page overwrites only descriptions with this line.
 _HEAD = "# Written by the tab Human of `humansim view`.\n"
-#: Colours of no weight and of the whole weight.
+#: Colours of vertices with weight 0 and with weight 1.
 _COLD, _WARM = np.array([225.0, 225.0, 225.0]), np.array([214.0, 40.0, 30.0])
 
 
 @dataclass(frozen=True)
 class PersonDraft:
-    """A person so far. Each step gives another draft.
+    """An unfinished person. Drafts are immutable: each step returns a new draft.
 
     Attributes:
         folder: Folder of the scene.
-        settings: The description, with the name of the mesh in ``folder``.
-        mesh: The mesh in body space; in its own space for a figure with a skin.
-        skeleton: Its skeleton, with the joints that were moved.
-        human: The person with weights; None before it is rigged.
-        figure: The mesh has joints and weights of its own, which stay.
-        warnings: What the readers warned of.
-        before: Joints that were moved, before each of the last steps.
+        settings: Description of the person (docs/humans.md); names the mesh file in ``folder``.
+        mesh: The mesh in body space; if ``figure``, in the space of its file.
+        skeleton: Skeleton of the person, with all joints that the user has moved.
+        human: The person with skinning weights; None before the weights are computed.
+        figure: Whether the file has a skeleton and weights of its own, which are kept.
+        warnings: Texts of the warnings from reading the file.
+        before: For undo: the moved joints before each of the last steps.
     """
 
     folder: Path
@@ -60,14 +60,14 @@ class PersonDraft:
 
     @classmethod
     def of(cls, folder: Path, options: Mapping[str, Any]) -> PersonDraft:
-        """Read a mesh, and fit a skeleton to it; a figure with a skin keeps its own.
+        """Read a mesh, and fit a skeleton to it. A file with a skeleton and weights of its own keeps these.
 
         Args:
             folder: Folder of the scene.
             options: Keys of a description (docs/humans.md); ``mesh`` is a file in ``folder``.
 
         Raises:
-            HumansimError: A value is wrong, the file cannot be read, or shows no person who stands.
+            HumansimError: A value is wrong, the file cannot be read, or the mesh is no standing person.
         """
         try:
             settings = MeshHuman.model_validate(dict(options))
@@ -93,7 +93,8 @@ class PersonDraft:
 
     @property
     def joints(self) -> dict[str, Array]:
-        """Joints (3,) in body space that can be moved; none of a figure."""
+        """Positions (3,) in body space of the joints that can be moved, metres, by name; empty for a
+        figure."""
         return {} if self.figure else joints_of(self.skeleton)
 
     @property
@@ -102,16 +103,16 @@ class PersonDraft:
         return float(np.ptp(self.mesh.vertices[:, 1]))
 
     def moved(self, joint: str, place: Array, both: bool = True, *, keep: bool = True) -> PersonDraft:
-        """Place a joint.
+        """Return a draft in which a joint has another place.
 
         Args:
             joint: Name of the joint.
             place: (3,) in body space, metres.
-            both: The joint of the other side goes to the mirrored place; a joint of the middle stays there.
-            keep: The step can be taken back.
+            both: Whether to move the joint of the other side, mirrored, and keep a central joint in the middle.
+            keep: Whether :meth:`undone` can undo this step.
 
         Raises:
-            MeshError: There is no such joint, or the place is outside of the space around the person.
+            MeshError: There is no such joint, or the place is too far from the person.
         """
         joints = self.joints
         if joint not in joints:
@@ -134,14 +135,15 @@ class PersonDraft:
         return self._placed(placed, keep)
 
     def undone(self) -> PersonDraft:
-        """The draft before the last joint was moved; the same without such a step."""
+        """The draft before the last move of a joint; the same draft if no joint was moved."""
         if not self.before:
             return self
         draft = self._placed(dict(self.before[-1]), keep=False)
         return replace(draft, before=self.before[:-1])
 
     def detected(self) -> PersonDraft:
-        """The draft with all joints where they were detected; takes the time of a fit. Raises MeshError."""
+        """The draft with all joints as detected, by a new fit of the skeleton. Raises MeshError if that
+        fails."""
         options = {**self.options, "joints": {}}
         return replace(PersonDraft.of(self.folder, options), before=(*self.before, self.settings.joints))
 
@@ -160,7 +162,7 @@ class PersonDraft:
         return replace(self, settings=settings, mesh=mesh, skeleton=skeleton, human=None, before=before)
 
     def rigged(self, **changes: Any) -> PersonDraft:
-        """The draft with weights, as ``humansim human build`` computes them.
+        """The draft with skinning weights, computed as ``humansim human build`` does.
 
         ``changes``: keys of the description that change, such as ``rigging`` and ``outfits``.
 
@@ -190,7 +192,7 @@ class PersonDraft:
         return self.settings.model_dump(exclude_defaults=True, mode="json")
 
     def text(self) -> str:
-        """The description, as it is written."""
+        """Text of the description, as the file has it."""
         return _HEAD + "".join(f"{key}: {flow(value)}\n" for key, value in self.options.items())
 
     def command(self, name: str) -> str:
@@ -200,13 +202,13 @@ class PersonDraft:
     def write(self, name: str) -> str:
         """Write the description and the person, ``name.yaml`` and ``name.npz``, next to the scene.
 
-        They equal the files of :meth:`command`.
+        The files equal those that :meth:`command` makes.
 
         Returns:
             Name of the human file.
 
         Raises:
-            HumansimError: It is not rigged; the name is wrong, or taken by files of others.
+            HumansimError: The person has no weights; the name is wrong; or foreign files have this name.
         """
         if self.human is None:
             raise MeshError("compute the weights first")
@@ -226,19 +228,20 @@ class PersonDraft:
     # --- what is drawn
 
     def segments(self) -> tuple[Array, Image]:
-        """Bones as lines (B, 2, 3) in body space, and their colours (B, 2, 3): left blue, right red."""
+        """Bones as lines (B, 2, 3) in body space, and the colours (B, 2, 3) of their ends: left blue, right
+        red."""
         lines = np.stack([self.skeleton.heads, self.skeleton.tails], axis=1)
         palette = {0: (70, 70, 70), 1: (40, 90, 210), -1: (210, 50, 40)}
         colors = np.array([[palette[side_of(name)]] * 2 for name in self.skeleton.names], np.uint8)
         return lines, colors
 
     def weight_colors(self, bone: str | None = None) -> Image:
-        """Colours (V, 3) of the vertices by their weights.
+        """Colours (V, 3) of the vertices that show their weights.
 
-        ``bone``: grey to red by the weight of this bone. If None, the colours of all bones, mixed.
+        ``bone``: show the weight of this bone, grey (0) to red (1). If None, mix the colours of all bones.
 
         Raises:
-            MeshError: It is not rigged, or there is no such bone.
+            MeshError: The person has no weights, or there is no such bone.
         """
         if self.human is None:
             raise MeshError("compute the weights first")

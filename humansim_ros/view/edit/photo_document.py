@@ -1,4 +1,4 @@
-"""Photographs that are edited in a page: points and solutions, undo and redo, files, outlines."""
+"""Photographs that are edited in a page: points, the fitted person (the solution), undo and redo, files."""
 
 from __future__ import annotations
 
@@ -33,15 +33,15 @@ FIT_NAME = "fit.yaml"
 
 @dataclass(frozen=True, eq=False)
 class PhotoState:
-    """Points and solution after a step of editing.
+    """State after an editing step: the points, and the solution (the person fitted to the points).
 
     Attributes:
         label: What the step did, such as ``Move nose in left``.
-        same: What does the same outside of the page: a command, or the line of a file.
-        points: (V, K, 3) x, y and confidence, by frame. Arrays are never changed: another step has others.
-        fit: The solution; None before the first.
-        solved: Points of the solution, by frame.
-        swapped: (F, V) the solution has exchanged left and right of these points.
+        same: Command, or line of a file, that does the same as the step without the page.
+        points: (V, K, 3) x, y and confidence, by frame. Each step makes new arrays.
+        fit: The solution; None before the first solution.
+        solved: Points that the solution was fitted to, by frame.
+        swapped: (F, V) whether the solution has exchanged left and right of the points of a photograph.
     """
 
     label: str
@@ -54,14 +54,14 @@ class PhotoState:
 
 @dataclass(frozen=True, eq=False)
 class Overlay:
-    """Drawings over the photographs of a frame, in pixels, by view.
+    """What is drawn over the photographs of a frame, in pixels, for each view.
 
     Attributes:
-        points: (V, K, 3) the given points with their confidences, 0 for absent ones.
-        fitted: (V, K, 2) points of the solution; NaN where they are not seen, or without solution.
-        residuals: (V, K) distances between given and fitted points. NaN where one of them is absent.
-        outliers: (V, K) whether the solution left this point out, and the point has not changed since.
-        bones: (V, B, 2, 2) ends of the bones; B is 0 without solution.
+        points: (V, K, 3) x, y and confidence of the given points; confidence 0 if a point is absent.
+        fitted: (V, K, 2) points of the fitted person; NaN where they are out of view, or without solution.
+        residuals: (V, K) distances between given and fitted points; NaN where either point is absent.
+        outliers: (V, K) whether the solution ignored this point, and the point has not changed since.
+        bones: (V, B, 2, 2) both ends of the bones; B is 0 without solution.
         outlines: Lines (N, 2) around the body, for each view.
     """
 
@@ -74,11 +74,11 @@ class Overlay:
 
 
 class PhotoDocument:
-    """Photographs that are edited. Nothing is written before :meth:`accept`.
+    """Photographs that are being edited. No file is written before :meth:`accept`.
 
     Args:
         photos: The photographs.
-        fit: Their fit, if there is one.
+        fit: The person fitted to the photographs; None if there is no fit yet.
     """
 
     def __init__(self, photos: PhotoSet, fit: PersonFit | None = None) -> None:
@@ -99,7 +99,7 @@ class PhotoDocument:
         """Read a views file, and the fit next to it if there is one.
 
         Raises:
-            PhotographError: One of them is wrong, or the fit is one of other views.
+            PhotographError: A file is wrong, or the fit belongs to other views.
         """
         photos = read_views(path)
         file = path.parent / FIT_NAME
@@ -120,37 +120,37 @@ class PhotoDocument:
 
     @property
     def state(self) -> PhotoState:
-        """Points and solution now."""
+        """Present points and solution."""
         return self._states[self._at]
 
     @property
     def keypoints(self) -> KeypointSet:
-        """Set of the points."""
+        """Keypoint set that the points belong to."""
         return self.photos.keypoints
 
     @property
     def fit_path(self) -> Path:
-        """File of the fit."""
+        """Path of the file of the fit."""
         return self.photos.path.parent / FIT_NAME
 
     @property
     def changed(self) -> bool:
-        """Whether there is something to accept."""
+        """Whether there are changes that are not written yet."""
         return self.state is not self._saved
 
     @property
     def undo_label(self) -> str | None:
-        """What :meth:`undo` undoes; None if there is nothing."""
+        """Label of the step that :meth:`undo` would undo; None if there is nothing to undo."""
         return self.state.label if self._at else None
 
     @property
     def redo_label(self) -> str | None:
-        """What :meth:`redo` does again; None if there is nothing."""
+        """Label of the step that :meth:`redo` would redo; None if there is nothing to redo."""
         return self._states[self._at + 1].label if self._at + 1 < len(self._states) else None
 
     @property
     def edited(self) -> PhotoSet:
-        """The photographs with the points as they are now."""
+        """The photographs with the present points."""
         frames = tuple(
             tuple(replace(photo, points=row) for photo, row in zip(frame, points, strict=True))
             for frame, points in zip(self.photos.frames, self.state.points, strict=True)
@@ -159,11 +159,11 @@ class PhotoDocument:
         return replace(self.photos, frames=frames, human=self.photos.human if fit is None else fit.human)
 
     def photo(self, frame: int, view: str) -> Photo:
-        """A photograph. Raises HumansimError if there is none."""
+        """Photograph of a view in a frame. Raises HumansimError if there is no such frame or view."""
         return self.photos.frames[self._frame(frame)][self._view(view)]
 
     def overlay(self, frame: int) -> Overlay:
-        """Drawings over the photographs of a frame."""
+        """What is drawn over the photographs of a frame. The result of the last call is cached."""
         kept = self._overlay
         if kept is None or kept[:2] != (self.state, frame):
             kept = self._overlay = (self.state, frame, self._draw(self._frame(frame)))
@@ -198,7 +198,7 @@ class PhotoDocument:
         return self._locator[1]
 
     def _residuals(self, frame: int, fitted: Array) -> Array:
-        """(V, K) pixels between the given and the fitted points (V, K, 2)."""
+        """Distances (V, K) of the given points from ``fitted`` (V, K, 2), pixels; NaN for absent points."""
         points = self.state.points[frame]
         mirrored = fitted[:, list(self.keypoints.mirrored)]
         target = np.where(self.state.swapped[frame][:, None, None], mirrored, fitted)
@@ -208,7 +208,7 @@ class PhotoDocument:
     # --- edits
 
     def set_point(self, frame: int, view: str, point: str, x: float, y: float) -> None:
-        """Set a point in a photograph, or move it there.
+        """Set a point in a photograph, or move an existing point.
 
         Args:
             frame: Number of the frame.
@@ -259,7 +259,7 @@ class PhotoDocument:
 
         Args:
             fit: The solution.
-            of: State with the points that the solution fits. There may have been edits since.
+            of: State that the solution was computed from. Points may have been edited since.
             same: Command that does the same.
         """
         swapped = fit.swapped ^ of.swapped ^ self.state.swapped if of is not self.state else fit.swapped
@@ -272,7 +272,7 @@ class PhotoDocument:
         self._at -= 1
 
     def redo(self) -> None:
-        """Do the step again that was undone last. Raises HumansimError if there is none."""
+        """Redo the step that was undone last. Raises HumansimError if there is none."""
         if self.redo_label is None:
             raise HumansimError("there is nothing to do again")
         self._at += 1
@@ -311,16 +311,16 @@ class PhotoDocument:
     # --- files
 
     def accept(self) -> list[str]:
-        """Write the points of the views that were edited, and the fit; each file at once or not at all.
+        """Write the points of the edited views, and the fit. No file is ever left half-written.
 
-        Files of detectors (COCO, OpenPose) and files of several views stay: edited points then go to a file
-        of their own.
+        Files of detectors (COCO, OpenPose) and files with several views are not changed: the edited points
+        are written to a new file instead.
 
         Returns:
-            What was written, for people.
+            Descriptions of what was written, for the user.
 
         Raises:
-            HumansimError: Another program has changed a file meanwhile, or it cannot be written.
+            HumansimError: Another program has changed a file meanwhile, or a file cannot be written.
         """
         state, targets = self.state, self._pending()
         for path in (*targets.values(), *([] if state.fit is None else [self.fit_path])):
@@ -352,14 +352,14 @@ class PhotoDocument:
 
     @property
     def pending(self) -> list[str]:
-        """Files that :meth:`accept` writes, relative to the views file."""
+        """Names of the files that :meth:`accept` would write, relative to the folder of the views file."""
         if not self.changed:
             return []
         files = [self._below(path) for path in self._pending().values()]
         return [*files, *([] if self.state.fit is None else [FIT_NAME])]
 
     def _pending(self) -> dict[int, Path]:
-        """Files of the points of the views that were edited, by number of the view."""
+        """Files to write for the edited views, by number of the view."""
         return {row: self._targets[name] for row, name in enumerate(self.photos.names) if self._differs(row)}
 
     def _target(self, view: str) -> Path:
@@ -371,14 +371,14 @@ class PhotoDocument:
         return file
 
     def _differs(self, row: int) -> bool:
-        """Whether the points of a view differ from its file."""
+        """Whether the points of a view differ from those in its file. ``row``: number of the view."""
         return any(
             now is not before and not np.array_equal(now[row], before[row])
             for now, before in zip(self.state.points, self._written, strict=True)
         )
 
     def _updated(self, fit: PersonFit) -> PersonFit:
-        """The fit with the distances of the points as they are now."""
+        """Copy of the fit with residuals and outliers of the present points."""
         state = self.state
         residuals, outliers = fit.residuals.copy(), fit.outliers.copy()
         for frame, (now, before) in enumerate(zip(state.points, state.solved, strict=True)):
@@ -391,19 +391,19 @@ class PhotoDocument:
         return self._below(self._targets[view])
 
     def _below(self, path: Path) -> str:
-        """A path as it is written in the views file."""
+        """Write a path as in the views file: relative to its folder if the path is below that folder."""
         folder = self.photos.path.parent
         return path.relative_to(folder).as_posix() if path.is_relative_to(folder) else str(path)
 
 
 def _tips(fit: PersonFit, posed: Array) -> Array:
-    """Far ends (B, 3) of the bones in ``map``."""
+    """Positions (B, 3) in ``map`` of the far ends (tails) of the bones."""
     matrices = np.array(posed)
     return np.array(matrices[:, :3, 3] + matrices[:, :3, 1] * fit.body.skeleton.lengths[:, None])
 
 
 def _is_own(file: Path) -> bool:
-    """Whether points can be written to a file: it has our own form, or there is none yet."""
+    """Whether points may be written to a file: it has the format of this package, or does not exist yet."""
     if file.is_dir():
         return False
     if not exists(file):
@@ -414,20 +414,20 @@ def _is_own(file: Path) -> bool:
 
 # --- outlines of bodies
 
-#: Largest width of the picture that outlines are found in, and bits behind the point of its coordinates.
+#: Largest width of the mask in which outlines are searched, pixels, and fractional bits of its coordinates.
 _WIDTH, _BITS = 960, 4
-#: Outlines with fewer pixels than this are left out; a line may be off by this number of pixels.
+#: Outlines with fewer pixels than this are ignored; largest error of a simplified outline, pixels.
 _LEAST, _TOLERANCE = 12, 0.6
-#: Triangles that reach farther from the picture than this many times its size are left out.
+#: Triangles that reach farther outside the image than this many times its size are ignored.
 _FAR = 4.0
 
 
 def outlines(pixels: Array, triangles: NDArray[np.integer], size: tuple[int, int]) -> tuple[Array, ...]:
-    """Closed lines (N, 2) around what triangles cover in an image.
+    """Outlines of the area that triangles cover in an image: closed lines (N, 2), pixels.
 
     Args:
-        pixels: (V, 2) vertices in the image; NaN for vertices that are not seen.
-        triangles: (T, 3) numbers of vertices.
+        pixels: (V, 2) vertices in the image; NaN for vertices out of view.
+        triangles: (T, 3) vertex numbers of the triangles.
         size: Width and height of the image.
     """
     scale = min(1.0, _WIDTH / size[0])

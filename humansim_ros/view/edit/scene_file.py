@@ -1,4 +1,4 @@
-"""The text of a scene file that is edited: steps that can be undone, reading and saving."""
+"""The text of a scene file that is being edited: undo and redo, reading and saving."""
 
 from __future__ import annotations
 
@@ -34,24 +34,25 @@ room:
   size: [7.0, 6.4, 2.8]
 """
 
-#: Steps that can be undone.
+#: Largest number of steps that can be undone.
 MAX_STEPS = 200
-#: Lines from which on two texts are not compared line by line.
+#: If more lines differ, two texts are not compared line by line, which would take long.
 _MANY_LINES = 3000
-#: Largest other file that a step writes, bytes.
+#: Largest file, other than the scene, that a step writes, bytes.
 _MOST = 64 << 20
 
 
 @dataclass(frozen=True)
 class Step:
-    """One step of editing.
+    """One step of editing, which can be undone.
 
     Attributes:
-        label: What it did, such as ``Move anna``.
-        before: Text of the scene before it.
-        after: Text of the scene after it.
-        command: Command or lines that do the same outside of the page.
-        files: Content of other files that it wrote, before and after; None for a file that did not exist.
+        label: What the step did, such as ``Move anna``.
+        before: Text of the scene before the step.
+        after: Text of the scene after the step.
+        command: Command that does the same outside of the page, or the changed lines.
+        files: Other files that the step wrote: content before and after, by path; None for a file that did
+            not exist.
     """
 
     label: str
@@ -69,7 +70,7 @@ class History:
     undone: list[Step] = field(default_factory=list)
 
     def add(self, step: Step, *, continues: bool = False) -> None:
-        """Add a step. ``continues``: it is part of the last one if both have the same label."""
+        """Add a step. ``continues``: join it with the last step if both have the same label."""
         self.undone.clear()
         if continues and self.done and self.done[-1].label == step.label:
             last = self.done.pop()
@@ -79,7 +80,7 @@ class History:
 
 
 def changed_lines(before: str, after: str) -> str:
-    """The lines of a text that differ from another, as they are; removed lines as comments."""
+    """Lines of the text ``after`` that differ from ``before``; removed lines appear as comments."""
     old, new = before.splitlines(), after.splitlines()
     start = 0
     while start < min(len(old), len(new)) and old[start] == new[start]:
@@ -100,14 +101,14 @@ def changed_lines(before: str, after: str) -> str:
 
 
 class SceneFile:
-    """The text of a scene file: steps that can be undone, reading and saving.
+    """The text of a scene file, with undo and redo, reading and saving.
 
-    Methods may be called from several threads. ``version`` grows with each change.
+    Methods may be called from several threads. ``version`` increases with each change.
 
     Args:
         text: Content of the scene file.
         path: The file; None for a new scene.
-        folder: Folder that relative file names start from; the folder of the file if None.
+        folder: Folder to which file names are relative. If None, the folder of the file.
     """
 
     def __init__(
@@ -133,19 +134,19 @@ class SceneFile:
 
     @property
     def changed(self) -> bool:
-        """Whether there is something to save."""
+        """Whether there are changes that are not saved."""
         return self._text != self._saved
 
     # --- undo
 
     @contextmanager
     def step(self, label: str, command: str = "", *, continues: bool = False) -> Iterator[None]:
-        """Make several edits one step; an error takes them all back.
+        """Join the edits of a ``with`` block to one step. If one raises an error, all are undone.
 
         Args:
-            label: What it does, for the list of steps.
-            command: Command that does the same; the changed lines if empty.
-            continues: Part of the last step if that has the same label.
+            label: What the step does, for the list of steps.
+            command: Command that does the same. If empty, the changed lines are shown instead.
+            continues: Whether to join the last step if that has the same label.
         """
         with self._lock:
             if self._files is not None:  # within a step
@@ -167,7 +168,7 @@ class SceneFile:
                 self._files = None
 
     def undo(self) -> str | None:
-        """Take the last step back; returns its label, None if there is none."""
+        """Undo the last step. Returns the label of the step; None if there is nothing to undo."""
         with self._lock:
             if not self._history.done:
                 return None
@@ -178,7 +179,7 @@ class SceneFile:
             return step.label
 
     def redo(self) -> str | None:
-        """Do the step again that was taken back last; returns its label, None if there is none."""
+        """Redo the step that was undone last. Returns its label; None if there is nothing to redo."""
         with self._lock:
             if not self._history.undone:
                 return None
@@ -189,12 +190,12 @@ class SceneFile:
             return step.label
 
     def steps(self) -> tuple[list[str], list[str]]:
-        """Labels of the steps for undo and of the steps for redo; the next one is last."""
+        """Labels of the steps that can be undone, and of those that can be redone; the next step is last."""
         with self._lock:
             return [s.label for s in self._history.done], [s.label for s in self._history.undone]
 
     def command(self) -> str:
-        """The command, or the lines of the scene file, that do the last step outside of the page."""
+        """Command, or lines of the scene file, that do the same as the last step without the page."""
         with self._lock:
             if self._history.done:
                 return self._history.done[-1].command
@@ -203,19 +204,20 @@ class SceneFile:
     # --- files
 
     def save(self, path: str | os.PathLike[str] | None = None, *, overwrite: bool = False) -> Path:
-        """Save the text.
+        """Save the scene.
 
-        Relative file names that exist keep their files if the scene is saved in another folder.
+        If the scene is saved in another folder, relative names of existing files are changed, so that they
+        name the same files.
 
         Args:
-            path: File to write; the file of the document if None.
-            overwrite: Replace a file that has been changed by others, or that is not this document's.
+            path: File to write. If None, the file of the scene.
+            overwrite: Whether to replace a file that another program has changed, or another existing file.
 
         Returns:
             The file.
 
         Raises:
-            HumansimError: There is no path; the file exists or was changed. It cannot be written.
+            HumansimError: There is no path; the file exists or was changed; or it cannot be written.
         """
         with self._lock:
             target = self.path if path is None else Path(path)
@@ -250,7 +252,7 @@ class SceneFile:
             return True
 
     def reload(self) -> None:
-        """Take the text of the file on disk, as a step. Raises SceneError if it cannot be read."""
+        """Read the file again, as a step that can be undone. Raises SceneError if the file cannot be read."""
         with self.step("Reload the file"):
             self._read()
 
@@ -274,7 +276,7 @@ class SceneFile:
             return text.encode("utf-8")
 
     def _moved_to(self, folder: Path) -> str:
-        """Text with relative file names that start from another folder."""
+        """Text of the scene in which relative file names are relative to another folder."""
         raise NotImplementedError
 
     # --- parts
@@ -285,11 +287,11 @@ class SceneFile:
 
     @property
     def source(self) -> SceneSource:
-        """Finds the files of the scene."""
+        """Source of the scene, which finds the files that the scene names."""
         return SceneSource(self.path, self.folder, text=self._text)
 
     def _edit(self, text: str) -> None:
-        """Take an edited text; within a step."""
+        """Replace the text by an edited text, within a step. Raises SceneError if the text is too long."""
         size = len(text.encode("utf-8", "surrogatepass"))
         if size > MAX_BYTES:
             raise SceneError(
@@ -298,7 +300,7 @@ class SceneFile:
         self._text = text
 
     def write_file(self, path: Path, write: Callable[[Path], None]) -> None:
-        """Write another file of the scene within a step, which takes it back with it.
+        """Write another file of the scene within a step, so that undo restores this file, too.
 
         Args:
             path: The file.
@@ -326,7 +328,7 @@ class SceneFile:
 
 
 def file_signature(path: Path | None) -> tuple[int, int] | None:
-    """Time and size of a file; None if there is none."""
+    """Modification time (ns) and size of a file; None if there is no file."""
     try:
         status = path.stat() if path is not None else None
     except OSError:

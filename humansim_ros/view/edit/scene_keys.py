@@ -1,7 +1,8 @@
-"""Keys of scene files: their values by the schema, and the poses of people, objects, cameras and rigs.
+"""Keys of scene files: look-up in the schema, and conversion of poses of items to keys and back.
 
-A pose is a position (3,) in ``map``, metres, and a rotation (3, 3): the axes of a human (x forward, z up),
-of an object, of the optical frame (z forward, y down), or of the world of the rig's file.
+A pose is a position (3,) in ``map``, metres, and a rotation (3, 3) to ``map`` from the axes of a human (x
+forward, z up), of an object, of the optical frame of a camera (z forward, y down), or of the world frame of
+the rig's file.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from humansim_ros.scene.core import Obstacle
 from humansim_ros.types import Array
 from humansim_ros.view.edit.yaml_edit import YamlKey
 
-#: Longest name of a human, object or camera, which becomes part of topics; longest text of a value.
+#: Longest name of a human, object or camera (names become parts of topics); longest text of a value.
 MAX_NAME, MAX_TEXT = 100, 10_000
 _MAX_DEPTH, _MAX_VALUES = 20, 10_000
 
@@ -38,8 +39,8 @@ class SceneKey:
     """A key of scene files.
 
     Attributes:
-        keys: Its path, such as ``("humans", "anna", "motion", "yaw_deg")``.
-        annotation: Type of its values.
+        keys: Path of the key, such as ``("humans", "anna", "motion", "yaw_deg")``.
+        annotation: Type annotation of its values.
         field: Field of the schema; None for named sections and items of lists.
     """
 
@@ -49,12 +50,13 @@ class SceneKey:
 
     @property
     def section(self) -> type[BaseModel] | None:
-        """Model of its keys, if it is a section."""
+        """Pydantic model of the section if the key is a section, else None."""
         return next(_models(self.annotation), None)
 
     @property
     def short_key(self) -> str | None:
-        """Key of the section that a text alone stands for."""
+        """Key that a text alone sets, such as ``body`` for a person: ``anna: adult_woman``; None if not
+        allowed."""
         return getattr(self.section, "short_key", None)
 
     @property
@@ -69,7 +71,7 @@ class SceneKey:
 
 
 def split_key(key: str | Sequence[YamlKey]) -> tuple[YamlKey, ...]:
-    """Path of a dotted key. Raises SceneError for keys that no scene can have."""
+    """Split a dotted key into its parts. Raises SceneError if a part is empty, or there are too many."""
     keys = tuple(key.split(".")) if isinstance(key, str) else tuple(key)
     if not keys or len(keys) > _MAX_DEPTH or any(part == "" for part in keys):
         raise SceneError(f"not a key of a scene: '{printable(str(key), 60)}'")
@@ -80,10 +82,10 @@ def find_key(key: str | Sequence[YamlKey]) -> SceneKey:
     """Find a key in the schema.
 
     Args:
-        key: Dotted, such as ``humans.anna.motion.yaw_deg``, or its parts.
+        key: Dotted key, such as ``humans.anna.motion.yaw_deg``, or its parts.
 
     Raises:
-        SceneError: There is no such key, or a name in it cannot be one.
+        SceneError: There is no such key, or a name in the key is not valid.
     """
     keys = split_key(key)
     found = SceneKey((), SceneConfig)
@@ -114,7 +116,7 @@ def _inside(outer: SceneKey, part: YamlKey, keys: tuple[YamlKey, ...]) -> SceneK
 
 
 def check_name(name: Any, annotation: Any = str, key: str | None = None) -> None:
-    """Raise SceneError for a name that a section cannot have. ``annotation``: type of names."""
+    """Raise SceneError if the name of an item is not valid. ``annotation``: type of names in the schema."""
     try:
         if not isinstance(name, str):
             raise SceneError(f"a name must be a text; found {show_value(name)}", key=key)
@@ -126,11 +128,11 @@ def check_name(name: Any, annotation: Any = str, key: str | None = None) -> None
 
 
 def plain(value: Any, key: str) -> Any:
-    """Value as data that a scene file can hold.
+    """Convert a value to plain data that a scene file can hold.
 
     Args:
         value: None, booleans, numbers, texts, arrays, lists and mappings of these.
-        key: Its key, for errors.
+        key: Key of the value, for errors.
 
     Raises:
         SceneError: A number is not finite, or a value is too long or of another kind.
@@ -168,12 +170,12 @@ def plain(value: Any, key: str) -> Any:
 
 
 def metres(value: Any) -> Any:
-    """Metres as they are written: rounded to 1e-4."""
+    """Round metres (a number or an array) to 1e-4, as scene files have them."""
     return _rounded(value, 4)
 
 
 def degrees(value: Any) -> Any:
-    """Degrees as they are written: rounded to 0.01, from -180 to 180."""
+    """Round degrees (a number or an array) to 0.01, from -180 to 180, as scene files have them."""
     return _rounded((np.asarray(value, dtype=float) + 180) % 360 - 180, 2)
 
 
@@ -182,7 +184,7 @@ def _rounded(value: Any, digits: int) -> Any:
 
 
 def alternatives(annotation: Any) -> Iterator[Any]:
-    """Types of an annotation without metadata, None and unions."""
+    """Types that an annotation allows: the members of unions, without metadata and None."""
     if get_origin(annotation) is Annotated:
         yield from alternatives(get_args(annotation)[0])
     elif get_origin(annotation) in (Union, types.UnionType):
@@ -200,27 +202,27 @@ def _models(annotation: Any) -> Iterator[type[BaseModel]]:
 
 # --- poses
 
-#: Distance of the point that a turned camera looks at, metres, if it has none.
+#: If a camera without ``look_at`` is turned, it gets a ``look_at`` at this distance, metres.
 _AHEAD = 3.0
-#: Cosine of the angle below which the horizontal axis of an image counts as horizontal (0.05 degrees).
+#: The x axis of a camera counts as horizontal if its z component is below this (0.05 degrees).
 _LEVEL = 1e-3
-#: Cosine of the smallest angle between the axis of a camera and the vertical for which z is up in the image.
+#: If the z component of the viewing direction of a camera is above this, the key ``up`` is written.
 _VERTICAL = 0.999
 
-#: Keys and values of a section to write; None removes a key.
+#: Keys to write in a section, with their values. The value None removes a key.
 SectionKeys = dict[str, Any]
 
 
 @dataclass(frozen=True)
 class ItemPose:
-    """``position`` (3,) in ``map``, metres; ``rotation`` (3, 3)."""
+    """Pose of an item: ``position`` (3,) in ``map``, metres; ``rotation`` (3, 3) from its axes to ``map``."""
 
     position: Array
     rotation: Array
 
     @property
     def quaternion(self) -> Array:
-        """(4,) xyzw."""
+        """Rotation as a quaternion (4,) xyzw."""
         return np.asarray(Rotation.from_matrix(self.rotation).as_quat())
 
     def changed(
@@ -233,13 +235,13 @@ class ItemPose:
         """The pose with another position or rotation.
 
         Args:
-            position: (3,), or (2,) on the floor plane of the pose; the same if None.
-            yaw_deg: Heading of the forward axis from +x to the left, degrees; the same if None.
-            quaternion: (4,) xyzw instead of ``yaw_deg``.
+            position: New position (3,), or (2,) to keep the height. If None, the position stays.
+            yaw_deg: New heading of the forward axis, degrees left of +x. If None, the heading stays.
+            quaternion: New rotation (4,) xyzw, instead of ``yaw_deg``.
             forward: Number of the forward axis: 0 is x, 2 is z.
 
         Raises:
-            SceneError: A number is not finite or of another count.
+            SceneError: There are too many or too few numbers, or a number is not finite.
         """
         moved = self.position
         if position is not None:
@@ -258,39 +260,39 @@ class ItemPose:
 
 
 def heading(rotation: Array, forward: int = 0) -> float:
-    """Heading of an axis of a rotation (3, 3) from +x to the left, radians; 0 if it is vertical."""
+    """Heading of an axis of a rotation (3, 3), radians left of +x; 0 if the axis is vertical."""
     x, y, _ = rotation[:, forward]
     return float(np.arctan2(y, x)) if np.hypot(x, y) > 1e-9 else 0.0
 
 
 def human_pose(config: HumanConfig, track: KeyframeTrack | None = None, seconds: float = 0.0) -> ItemPose:
-    """Pose of the anchor of a human's motion; in the space of its keyframes at a scene time."""
+    """Pose of the anchor of a human's motion in ``map``, with keyframes applied at a scene time."""
     yaw = Rotation.from_euler("z", config.motion.yaw_deg, degrees=True).as_matrix()
     return _in_space(ItemPose(np.array([*config.motion.position, 0.0]), yaw), track, seconds)
 
 
 def human_keys(pose: ItemPose, track: KeyframeTrack | None = None, seconds: float = 0.0) -> SectionKeys:
-    """Keys of a human's motion that place its anchor: on the floor, upright."""
+    """Keys ``position`` and ``yaw_deg`` that place a human's motion at a pose, upright on the floor."""
     own = _from_space(pose, track, seconds)
     yaw = degrees(np.degrees(heading(own.rotation)))
     return {"position": metres(own.position[:2]), "yaw_deg": yaw}
 
 
 def object_pose(config: ObjectConfig, track: KeyframeTrack | None = None, seconds: float = 0.0) -> ItemPose:
-    """Pose of an object; with keyframes, at a scene time."""
+    """Pose of an object in ``map``, with keyframes applied at a scene time."""
     rotation = RigPlacement.from_degrees(config.rotation_deg).rotation
     return _in_space(ItemPose(np.array(config.position), rotation), track, seconds)
 
 
 def object_keys(pose: ItemPose, track: KeyframeTrack | None = None, seconds: float = 0.0) -> SectionKeys:
-    """Keys of an object that place it."""
+    """Keys that place an object at a pose, which it has at a scene time if there are keyframes."""
     own = _from_space(pose, track, seconds)
     angles = RigPlacement(own.rotation).rotation_deg
     return {"position": metres(own.position), "rotation_deg": degrees(angles)}
 
 
 def rig_keys(pose: ItemPose) -> SectionKeys:
-    """Keys of a rig that place the world of its file."""
+    """Keys that place a rig: ``pose`` is the pose in ``map`` of the world frame of its file."""
     angles = degrees(RigPlacement(pose.rotation).rotation_deg)
     return {"position": metres(pose.position), "rotation_deg": angles, "look_at": None}
 
@@ -301,15 +303,15 @@ def camera_pose(camera: Camera) -> ItemPose:
 
 
 def camera_keys(config: CameraConfig, camera: Camera, pose: ItemPose, turned: bool) -> SectionKeys:
-    """Keys of a camera that place it, in the form that it has: R and t, P, or position and look_at.
+    """Keys that place a camera, in the form that its section has: R and t, P, or position and look_at.
 
-    Keys override the pose of a calibration file.
+    These keys override a pose from a calibration file.
 
     Args:
         config: Section of the camera.
-        camera: The camera as it stands.
+        camera: The camera at its present pose.
         pose: New pose of its optical frame.
-        turned: Whether its rotation changes. Otherwise, a camera with ``look_at`` still looks there.
+        turned: Whether the rotation changes. If False, a camera with ``look_at`` keeps it.
 
     Raises:
         SceneError: A trajectory moves the camera.
@@ -336,7 +338,7 @@ def camera_keys(config: CameraConfig, camera: Camera, pose: ItemPose, turned: bo
 
 
 def _in_space(pose: ItemPose, track: KeyframeTrack | None, seconds: float) -> ItemPose:
-    """Pose in ``map`` of a pose in the space that keyframes move."""
+    """Apply the keyframes at a scene time to a pose; gives the pose in ``map``."""
     if track is None:
         return pose
     key = track.at(seconds)
@@ -345,7 +347,7 @@ def _in_space(pose: ItemPose, track: KeyframeTrack | None, seconds: float) -> It
 
 
 def _from_space(pose: ItemPose, track: KeyframeTrack | None, seconds: float) -> ItemPose:
-    """Pose in the space that keyframes move of a pose in ``map``."""
+    """Inverse of :func:`_in_space`: the pose to which keyframes are applied, from the pose in ``map``."""
     if track is None:
         return pose
     key = track.at(seconds)
@@ -354,7 +356,7 @@ def _from_space(pose: ItemPose, track: KeyframeTrack | None, seconds: float) -> 
 
 
 def _numbers(values: ArrayLike, counts: tuple[int, ...], what: str) -> Array:
-    """Finite numbers. Raises SceneError."""
+    """Array of the numbers. Raises SceneError if they are not finite, or their count is not in ``counts``."""
     try:
         array = np.asarray(values, dtype=float)
     except (TypeError, ValueError):
@@ -368,7 +370,7 @@ def _numbers(values: ArrayLike, counts: tuple[int, ...], what: str) -> Array:
 
 
 def free_place(near: tuple[float, float], taken: Mapping[str, tuple[float, float]]) -> tuple[float, float]:
-    """Place on the floor near a point, at least 0.8 m from others."""
+    """Find a place (x, y) on the floor near a point, at least 0.8 m from the taken places, metres."""
     others = np.array([*taken.values()]).reshape(-1, 2)
     for ring in range(20):
         for corner in range(max(1, 6 * ring)):
@@ -379,9 +381,9 @@ def free_place(near: tuple[float, float], taken: Mapping[str, tuple[float, float
     return near
 
 
-#: Share of the points that a new camera sees; beyond it, a free direction counts more.
+#: Share of the points that a new camera should see. Seeing more is no better: then a free direction decides.
 _ENOUGH = 0.9
-#: Size of a camera around its centre, metres.
+#: Radius of a camera body around its centre, metres.
 _CAMERA = 0.15
 
 
@@ -391,7 +393,7 @@ class PeoplePoints:
 
     Attributes:
         points: (N, 3) in ``map``, metres.
-        times: (N,) scene time of each, seconds.
+        times: (N,) scene time of each point, seconds.
     """
 
     points: Array
@@ -406,18 +408,18 @@ def free_view(
     inside: tuple[float, float] | None = None,
     obstacles: Sequence[Obstacle] = (),
 ) -> Array:
-    """Place of a camera with a field of view of 60 degrees that sees people from a free direction.
+    """Find a place for a camera (60 degrees field of view) that sees people from a new direction.
 
     Args:
-        people: Whom it should see.
+        people: Points that the camera should see.
         cameras: (C, 3) places of the other cameras.
-        target: (3,) where it looks.
-        height: Its height, metres.
-        inside: Greatest distance along x and y from the origin of the place. If None, anywhere.
-        obstacles: What it must not be in, and what hides people.
+        target: (3,) point that the camera looks at.
+        height: Height of the camera, metres.
+        inside: Largest distance of the place from the origin, along x and along y. None: no limit.
+        obstacles: Obstacles that hide people, and that the camera must not be in.
 
     Returns:
-        (3,) Among the places that see most points, the one with a direction that is farthest from the others.
+        Place (3,): among those that see most points, the one with the direction farthest from other cameras.
     """
     # seen from above: else a camera that is far away, which looks more level, would be in a freer direction
     offsets = (cameras - target)[:, :2]
@@ -448,12 +450,12 @@ def free_view(
 
 
 def _share(seen: NDArray[np.bool_]) -> float:
-    """Share of the points that are seen; more than enough is no better."""
+    """Share of the points that are seen, at most ``_ENOUGH``."""
     return min(float(seen.mean()), _ENOUGH)
 
 
 def _is_in(obstacle: Obstacle, place: Array, times: Array) -> bool:
-    """Whether a place (3,) is in an obstacle, or nearer to it than a camera is large."""
+    """Whether a camera body at a place (3,) would be in or touch an obstacle at one of the times."""
     around = place + _CAMERA * np.vstack([np.zeros(3), np.eye(3), -np.eye(3)])
     moments = np.unique(times)
     return any(

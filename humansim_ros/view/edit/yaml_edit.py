@@ -1,4 +1,4 @@
-"""Edit single keys of a YAML text with ruamel.yaml. Comments, order, anchors and quotes stay.
+"""Edit single keys of a YAML text with ruamel.yaml, and keep its comments, order, anchors and quotes.
 
 ruamel.yaml writes the text before and after an edit. The lines that differ are then changed in the original
 text, so that all other lines keep their characters. The result is read again and compared with the expected
@@ -29,13 +29,13 @@ if TYPE_CHECKING:
 YamlKey = str | int
 FilePath = str | os.PathLike[str]
 
-#: Longest line that is written. A longer mapping gets a line for each key.
+#: Longest line that is written. If a mapping would be longer, each of its keys gets a line.
 _WIDTH = 110
 _NO_EDIT = "this cannot be edited where it stands: edit the file"
 _COMMENT = re.compile(r"(?:^|(?<=\s))#[^\r\n]*")
-#: An empty section below the comment of its key, as ruamel.yaml writes it.
+#: An empty section (``{}`` or ``[]``), which ruamel.yaml writes on a line below the comment of its key.
 _EMPTY = re.compile(r"^( *[^\s#][^\n]*?:)([ ]*#[^\n]*(?:\n *#[^\n]*)*)\n *(\{\}|\[\])$", re.MULTILINE)
-#: Spaces before a key of a section; and a key with the dash of the first item of its list.
+#: Indentation of a key of a section; and a key with the dash of the first item of its list, on the next line.
 _INDENT = re.compile(r"^( +)[^\s#-]", re.MULTILINE)
 _LIST = re.compile(r"^( *)[^\s#][^\n]*:[ ]*(?:#.*)?\n(?:[ ]*(?:#.*)?\n)*( *)-[ ]", re.MULTILINE)
 
@@ -45,12 +45,12 @@ def set_value(text: str, keys: Sequence[YamlKey], value: Any, path: FilePath) ->
 
     Args:
         text: A YAML file.
-        keys: Path of the key: names, and numbers in lists. The number after the last item appends an item.
+        keys: Path of the key: names and item numbers. The number after the last item appends an item.
         value: Plain data: None, booleans, finite numbers, texts, lists and mappings of these.
         path: The file, for messages.
 
     Returns:
-        The text with this change and no other.
+        The text in which only this value has changed.
 
     Raises:
         SceneError: The text is not valid, or the key cannot be set.
@@ -115,7 +115,7 @@ def rename_key(text: str, keys: Sequence[YamlKey], name: str, path: FilePath) ->
 
 
 def flow(value: Any) -> str:
-    """Plain data as YAML on one line."""
+    """Write plain data as YAML on one line."""
     written = yaml.dump(
         [value], Dumper=_Dumper, default_flow_style=True, sort_keys=False, width=math.inf, allow_unicode=True
     )
@@ -130,7 +130,7 @@ class _Dumper(yaml.SafeDumper):
 
 
 def _write_text(dumper: yaml.SafeDumper, value: str) -> yaml.Node:
-    """Quote texts that would need several lines."""
+    """Write a text; quote it if it would otherwise need several lines."""
     style = None if value.isprintable() else '"'
     return dumper.represent_scalar("tag:yaml.org,2002:str", value, style)
 
@@ -139,7 +139,7 @@ _Dumper.add_representer(str, _write_text)
 
 
 class _Editor:
-    """A text with its data, and the tree of ruamel.yaml that is edited.
+    """Edits one key of a YAML text, in the tree that ruamel.yaml has read from it.
 
     Args:
         text: The text.
@@ -160,12 +160,12 @@ class _Editor:
     # --- the tree
 
     def set(self, node: Any, depth: int, data: Any, value: Any) -> None:
-        """Set ``keys[depth:]`` below a node of the tree.
+        """Set the value at the path ``keys[depth:]`` below a node of the tree.
 
         Args:
             node: Mapping or list of the tree.
-            depth: Number of keys above the node.
-            data: Data of the node, with merge keys applied.
+            depth: Number of keys that lead from the root to the node.
+            data: Plain data of the node, with merge keys applied.
             value: New value.
         """
         key, rest = self._keys[depth], self._keys[depth + 1 :]
@@ -184,7 +184,7 @@ class _Editor:
             node[name] = self._new(given, name if isinstance(node, dict) else None, depth)
 
     def _replace(self, node: Any, key: YamlKey, value: Any, depth: int) -> None:
-        """Replace a value. Its aliases get the new value, too."""
+        """Replace a value. YAML aliases of the value get the new value, too."""
         old, new = node[key], self._new(value, key if isinstance(node, dict) else None, depth)
         places = [] if self._is_alias(node, key) else self.places(old)
         if len(places) > 1:
@@ -195,9 +195,9 @@ class _Editor:
             parent[name] = new
 
     def _new(self, value: Any, key: YamlKey | None = None, depth: int = 0) -> Any:
-        """Node for a new value: on one line, or with a line for each key if a mapping is too long for one
-        line. ``key``: key of the value in a mapping; None for an item of a list, which always has one line.
-        ``depth``: number of keys above the value."""
+        """Make a tree node for a new value: on one line, or with a line for each key if a mapping is too
+        long. ``key``: key of the value in a mapping; None for an item of a list, which always has one line.
+        ``depth``: number of mappings above the value, for its indentation."""
         node = self._yaml.load(flow(value))
         if key is not None and isinstance(value, Mapping) and value:
             sections = depth == 0 and all(isinstance(part, Mapping) for part in value.values())
@@ -208,8 +208,8 @@ class _Editor:
         return node
 
     def places(self, value: Any) -> list[tuple[Any, YamlKey]]:
-        """Places in the tree of a value with an anchor, in the order of the text. Empty for a value without
-        anchor."""
+        """Find the anchor and the aliases of a value: each as parent node and key, in the order of the text.
+        Empty if the value has no anchor."""
         if getattr(getattr(value, "anchor", None), "value", None) is None:
             return []
         found: list[tuple[Any, YamlKey]] = []
@@ -231,7 +231,7 @@ class _Editor:
         return bool(places) and (places[0][0] is not node or places[0][1] != key)
 
     def find(self) -> tuple[Any, Any]:
-        """Mapping or list of the tree that contains the key, and the key in it."""
+        """Find the key. Returns the mapping or list of the tree that contains it, and its key there."""
         node, above = self.root, None
         for depth, key in enumerate(self._keys):
             own, above = _own_key(node, key), node
@@ -246,8 +246,8 @@ class _Editor:
     # --- the text
 
     def edited(self, change: Callable[[], None], expected: Any) -> str:
-        """Text after a change of the tree. Raises SceneError unless it reads as expected and has all
-        comments."""
+        """Change the tree, and return the new text. Raises SceneError unless the text reads as the data
+        ``expected`` and keeps all comments."""
         lines = self._text.split("\n")
         with self._refusing():
             if self.root is None:  # only comments
@@ -268,7 +268,7 @@ class _Editor:
         raise SceneError(_NO_EDIT, path=self._path, key=_dotted(self._keys))
 
     def _is(self, text: str, expected: Any) -> bool:
-        """Whether a text reads as expected. With anchors, the change of one key may change others."""
+        """Whether a text reads as ``expected``. If it has anchors, only the edited key must be equal."""
         try:
             data, _ = parse_yaml(text, SceneError, self._path)
         except SceneError:
@@ -283,7 +283,7 @@ class _Editor:
 
     @contextmanager
     def _refusing(self) -> Iterator[None]:
-        """Refuse what ruamel.yaml cannot edit, since it raises errors of many kinds."""
+        """Turn all errors of ruamel.yaml, which are of many types, into a SceneError."""
         try:
             yield
         except SceneError:
@@ -293,7 +293,7 @@ class _Editor:
 
 
 def _round_trip(text: str) -> YAML:
-    """Reader and writer of ruamel.yaml with the indentation of a text."""
+    """Create a reader and writer of ruamel.yaml that keeps the indentation of a text."""
     from ruamel.yaml import YAML
     from ruamel.yaml.representer import RoundTripRepresenter
 
@@ -326,9 +326,9 @@ def _taken_over(
 
     Args:
         text: The lines.
-        before: The same content, written by ruamel.yaml.
-        after: The changed content, written by ruamel.yaml.
-        end: Line end of new lines.
+        before: Lines of the same content, as ruamel.yaml writes them.
+        after: Lines of the changed content, as ruamel.yaml writes them.
+        end: Text at the end of new lines: a carriage return if the file has Windows line ends, else empty.
         form: Function that maps a line to a form that is equal for lines with the same content in ``text``
             and ``before``.
     """
@@ -388,12 +388,12 @@ def _own_keys(node: Any) -> list[Any]:
 
 
 def _own_key(node: Any, key: YamlKey) -> Any:
-    """The key as a mapping or list stores it; None if absent."""
+    """Find the key in a mapping or list, as it is stored there (such as 1 for ``"1"``); None if absent."""
     return next((own for own in _own_keys(node) if str(own) == str(key)), None)
 
 
 def value_at(data: Any, keys: Sequence[YamlKey]) -> Any:
-    """Value of a key in data, to read only; None if absent."""
+    """Value at a path of keys in plain data, not a copy; None if absent."""
     for key in keys:
         items = dict(enumerate(data)) if isinstance(data, list) else data
         if not isinstance(items, dict):
@@ -403,8 +403,8 @@ def value_at(data: Any, keys: Sequence[YamlKey]) -> Any:
 
 
 def _with(data: Any, keys: Sequence[YamlKey], value: Any, above: Sequence[YamlKey] = ()) -> Any:
-    """Copy of data with a value set. Raises SceneError if the data cannot have the key. ``above``: keys of
-    the data."""
+    """Copy of plain data in which the value at a path of keys is set. Raises SceneError if the data cannot
+    have this key. ``above``: path of the data itself, for errors."""
     if not keys:
         return copy.deepcopy(value)
     key, *rest = keys

@@ -24,7 +24,7 @@ from humansim_ros.view.panels.page import Page, by_user, plain_markdown
 from humansim_ros.view.server.server import PREFIX, check_value, inside
 
 _START, _STOP = "Start", "Stop"
-#: Options that a command line begins with, because the command needs them.
+#: Command lines that the panel offers, with the options that each command needs.
 _BEGINNINGS = {
     "run": "humansim run {scene}",
     "record": "humansim record {scene} -o {stem}_bag --frames {frames}",
@@ -36,22 +36,22 @@ _BEGINNINGS = {
     "fit the photographs": "humansim human fit {views} -o fit.yaml --picture fit.png",
     "texture": "humansim human texture {views} --fit fit.yaml -o {person}.npz --picture {person}.png",
 }
-#: Choices next to the buttons.
+#: Entry of the list of other commands that means that none is chosen.
 _NO_OTHER = "(another command)"
-#: Most links to files of a result; and most files of a folder that are searched.
+#: Most links to the files of a result; and most files of a folder that are listed.
 _MOST_LINKS, _MOST_LOOKED = 30, 5000
-#: Options of commands that name what they write.
+#: Options of commands that name an output file or folder.
 _WRITTEN = ("-o", "--output", "--report", "--picture")
 #: Address of a page that a command serves.
 _ADDRESS = re.compile(r"http://127\.0\.0\.1:\d{2,5}\b")
 
 
 class CommandsPanel:
-    """The tab ``Run`` of a page: the command line, a button, and the progress.
+    """The tab ``Run`` of a page: the command line, a button that starts the command, and its progress.
 
     Args:
         app: The page. All methods run in its thread.
-        document: The scene that the commands get.
+        document: The scene that the commands use.
     """
 
     def __init__(self, app: Page, document: SceneDocument) -> None:
@@ -90,7 +90,7 @@ class CommandsPanel:
         self.choose(COMMANDS[0])
 
     def choose(self, command: str) -> None:
-        """Show the line of a command for this scene."""
+        """Put the command line of a command for this scene into the text field."""
         if command not in _BEGINNINGS:
             return
         self._command = command
@@ -152,7 +152,7 @@ class CommandsPanel:
         self._bar.animated = running
 
     def result(self, name: str) -> Path | None:
-        """A file that a command of this page has written, by its path in the folder of the scene."""
+        """Path of a file that a command of this page has written, else None. ``name``: path in the folder."""
         folder = self._document.folder
         try:
             path = inside(folder, name)
@@ -163,7 +163,7 @@ class CommandsPanel:
         return path if mine and path.is_file() else None
 
     def _links(self) -> str:
-        """Links to the files that the command has written, or to the page that the command serves."""
+        """Markdown links to the files that the command has written, or to the page that it serves."""
         if self.job is None:
             return ""
         if self.job.code is None:
@@ -213,14 +213,15 @@ _OPTIONS: dict[str, tuple[str, ...]] = {
     ),
     "human texture": ("-o", "--output", "--fit", "--picture", "--method", "--texture-size", "--frame"),
 }
-#: Lines of output that are kept; most characters of a line; seconds that a process gets to end by itself.
+#: Number of last lines of output to show; most characters of a line; seconds to wait for the end of a
+#: process.
 _LINES, _WIDTH, _PATIENCE = 12, 200, 10.0
 #: Lines of progress: ``120 of 300 frames, …``.
 _PROGRESS = re.compile(r"(\d+) of (\d+) ")
 
 
 def command_words(text: str, folder: Path) -> list[str]:
-    """Words of a command line such as ``humansim record scene.yaml -o bag``.
+    """Split a command line such as ``humansim record scene.yaml -o bag`` into words, and check it.
 
     ``folder``: files that the command line names must be below this folder.
 
@@ -248,7 +249,7 @@ def command_words(text: str, folder: Path) -> list[str]:
 
 
 def outputs_of(words: Sequence[str]) -> list[str]:
-    """Files and folders that a command line writes, as it names them."""
+    """Names of the files and folders that a command writes, from the words of its command line."""
     found = []
     for word, value in zip(words, [*words[1:], ""], strict=True):
         option, equals, own = word.partition("=")
@@ -260,7 +261,7 @@ def outputs_of(words: Sequence[str]) -> list[str]:
 
 
 def files_below(folder: Path) -> list[Path]:
-    """Files below a folder, links left out, sorted."""
+    """Sorted paths of the files below a folder, without symbolic links."""
     paths = islice(
         (path for path in folder.rglob("*") if path.is_file() and not path.is_symlink()), _MOST_LOOKED
     )
@@ -272,7 +273,7 @@ class Job:
 
     Args:
         text: Command line. It begins with ``humansim``.
-        folder: Folder that it runs in.
+        folder: Working folder of the command.
 
     Raises:
         HumansimError: The command line is wrong, or the process cannot start.
@@ -301,22 +302,22 @@ class Job:
 
     @property
     def lines(self) -> list[str]:
-        """The last lines that it has printed."""
+        """The last lines that the command has printed."""
         return list(self._lines)
 
     @property
     def progress(self) -> float:
-        """Share of the work that is done, 0 to 1, from the last line of progress."""
+        """Share of the work that is done, 0 to 1, from the last printed line that tells the progress."""
         return 1.0 if self.code == 0 else self._progress
 
     @property
     def code(self) -> int | None:
-        """Exit code; None while it runs."""
+        """Exit code of the command; None while the command runs."""
         return self._process.poll()
 
     @property
     def state(self) -> str:
-        """State in words."""
+        """State of the command in words, such as ``runs``."""
         if self.code is None:
             return "is stopping" if self._stopped else "runs"
         if self._stopped:
@@ -348,7 +349,7 @@ class Job:
                 self.take_line(line.decode(errors="replace"))
 
     def take_line(self, line: str) -> None:
-        """Keep a line of its output, and the progress in it."""
+        """Store a line that the command has printed, and read the progress from it."""
         text = line.rstrip()
         if text:
             self._lines.append(printable(text, _WIDTH))

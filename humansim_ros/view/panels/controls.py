@@ -21,7 +21,8 @@ from humansim_ros.view.server.uploads import files_in, kind_of_key
 
 #: Changes a key; None removes it.
 KeyChange = Callable[[tuple[YamlKey, ...], Any], None]
-#: The two functions of a control: one reads its value for the document, one shows a value of the document.
+#: Functions of a control: the first converts the value that the user entered for the document; the second
+#: shows a value of the document.
 ReadValue = Callable[[SceneKey, Any], Any]
 ShowValue = Callable[[Any, Any, SceneDocument, SceneKey], None]
 
@@ -29,15 +30,15 @@ _OFF = "(default)"
 
 
 class SectionControls:
-    """Controls for all keys of a section, in folders for the sections in it.
+    """Controls for all keys of a section; nested sections get folders.
 
     Args:
         gui: The GUI of viser.
         document: The scene.
         keys: Path of the section.
         change: Function that is called with a key and its new value when a user changes the value.
-        only: Keys of the section that get controls. If empty, all keys.
-        choices: Values of keys to choose from, by dotted key within the section.
+        only: Keys of the section that get controls. If empty, all keys get one.
+        choices: Values that the user can choose from, by dotted key within the section.
         post: Runs a function in the thread that edits the document.
         folder: Folder of the page for the controls and their errors. If None, the root of the page.
     """
@@ -81,7 +82,7 @@ class SectionControls:
         return others
 
     def control(self, key: str) -> KeyControl:
-        """Control of a dotted key within the section."""
+        """Return the control of a key. ``key``: dotted key within the section."""
         return next(
             one for one in self.controls.values() if key == ".".join(map(str, one.key.keys[len(self.keys) :]))
         )
@@ -158,7 +159,7 @@ class SectionControls:
             )
 
     def _take_file(self, control: KeyControl, name: str) -> None:
-        """A user has sent a file for a key."""
+        """Set the key of a control to a file that the user has uploaded."""
         try:
             self._change(control.key.keys, name)
         except HumansimError as error:
@@ -170,14 +171,14 @@ class SectionControls:
         control.handle.on_update(by_user(self._post, lambda: self.changed(control)))
 
     def changed(self, control: KeyControl) -> None:
-        """A user has changed a control."""
+        """Change the document after a user has changed a control. An error is shown below the control."""
         try:
             self._change(control.key.keys, control.read())
         except HumansimError as error:
             control.tell(self._gui, error.message)
 
     def offer(self, key: str, names: Sequence[str]) -> None:
-        """Offer other names for a dotted key within the section."""
+        """Replace the names that the list of a key offers. ``key``: dotted key within the section."""
         control = self.control(key)
         value = self._document.value(control.key.keys)
         shown = (_OFF, *names) if value is None or value in names else (_OFF, *names, str(value))
@@ -196,14 +197,14 @@ class SectionControls:
 
 
 def choices_of(kind: str) -> dict[str, Sequence[str]]:
-    """Built-in names to choose from in the sections of a kind."""
+    """Built-in names to choose from, by dotted key, for a kind of section (``humans``, ``objects``)."""
     if kind == "humans":
         return {"body": built_in_names("humans"), "motion.file": [*built_in_names("motions"), LIVE]}
     return {"mesh": list(BUILT_IN_MESHES)} if kind == "objects" else {}
 
 
 class KeyControl:
-    """One control of a key, and the error below it."""
+    """The control of one key, and the text of its error below."""
 
     def __init__(
         self,
@@ -222,7 +223,7 @@ class KeyControl:
 
     @property
     def error(self) -> str | None:
-        """Text of the error below it, if any."""
+        """Text of the error below the control; None if no error is shown."""
         return None if self._error is None else self._error.content
 
     def read(self) -> Any:
@@ -266,7 +267,7 @@ def _read_switch(_: SceneKey, value: Any) -> Any:
 
 
 def _read_text(key: SceneKey, value: str) -> Any:
-    """Read the text of a control. It is a plain text for names and files, and YAML for all other keys."""
+    """Value of a text that the user typed: the text itself for names and files, otherwise parsed as YAML."""
     text = value.strip()
     if not text:
         return None
@@ -309,7 +310,7 @@ def _show_text(handle: Any, value: Any, _: SceneDocument, key: SceneKey) -> None
 
 
 def _single(annotation: Any) -> Any:
-    """The only type of an annotation, without metadata; None if there are several."""
+    """The type of an annotation, without metadata and None; None if the annotation allows several types."""
     found = list(alternatives(annotation))
     return found[0] if len(found) == 1 else None
 

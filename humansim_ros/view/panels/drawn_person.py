@@ -29,25 +29,25 @@ from humansim_ros.view.panels.page import Background, Page, by_user, plain_markd
 from humansim_ros.view.server.server import inside
 
 _DRAWN = "(drawn)"
-#: Ends and step of the sliders, with names that are options of ``humansim human make``.
+#: Smallest value, largest value and step of a slider, by the option of ``humansim human make``.
 _SLIDERS: dict[str, tuple[float, float, float]] = {
     "age": (*AGES, 1.0),
     "height": (0.7, 2.1, 0.01),
     "weight": (8.0, 180.0, 0.5),
     "skin": (1, 10, 1),
 }
-#: Names to choose from.
+#: Values to choose from, by option.
 _CHOICES: dict[str, Iterable[str]] = {"sex": ("female", "male"), "hair": HAIR, "beard": BEARDS}
 _CLOTHES: dict[str, Iterable[str]] = {"top": TOPS, "bottom": BOTTOMS, "shoes": FOOTWEAR}
 
 
 class DrawnPersonPanel:
-    """A folder of a tab: which person is drawn at random, and a button that adds the person to the scene.
+    """Folder that draws a person at random from a seed, and has a button to add the person to the scene.
 
     Args:
         app: The page. All methods run in its thread.
         document: The scene that gets the person.
-        background: Where the person is built.
+        background: Runs the building of the person in a thread.
         back: Function that shows the scene again.
     """
 
@@ -55,7 +55,7 @@ class DrawnPersonPanel:
         self, app: Page, document: SceneDocument, background: Background, back: Callable[[], None]
     ) -> None:
         self._app, self._document, self._background, self._back = app, document, background, back
-        #: What the user has set, by the name of the option.
+        #: Properties that the user has set, by option; all others are drawn at random.
         self.given: dict[str, Any] = {}
         gui = app.gui
         with gui.add_folder("Or: a person by seed", expand_by_default=False):
@@ -151,8 +151,7 @@ class DrawnPersonPanel:
         return " ".join([f"humansim human make --seed {int(self._seed.value)}", *options, f"-o {file}"])
 
     def add(self) -> None:
-        """Build the person, write it next to the scene, and add it to the scene. A person of the same name is
-        replaced.
+        """Build the person, write it next to the scene, and add it, in place of a person with the same name.
 
         Raises:
             HumansimError: There is no such person, the name is wrong, or a file that the page did not write

@@ -1,4 +1,4 @@
-"""Panel that edits the scene: people, objects, cameras, light, world; undo, save, and the same as a file."""
+"""Panel that edits the scene (people, objects, cameras, light, world), with undo, and saves it as a file."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ _PLURAL = {value: key for key, value in _SINGULAR.items()}
 _UNDO, _REDO = "Undo", "Redo"
 _SAVE_WRONG = "Save with errors"
 _COPY, _REMOVE = "Duplicate", "Remove"
-#: Smaller movements are only rounding of the gizmo: metres, and sine of half an angle.
+#: Smaller movements of the gizmo are rounding errors and ignored: metres, and sine of half the angle.
 _MOVED, _TURNED = 5e-5, 4e-5
 
 
 class EditorPanel:
-    """The tab ``Edit`` of a page, and the gizmo of the selected item.
+    """The tab ``Edit`` of a page, and the gizmo: 3D handles that move the selected item.
 
     Args:
         app: The page. All methods run in its thread.
@@ -142,7 +142,7 @@ class EditorPanel:
             self.select(f"{_SINGULAR[kind]} {name}")
 
     def undo(self) -> None:
-        """Take the last step back."""
+        """Undo the last step."""
         self.edit(self.document.undo)
 
     def redo(self) -> None:
@@ -162,7 +162,7 @@ class EditorPanel:
         self.refresh()
 
     def outfits(self, name: str) -> Sequence[str]:
-        """Names of the outfits of the body that a person has in the file; none if the body is wrong."""
+        """Names of the outfits that the body of a person has; empty if the body cannot be read."""
         try:
             return self.document.source.human(str(self.document.value(["humans", name, "body"]))).outfits
         except HumansimError:  # the status says so
@@ -177,7 +177,7 @@ class EditorPanel:
             self._app.notify("Another outfit", f"This body has no outfit {worn!r}: it wears {outfits[0]!r}.")
 
     def move(self, position: Array, quaternion: Array) -> None:
-        """Place the selected item where its gizmo is.
+        """Move the selected item to the place of the gizmo.
 
         Args:
             position: (3,) in ``map``, metres.
@@ -209,8 +209,8 @@ class EditorPanel:
 
         Args:
             path: The file, below the folder of the scene.
-            overwrite: Replace a file that another program wrote.
-            wrong: Save a scene even if it has errors. If False, the user is asked first.
+            overwrite: Whether to replace a file that another program wrote.
+            wrong: Whether to save a scene with errors. If False, the user is asked first.
         """
         faults = self.document.errors()
         if faults and not wrong:
@@ -229,7 +229,7 @@ class EditorPanel:
         self.refresh()
 
     def _ask(self, key: str, message: str, yes: Callable[[], None]) -> None:
-        """Ask whether a scene with errors is to be saved."""
+        """Ask the user whether to save nevertheless, and call ``yes`` if so."""
         if self.question is not None:
             self.question.close()
         gui = self._app.gui
@@ -266,7 +266,7 @@ class EditorPanel:
         self._show_status()
 
     def refresh(self) -> None:
-        """Show the document: its scene if the scene is valid, or else its errors."""
+        """Show the scene of the document, or, if it is not valid, its errors and the last valid scene."""
         faults = self.document.errors()
         if self.document.version != self._shown and (not faults or self.document.lacks_cameras):
             with suppress(SceneError):  # the status says it
@@ -294,18 +294,18 @@ class EditorPanel:
             raise SceneError("the scene cannot be shown: the tab Edit says what is wrong")
 
     def make_source(self) -> SceneViewSource:
-        """The scene of the document for the page. Raises SceneError with the first error."""
+        """Make the source that shows the scene of the document. Raises SceneError with its first error."""
         scene = self.document.scene_so_far()
         has_cameras = not self.document.lacks_cameras
         return SceneViewSource(scene, self._app.source.title, has_cameras=has_cameras)
 
     def stage_made(self) -> None:
-        """Note that the 3D scene has been made again, without the gizmo."""
+        """Place the gizmo again, after the 3D scene has been rebuilt without the gizmo."""
         self._gizmo = None
         self.place_gizmo()
 
     def place_gizmo(self) -> None:
-        """Put the gizmo where the selected item is."""
+        """Put the gizmo at the selected item, or remove it if this item cannot be moved."""
         if self._gizmo is not None:
             self._gizmo.remove()
             self._gizmo = None
@@ -335,8 +335,7 @@ class EditorPanel:
         self._gizmo = gizmo
 
     def file_changed(self) -> bool:
-        """Read the text of the file again after another program changed it. Returns False if there are
-        unsaved edits."""
+        """Read the file again if another program changed it. Returns False if unsaved edits prevent this."""
         if not self.document.changed_on_disk():
             return True
         if self.document.changed:
@@ -356,7 +355,7 @@ class EditorPanel:
         self._app.post(lambda: self.move(position, np.roll(wxyz, -1)))
 
     def choices(self) -> list[str]:
-        """What can be selected."""
+        """Items that can be selected, such as ``person anna`` or ``light``."""
         try:
             named = [
                 f"{_SINGULAR[kind]} {name}"
@@ -434,19 +433,19 @@ class EditorPanel:
 Edit = Callable[[Callable[[], Any]], bool]
 
 _ADD = "Add"
-#: If a file has more cameras than this, they get no boxes.
+#: Only this number of cameras of a file get a box to choose them.
 _MOST_BOXES = 100
 #: Size of a figure in the picture of a motion, pixels, and number of figures.
 _FIGURE, _PHASES = (110, 150), 6
 
 
 class KeyframeTools:
-    """Keys of a person or an object at the time that is shown.
+    """Folder that adds and removes keyframes of a person or an object at the time that is shown.
 
     Args:
         app: The page.
         document: The scene.
-        edit: Makes an edit, and shows it.
+        edit: Function that makes an edit of the scene, and shows the result.
     """
 
     def __init__(self, app: Page, document: SceneDocument, edit: Edit) -> None:
@@ -473,11 +472,11 @@ class KeyframeTools:
         self._edit(lambda: change(self._document, *self._item, self._app.scene_seconds))
 
     def drag(self, position: Array | None, quaternion: Array | None) -> None:
-        """Add a key for the place of the gizmo. Raises HumansimError."""
+        """Add a key with the pose of the gizmo. Raises HumansimError if the key cannot be added."""
         set_keyframe(self._document, *self._item, self._app.scene_seconds, position, quaternion)
 
     def show(self, kind: SectionName, name: str) -> None:
-        """Show the keys of an item. Cameras and sections have no keys."""
+        """Show the times of the keyframes of an item. Only people and objects can have keyframes."""
         self._item = kind, name
         self._folder.visible = kind in ("humans", "objects") and self._document.has([kind, name])
         if self._folder.visible:
@@ -491,12 +490,12 @@ class KeyframeTools:
 
 
 class CalibrationTools:
-    """A calibration file to load, and ideal cameras.
+    """Folder that loads the cameras of a calibration file, and a box to make a camera or the rig ideal.
 
     Args:
         app: The page.
         document: The scene.
-        edit: Makes an edit, and shows it.
+        edit: Function that makes an edit of the scene, and shows the result.
     """
 
     def __init__(self, app: Page, document: SceneDocument, edit: Edit) -> None:
@@ -540,10 +539,10 @@ class CalibrationTools:
         """Add the cameras of a calibration file.
 
         Args:
-            file: Path of the file from the folder of the scene.
+            file: Path of the file, relative to the folder of the scene.
             floor_points: File of floor points that place the rig. If empty, the cameras are assumed to stand
                 upright.
-            as_file: Whether the world of the file is ``map``.
+            as_file: Whether the world frame of the file is ``map``, so that the rig is not moved.
             only: Names of the cameras to take. If None, all are taken.
         """
 
@@ -554,7 +553,7 @@ class CalibrationTools:
         self._edit(add)
 
     def idealize(self, ideal: bool) -> None:
-        """Use ideal cameras, or use the real ones again."""
+        """Use ideal cameras (without lens distortion) if ``ideal``, else the real cameras again."""
         if not self._edit(lambda: set_ideal(self._document, *self._item, ideal)):
             self._ideal.value = not ideal
 
@@ -574,8 +573,8 @@ class CalibrationTools:
 
 
 class MotionPicture:
-    """A picture of the motion of a person as a strip. It is drawn when the motion changes. ``app``: the
-    page."""
+    """A row of stick figures that shows the motion of a person. It is redrawn when the motion changes.
+    ``app``: the page."""
 
     def __init__(self, app: Page) -> None:
         self._gui = app.gui
@@ -597,7 +596,7 @@ class MotionPicture:
 
 
 def motion_picture(actor: Actor) -> Image:
-    """Stick figures of the motion of a person, (H, W, 3)."""
+    """Image (H, W, 3) with a row of stick figures of the motion of a person."""
     artist = StickFigureArtist.of_world(actor.motion, _FIGURE, "three-quarter")
     try:
         return strip([artist], _PHASES, actor.name)

@@ -1,5 +1,4 @@
-"""Files next to the scene: a button that uploads a file from the browser, and a list to choose a file
-from."""
+"""Elements of the page to choose one of the files in the folder of the scene, or to upload a file there."""
 
 from __future__ import annotations
 
@@ -25,16 +24,16 @@ def upload_button(
     label: str | None = None,
     order: float | None = None,
 ) -> Any:
-    """Add a button that uploads a file from the browser and keeps it next to the scene.
+    """Add a button that uploads a file from the browser to the folder of the scene.
 
     Args:
         gui: Elements of the page.
         document: The scene.
-        kind: Kind of the file, of :data:`humansim_ros.view.server.uploads.KINDS`.
-        take: Function that is called with the name of the kept file, in the thread of the page.
-        post: Runs a function in that thread.
-        label: Text of the button.
-        order: Place of the button in its folder.
+        kind: Kind of the file, a key of :data:`humansim_ros.view.server.uploads.KINDS`.
+        take: Function that is called with the name of the uploaded file, in the thread of the page.
+        post: Runs a function in the thread of the page.
+        label: Text of the button. If None, the text names the kind.
+        order: Number that orders the elements of a folder.
 
     Returns:
         The button.
@@ -74,17 +73,17 @@ def _raise(error: HumansimError) -> Callable[[], None]:
 
 
 class FileChoice:
-    """A list of the files next to the scene, and a button for another one.
+    """A list of the files in the folder of the scene, and a button to upload another file.
 
     Args:
         app: The page.
         document: The scene.
         label: Label of the list.
-        kind: Kind of the files.
+        kind: Kind of the files, such as ``mesh``; a key of :data:`humansim_ros.view.server.uploads.KINDS`.
         chosen: Function that is called with the name of a file when a user chooses or uploads one. The name
             is empty if no file is chosen.
-        more: Other choices, such as names of built-ins.
-        upload: Text of the button. If None, the text follows from the kind.
+        more: Choices that are no files, such as names of built-in meshes.
+        upload: Text of the button. If None, the text names the kind.
     """
 
     NONE = "(none)"

@@ -1,4 +1,4 @@
-"""Panel that makes a person of a mesh: import, skeleton with joints to drag, weights, colours, files."""
+"""Panel that makes a person from a mesh: import, skeleton with joints to drag, weights, colours, files."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _AXES = (_DETECTED, "x", "y", "z", "-x", "-y", "-z")
 _SKIN, _ALL_BONES = "skin", "weights of all bones"
 #: Radius of a joint that can be dragged, as a share of the height, and opacity of the body around it.
 _RADIUS, _OPACITY = 0.014, 0.4
-#: Where the page looks from at a person at the origin, and the point that it looks at, metres.
+#: Position of the view of a person who stands at the origin, and the point that the view looks at, metres.
 _EYE, _TARGET = (2.0, 0.55, 1.2), (0.0, 0.0, 0.85)
 #: Seconds that most browsers need to rebuild the 3D scene; and how many times the view is set again for
 #: slower ones.
@@ -39,7 +39,7 @@ _COLOURS = {
 
 
 class HumanPanel:
-    """The tab ``Human`` of a page, and the person that it shows instead of the scene.
+    """The tab ``Human`` of a page, which shows the person in progress instead of the scene.
 
     Args:
         app: The page. All methods run in its thread.
@@ -123,7 +123,8 @@ class HumanPanel:
     # --- the steps (in the thread of the page)
 
     def read(self, name: str | None = None) -> None:
-        """Read the mesh that is chosen, and fit a skeleton to it."""
+        """Read the chosen mesh, and fit a skeleton to it. ``name``: file name, which names the person,
+        too."""
         if not self.mesh.value:
             return
         given = {
@@ -141,17 +142,18 @@ class HumanPanel:
         self._work(f"reading {self.mesh.value}", lambda: PersonDraft.of(folder, options))
 
     def move(self, joint: str, place: Array, *, keep: bool = True) -> None:
-        """Place a joint, (3,) in body space. ``keep``: the drag has ended."""
+        """Move a joint to ``place`` (3,) in body space, metres. ``keep``: whether this is an undo step, not
+        just part of a drag."""
         self._take(self._need().moved(joint, place, bool(self._both.value), keep=keep), drag=not keep)
 
     def rig(self, then: Callable[[], None] | None = None) -> None:
-        """Compute the weights."""
+        """Compute the skinning weights in the background, and then call ``then``."""
         draft = self._need()
         changes: dict[str, Any] = {"rigging": self._rigging.value, "outfits": self._outfits()}
         self._work("computing weights", lambda: draft.rigged(**changes), then)
 
     def add(self) -> None:
-        """Write the person, and add it to the scene; computes the weights first if they are missing."""
+        """Write the files of the person (after computing missing weights), and add it to the scene."""
         draft, name = self._need(), str(self._name.value).strip()
         changes: dict[str, Any] = {"rigging": self._rigging.value, "outfits": self._outfits()}
         written: list[str] = []
@@ -180,7 +182,7 @@ class HumanPanel:
         self._back()
 
     def close(self) -> None:
-        """No step is shown any more."""
+        """Ignore the results of steps that are still running."""
         self._background.closed = True
 
     # --- steps that take seconds
@@ -198,7 +200,7 @@ class HumanPanel:
         self._background.run(what, step, done, self._failed)
 
     def _tell(self, what: str) -> None:
-        """Show that a step is done; an empty text ends it."""
+        """Show the text ``what`` of a running step. An empty text means that the step has ended."""
         self._bar.visible = bool(what)
         if what:
             self._state.content = f"{plain_markdown(what)} …"
@@ -212,7 +214,7 @@ class HumanPanel:
     # --- what is shown
 
     def _take(self, draft: PersonDraft, *, drag: bool = False) -> None:
-        """Show a draft. ``drag``: a joint is on its way."""
+        """Show a draft of the person. ``drag``: a joint is being dragged, so redraw only the bones."""
         changed = self.draft is None or draft.joints.keys() != self.draft.joints.keys()
         rigged = draft.human is not None and (self.draft is None or self.draft.human is not draft.human)
         self.draft = draft
@@ -240,7 +242,7 @@ class HumanPanel:
             self._draw()
 
     def stage_made(self) -> None:
-        """The 3D scene has been made again."""
+        """Draw the person again, after the 3D scene has been rebuilt."""
         self._nodes, self._lines = [], None
         if self._source is not None and self._app.source is self._source:
             self._draw()
@@ -307,7 +309,7 @@ class HumanPanel:
             raise
 
     def _draw_bones(self) -> None:
-        """Draw the bones, and put the joints where they are."""
+        """Draw the bones, and move the spheres of the joints to the positions in the draft."""
         draft = self.draft
         if draft is None or self._source is None:
             return
@@ -331,16 +333,15 @@ class HumanPanel:
         self._nodes, self._lines = [], None
 
     def _clients(self) -> Iterable[tuple[int, Any]]:
-        """The browsers by their numbers."""
+        """The connected browsers, each with its number."""
         return self._app.server.viser.get_clients().items()
 
     def _look_again(self, views: Mapping[int, Array], times: int) -> None:
-        """Set the view of the person again soon, because a browser resets its view when the scene is made
-        again."""
+        """Set the view of the person again soon, since browsers reset the view when the scene is rebuilt."""
         threading.Timer(_SETTLED, lambda: self._app.post(lambda: self._look(views, times))).start()
 
     def _look(self, views: Mapping[int, Array], times: int) -> None:
-        """Look at the person from browsers that look from where they did, ``views`` (3,) by browser."""
+        """Turn browsers to the person if they still have the old view, ``views`` (3,) by browser."""
         if self._background.closed or self._source is None or self._app.source is not self._source:
             return
         for number, client in self._clients():
@@ -351,7 +352,7 @@ class HumanPanel:
             self._look_again(views, times - 1)
 
     def _show(self) -> None:
-        """Show the state, and the command that does the same."""
+        """Show the state of the draft, and the command that makes the same person without the page."""
         draft = self.draft
         for button in (self._undo, self._reset, self._rig, self._add):
             button.disabled = draft is None
@@ -392,7 +393,7 @@ class HumanPanel:
             self.move(str(self._joint.value), np.array(self._place.value, dtype=float))
 
     def _outfits(self) -> dict[str, Any]:
-        """Outfits of the description; none: as the mesh has it."""
+        """Outfits for the description of the person; empty if the mesh keeps its own colours."""
         if self._own.value:
             return {}
         if self.texture.value:
@@ -406,7 +407,7 @@ class HumanPanel:
 
 
 def _same(draft: PersonDraft, changes: dict[str, Any]) -> bool:
-    """Whether a draft was rigged with these keys."""
+    """Whether the weights of a draft were computed with these values of ``rigging`` and ``outfits``."""
     told = draft.settings.model_dump(mode="json")
     outfits = {
         name: {key: one[key] for key in changes["outfits"].get(name, one)}
@@ -416,7 +417,7 @@ def _same(draft: PersonDraft, changes: dict[str, Any]) -> bool:
 
 
 def _name_of(file: str) -> str:
-    """Name of a person from the name of a file."""
+    """Name for a person, made from the name of a file."""
     stem = (
         "".join(c if c.isascii() and c.isalnum() else "_" for c in file.rpartition(".")[0]).strip("_").lower()
     )

@@ -1,4 +1,4 @@
-"""Part of the editor: which joint of a motion drives which bone, and joints that a user assigns."""
+"""Part of the editor: shows which joint of a motion drives which bone; the user can assign joints."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from humansim_ros.view.edit.document import SceneDocument
 from humansim_ros.view.panels.page import Page, by_user, plain_markdown
 
 _NONE = "(none)"
-#: Most joints that are offered.
+#: Most joints that the list offers.
 _MOST_JOINTS = 500
 
 
 class MatchingTools:
-    """The joints of the motion of a person: table, confidence, and assignment by hand.
+    """Folder that shows how the joints of a person's motion drive the bones, and lets the user assign joints.
 
     Args:
         app: The page.
         document: The scene.
-        edit: Makes an edit, and shows it.
+        edit: Function that makes an edit of the scene, and shows the result.
     """
 
     def __init__(self, app: Page, document: SceneDocument, edit: Callable[[Callable[[], Any]], bool]) -> None:
@@ -94,12 +94,12 @@ class MatchingTools:
 
 
 def known_roles() -> tuple[str, ...]:
-    """Roles of joints in all built-in joint tables."""
+    """Roles (such as ``LeftElbow``) that the built-in joint tables give to joints."""
     return tuple(dict.fromkeys(role for table in built_in_tables() for role in table.joints))
 
 
 def match_markdown(match: JointMatch, motion: Motion) -> str:
-    """Table of the bones and the joints that drive them, as Markdown."""
+    """Markdown table of the bones, with the joint that drives each bone."""
     names = [plain_markdown(name) for name in motion.joint_names]
     rows = [f"| {bone} | {names[start]} → {names[end]} |" for bone, (start, end) in match.parallel.items()]
     rows += [
@@ -114,8 +114,8 @@ def match_markdown(match: JointMatch, motion: Motion) -> str:
 
 
 def assigned(match: JointMatch, motion: Motion, role: str, joint: str | None) -> str:
-    """Joint table of a match with another joint for a role. If another role had this joint, the two roles
-    exchange joints.
+    """Make the joint table of a match in which another joint has a role. If another role had that joint, the
+    two roles exchange their joints.
 
     Args:
         match: The match.

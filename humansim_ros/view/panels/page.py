@@ -1,4 +1,4 @@
-"""The page, as its panels use it: its time, and what they may ask it to do."""
+"""Interface of the page for its panels; the player, which keeps the time; and work in the background."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from humansim_ros.view.server.server import PageServer
 from humansim_ros.view.sources.source import ViewSource
 
 _Result = TypeVar("_Result")
-#: Speeds that the page offers.
+#: Playback speeds that the page offers, as multiples of real time.
 SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
 
 
 @dataclass
 class Player:
-    """Frame that is shown, as a function of the wall clock.
+    """Playback: computes from the wall clock which frame is shown.
 
     Attributes:
         frames: Number of frames; None for a live source, which has no time of its own.
         period: Nanoseconds between frames.
-        playing: Whether it plays.
-        speed: Seconds of the scene per second.
-        loop: Whether it starts again after the last frame; else it pauses there.
+        playing: Whether the player plays; otherwise it is paused.
+        speed: Seconds of scene time per second of real time.
+        loop: Whether to start again after the last frame; otherwise the player pauses there.
     """
 
     frames: int | None
@@ -40,11 +40,11 @@ class Player:
 
     @property
     def index(self) -> int:
-        """Number of the frame."""
+        """Number of the present frame."""
         return int(self._position)
 
     def advance(self, now: float) -> int:
-        """Frame at a time of a monotonic clock, seconds."""
+        """Move on to time ``now`` (monotonic clock, seconds); returns the number of the frame."""
         passed = 0.0 if self._last is None else max(0.0, now - self._last)
         self._last = now
         if self.frames is None:
@@ -60,32 +60,30 @@ class Player:
         return self.index
 
     def seek(self, index: int) -> None:
-        """Go to a frame; to the first or last one if there is no such frame."""
+        """Go to the frame ``index``, or to the first or last frame if ``index`` is out of range."""
         self._position = float(min(max(index, 0), (self.frames or 1) - 1))
 
     def step(self, count: int) -> None:
-        """Pause, and go some frames on or back."""
+        """Pause, and go ``count`` frames forward, or back if ``count`` is negative."""
         self.playing = False
         self.seek(self.index + count)
 
 
 class Page(Protocol):
-    """The page, for its panels. All but :meth:`post` belongs to the thread of the page.
+    """The page as its panels use it. Only :meth:`post` may be called from other threads.
 
     Attributes:
-        server: The server.
-        gui: Its elements.
+        server: The web server.
+        gui: Elements of the page (the GUI of viser).
         source: The scene, bag, graph or photographs on the page.
-        player: Time of the page.
-        head: Folder above the tabs, for the time.
+        player: Playback: frame, speed, and whether it is paused.
+        head: Folder above the tabs, for the controls of the time.
         tabs: Tabs by name.
         dark: Whether the page is dark.
         shown_cameras: Cameras with images that are shown.
         shown_channels: Channels that are shown.
-        through: Camera that the user looks through. Only the image of this camera is shown. If None, all
-            images are shown.
-        enlarged: Camera and channel of the tile that is large. Its images keep their size. If None, no tile
-            is large.
+        through: Camera that the user looks through; only its image is shown. If None, all images are shown.
+        enlarged: Camera and channel of the image that is enlarged, in full size; None if no image is.
         chosen_camera: Camera that was chosen, or ``all``. It stays when the source is replaced.
         options: Drawings in 3D. They stay when the source is replaced.
     """
@@ -109,37 +107,37 @@ class Page(Protocol):
         """Scene time that is shown, seconds."""
 
     def post(self, function: Callable[[], None]) -> None:
-        """Run a function in the thread of the page. Its errors are shown as a notification."""
+        """Run a function in the thread of the page. If it raises an error, the user is notified."""
 
     def refresh(self) -> None:
-        """Show the frame again, also while paused."""
+        """Draw the present frame again, even while the player is paused."""
 
     def seek(self, index: int) -> None:
-        """Pause, and show a frame."""
+        """Pause the player, and show the frame with number ``index``."""
 
     def scrub(self, index: int) -> None:
-        """Pause, and show a frame while the time is dragged: its images may come later."""
+        """Pause the player, and show a frame while the user drags the time. Its images may come later."""
 
     def set_options(self, options: Options) -> None:
-        """Change the drawings in 3D."""
+        """Choose what is drawn in 3D."""
 
     def step_back(self, redo: bool = False) -> None:
-        """Take the last edit of the scene back, or do it again."""
+        """Undo the last edit of the scene. If ``redo``, redo the edit that was undone last."""
 
     def hide_camera(self, name: str | None) -> None:
-        """Do not draw a camera in 3D: the one that is looked through."""
+        """Do not draw a camera in 3D, because the user looks through it."""
 
     def set_dark(self, dark: bool) -> None:
-        """Dark or light page."""
+        """Make the page dark or light."""
 
     def replace_source(self, source: ViewSource) -> None:
-        """Show another source, at the same time if it has it."""
+        """Show another source, at the same frame number if the source has that frame."""
 
     def compare(self, path: Path | None) -> None:
-        """Show an estimate of a tracker next to the truth of the scene. If None, none."""
+        """Show the estimate of a tracker next to the truth of the scene. If ``path`` is None, hide it."""
 
     def saved(self, path: Path) -> None:
-        """The scene has been saved as a file, which is watched from now on."""
+        """Watch the file that the scene has just been saved to, to see changes by other programs."""
 
     def notify(self, title: str, text: str) -> None:
         """Show a notification in all browsers."""
@@ -148,15 +146,15 @@ class Page(Protocol):
         """Send values of the state to the scripts of the page (``page/*.js``)."""
 
     def pick_pixel(self, camera: str, across: float, down: float) -> None:
-        """Show the numbers of a pixel, given as shares of the width and height of an image."""
+        """Show the values of a pixel, such as its depth. ``across``, ``down``: place in the image, 0 to 1."""
 
 
 class Background:
     """Runs steps that take seconds, one at a time, in a thread, so that the page stays responsive.
 
     Args:
-        app: The page; all methods run in its thread.
-        tell: Shows what is done, and an empty text at its end.
+        app: The page. All methods are called in its thread.
+        tell: Function that shows the text of the running step; it gets an empty text when the step has ended.
     """
 
     def __init__(self, app: Page, tell: Callable[[str], None]) -> None:
@@ -170,16 +168,16 @@ class Background:
         done: Callable[[_Result], None],
         failed: Callable[[Exception], None] = lambda error: None,
     ) -> None:
-        """Do a step in the thread.
+        """Start a step in the background thread.
 
         Args:
-            what: What is done, for the user.
-            step: The step.
-            done: Takes its result, in the thread of the page.
-            failed: Takes its error, in the thread of the page, which shows it then.
+            what: Description of the step for the user.
+            step: Function that does the work, in the background thread.
+            done: Function that gets the result of the step, in the thread of the page.
+            failed: Function that gets the error of the step, in the thread of the page, which also shows it.
 
         Raises:
-            HumansimError: The step before has not ended.
+            HumansimError: The previous step is still running.
         """
         if self.works:
             raise HumansimError("wait until the step before has ended")
@@ -208,7 +206,7 @@ class Background:
 
 
 def by_user(post: Callable[[Callable[[], None]], None], action: Callable[[], Any]) -> Callable[[Any], None]:
-    """A callback for an element of the page: an action, if a user has used the element, not the program.
+    """Make a callback that runs ``action`` only when a user, not the program, has changed an element.
 
     ``post``: runs a function in the thread of the page.
     """
@@ -221,5 +219,5 @@ def by_user(post: Callable[[Callable[[], None]], None], action: Callable[[], Any
 
 
 def plain_markdown(text: str) -> str:
-    """Text that Markdown shows as it is: it can come from other programs."""
+    """Escape a text (which may come from other programs), so that Markdown shows it unchanged."""
     return "".join(f"\\{c}" if c in "\\`*_{}[]<>()#+-!|~$" else c for c in text.replace("\n", " "))

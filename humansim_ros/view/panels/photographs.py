@@ -22,7 +22,7 @@ _ROWS = 12
 
 
 class PhotographsPanel:
-    """The photographs next to the 3D scene (drawn by page/photographs.js), and their tab.
+    """The tab ``Photographs``, and the photographs next to the 3D scene, which page/photographs.js draws.
 
     Args:
         app: The page. All methods run in its thread.
@@ -67,7 +67,7 @@ class PhotographsPanel:
     # --- what users do (in the thread of the page)
 
     def act(self, query: Mapping[str, str]) -> None:
-        """Make an edit that a browser requests. Raises HumansimError if the edit is not possible."""
+        """Make the edit that a browser requests. Raises HumansimError if the edit is not possible."""
         document = self._document
         action, view, point = (query.get(key, "") for key in ("do", "view", "point"))
         if action in ("set", "remove", "exchange"):
@@ -87,7 +87,7 @@ class PhotographsPanel:
         self._app.refresh()
 
     def toggle_solving(self) -> None:
-        """Begin to solve, or stop."""
+        """Start to fit the person to the points, or stop the fit that is running."""
         if self._source.solver.runs:
             self._source.solver.stop()
         else:
@@ -95,7 +95,7 @@ class PhotographsPanel:
         self._app.refresh()
 
     def accept(self) -> None:
-        """Write the points and the solution."""
+        """Write the points and the fitted person (the solution) to their files."""
         written = self._document.accept()
         self._app.notify("Accepted", "\n".join(written) if written else "nothing has changed")
         self._app.refresh()
@@ -103,7 +103,7 @@ class PhotographsPanel:
     # --- the elements of the tab
 
     def update(self, frame: ViewFrame) -> None:
-        """Show a frame. If a solution is ready, take it."""
+        """Show a frame. If the solver has finished, take over its solution."""
         ended = self._source.solver.take()
         if ended is not None:
             fit, state, told, problem = ended
@@ -164,7 +164,7 @@ class PhotographsPanel:
         _set(self._same, "content", "\n\n".join(lines))
 
     def _serve_images(self, frame: ViewFrame) -> None:
-        """Serve the photographs of a frame to the script. Photographs of the frame before are freed."""
+        """Serve the photographs of a frame to the page's script, in place of those of the previous frame."""
         images = self._source.photographs(frame.index)
         if images is self._images:
             return
@@ -179,7 +179,7 @@ class PhotographsPanel:
         self._urls = {view: f"{PREFIX}photographs/{name}" for view, name in names.items()}
 
     def _serve(self, frame: int) -> None:
-        """Serve the drawings over the photographs."""
+        """Serve points, bones and outlines of a frame, which the script draws over the photographs."""
         overlay = self._document.overlay(frame)
         sides = _sides(self._document.keypoints.names, self._document.keypoints.mirrored)
         self._version += 1
@@ -218,7 +218,7 @@ class PhotographsPanel:
         }
 
     def _asked(self, query: Mapping[str, str]) -> None:
-        """Handle an edit in a browser. Runs in the thread of the server."""
+        """Handle an edit that a browser requests. Runs in the thread of the server."""
         asked = dict(query)
         self._app.post(lambda: self.act(asked))
 
@@ -244,7 +244,7 @@ def _number(text: str | None) -> float:
 
 
 def _plain(values: Array) -> list[float] | None:
-    """Numbers for JSON; None if one is not finite."""
+    """Numbers as a list for JSON; None if a number is not finite."""
     return np.round(values, 2).tolist() if np.isfinite(values).all() else None
 
 
@@ -257,7 +257,7 @@ def _sides(names: tuple[str, ...], mirrored: tuple[int, ...]) -> list[int]:
 
 
 def _table(overlay: Overlay, views: tuple[str, ...], names: tuple[str, ...]) -> str:
-    """Table of the points that are farthest from the solution."""
+    """Markdown table of the points with the largest residuals (distances from the fitted person)."""
     residuals = overlay.residuals
     if np.isnan(residuals).all():
         return ""

@@ -33,7 +33,7 @@ ALL = "all"
 
 
 class ShowPanel:
-    """Boxes and lists to choose cameras, channels and 3D options."""
+    """Tab ``Show``: choice of the cameras, image channels and 3D drawings."""
 
     def __init__(self, app: Page) -> None:
         gui, source = app.gui, app.source
@@ -85,9 +85,9 @@ _WITH_LENS, _WITHOUT = "its image, with its lens", "3D from its position"
 
 
 class ThroughPanel:
-    """Choice of a camera to look through. The script ``page/through.js`` shows the image of the camera, or
-    gives its projection to the 3D view. Both fill the same rectangle of the page, whatever shape the page
-    has. Clicks and names use that rectangle as well."""
+    """Choice of a camera to look through. The script ``page/through.js`` shows either the image of this
+    camera or the 3D scene with the projection of this camera. Both fill the same rectangle of the page, and
+    clicks and names refer to that rectangle."""
 
     def __init__(self, app: Page) -> None:
         self._app = app
@@ -106,7 +106,7 @@ class ThroughPanel:
         self._kind.on_update(lambda _: app.post(self._choose))
 
     def update(self, frame: ViewFrame) -> None:
-        """Move the view with the camera, and show its image or its projection."""
+        """Move the view to the pose of the chosen camera, and show its image or the 3D scene from there."""
         camera = frame.cameras.get(self._camera or "")
         if camera is None or self._camera is None:
             self._app.send_state(through=None)
@@ -137,7 +137,7 @@ class ThroughPanel:
         self._folder.remove()
 
     def _serve_image(self, frame: ViewFrame) -> None:
-        """Serve the image of the camera if there is a new one."""
+        """Serve the image of the camera if the frame has a new image."""
         images = frame.images.get(self._camera or "", {})
         if images and frame.images is not self._version:
             self._version = frame.images
@@ -165,7 +165,7 @@ class ThroughPanel:
 
 
 def _names_in(camera: Camera, frame: ViewFrame) -> list[tuple[str, float, float]]:
-    """Names of people, each with the place above its head as shares of the width and height of an image."""
+    """Names of the people in view, with x and y of a point above the head as shares of the image size."""
     width, height = camera.size
     found = []
     for name, joints in frame.joints.items():
@@ -181,8 +181,8 @@ def _names_in(camera: Camera, frame: ViewFrame) -> list[tuple[str, float, float]
 
 #: A timeline needs at least this number of frames. Most digits of a frame number that a page sends.
 _FEWEST, _DIGITS = 2, 12
-#: Before reading tracks, wait at most this long for images, which may never come, and then for the browser to
-#: draw them, seconds.
+#: Longest waits before the tracks are read, seconds: for the first images (which may never come), and then
+#: until the browser has drawn these images.
 _PATIENCE, _DRAWING = 20.0, 3.0
 #: Seconds between two updates of the timeline of a running graph.
 _LIVE_EVERY = 0.8
@@ -193,7 +193,7 @@ _BACK, _ON = "◀ frame", "frame ▶"
 
 
 class TimelinePanel:
-    """The controls of the player of a page."""
+    """The controls of the time: play, step, speed, loop, and a slider of the frames."""
 
     def __init__(self, app: Page) -> None:
         gui, player = app.gui, app.player
@@ -254,7 +254,7 @@ class TimelinePanel:
             handle.remove()
 
     def use(self, action: str) -> None:
-        """Do what a key of the page asks for (``page/keys.js``)."""
+        """Do the action of a key that the user pressed, such as ``play`` or ``undo`` (``page/keys.js``)."""
         frames = self._app.player.frames
         if action == "play" and frames != 1:
             self._toggle()
@@ -285,10 +285,11 @@ class TimelinePanel:
 
 
 class TracksPanel:
-    """The timeline that the script ``page/timeline.js`` draws: tracks and curves of the source.
+    """The timeline at the bottom of the page: tracks and joint curves of the source, drawn by
+    ``page/timeline.js``.
 
     Attributes:
-        notes: What the user should know about the tracks.
+        notes: Messages for the user about the tracks.
     """
 
     def __init__(self, app: Page) -> None:
@@ -303,7 +304,7 @@ class TracksPanel:
         app.server.on_request("curve", self._chosen)
 
     def show(self) -> None:
-        """Show the timeline of another source of the page."""
+        """Begin the timeline anew for the present source of the page."""
         self._tracks, self.notes = None, []
         self._source = self._reader.show(self._app.source.tracks())
         self._patient_until = time.monotonic() + _PATIENCE
@@ -314,7 +315,7 @@ class TracksPanel:
         self._publish({"frames": frames, "period": self._app.source.period * 1e-9})
 
     def update(self, frame: ViewFrame) -> None:
-        """Start to read tracks once the page has its images."""
+        """Start to read the tracks once the page has shown its first images, which come first."""
         app = self._app
         now = time.monotonic()
         if frame.image_index is not None:  # the browser begins to draw now
@@ -323,7 +324,7 @@ class TracksPanel:
             self._reader.begin()
 
     def follow(self) -> None:
-        """Show what has arrived of a running graph, even while the page stays at a frame."""
+        """Update the timeline of a running graph with new messages, even while the page is paused."""
         if self._app.player.frames is not None or time.monotonic() < self._due:
             return
         self._due = time.monotonic() + _LIVE_EVERY
@@ -358,7 +359,7 @@ class TracksPanel:
         return table | {"curve": tracks.curve(*self._curve), "live": live}
 
     def _publish(self, table: Mapping[str, Any] | None) -> None:
-        """Serve a table, and tell the script. If None, there is no timeline."""
+        """Serve a table of tracks, and notify the script. If ``table`` is None, the page has no timeline."""
         self._version += 1
         if table is not None:
             self._app.server.add_json("tracks.json", table)
@@ -374,7 +375,7 @@ class TracksPanel:
             self._app.post(lambda: seek(index))
 
     def _chosen(self, query: Mapping[str, str]) -> None:
-        """Handle that a joint was chosen for the curves. Runs in the thread of the server."""
+        """Handle the choice of the joint that the curves show. Runs in the thread of the server."""
         chosen = query.get("person", ""), query.get("joint", "")
 
         def choose() -> None:

@@ -1,4 +1,4 @@
-"""Server of the page: viser on 127.0.0.1, checks of everything that arrives, and our part of the page."""
+"""Web server of the page: viser on 127.0.0.1, checks of all requests, and scripts of this package."""
 
 from __future__ import annotations
 
@@ -32,22 +32,22 @@ from humansim_ros.files.reading import read_bytes, read_text, size_text
 
 #: The only address that the page is served on.
 HOST = "127.0.0.1"
-#: Ports that are tried after the one that was asked for.
+#: If the requested port is in use, the next ports are tried: this number of ports in total.
 _PORTS = 100
-#: Path of our own files of the page.
+#: Path of the files that this package, not viser, serves.
 PREFIX = "/humansim/"
 _NAMES = {"127.0.0.1", "localhost", "[::1]", "::1"}
 #: Largest message of a browser, bytes.
 _MOST_BYTES = 1 << 16
-#: Bytes of a part of a file, as viser's page cuts it.
+#: Bytes of one message of an upload: viser's page cuts files into parts of this size.
 PART = 512 * 1024
-#: Largest file of a browser, and most bytes of files on their way, of all browsers.
+#: Largest uploaded file, and most bytes of all uploads that run at the same time, bytes.
 MOST_UPLOAD, _MOST_ON_THE_WAY = 200 << 20, 400 << 20
 #: Largest result that is served, bytes. It is limited because results are read into memory.
 _MOST_RESULT = 1 << 30
-#: Messages of a browser about files that it sends.
+#: Types of the messages with which a browser uploads a file.
 _UPLOAD = ("FileTransferStartUpload", "FileTransferPart")
-#: Messages of a browser that are accepted. All others (such as requests for public tunnels) are dropped.
+#: Types of accepted messages of a browser. All others (such as requests for public tunnels) are ignored.
 _TAKEN = {
     "CommandTriggerMessage",
     "FileTransferPart",
@@ -76,17 +76,17 @@ SCRIPTS = ("page.js", "tiles.js", "recording.js", "through.js", "measure.js", "k
 
 
 class PageServer:
-    """A viser server that only browsers on this machine reach, and only from its own page.
+    """A viser server that accepts only browsers on this machine, and only requests of its own page.
 
     Args:
         title: Title of the page.
         port: Port. If the port is in use, the next free one is taken.
 
     Attributes:
-        viser: The server of the page's elements.
-        port: Port that the server got.
-        on_refused: Called with a sentence for people when a file of a browser is refused.
-        result: Gives the file of a path below ``/humansim/results/``. If None, there is none.
+        viser: The viser server, for the elements and the 3D scene of the page.
+        port: Port on which the page is served.
+        on_refused: Function that is called with a reason for the user when an upload is refused.
+        result: Function that maps a path below ``/humansim/results/`` to the file to serve, or to None.
 
     Raises:
         HumansimError: No port is free.
@@ -120,19 +120,19 @@ class PageServer:
         return bool(self._streams or self.viser.get_clients())
 
     def add_file(self, name: str, kind: str, data: bytes) -> None:
-        """Serve ``data`` as ``/humansim/<name>``, with its MIME type."""
+        """Serve ``data`` at ``/humansim/<name>``. ``kind``: MIME type."""
         self.files[PREFIX + name] = (kind, data)
 
     def replace_files(self, folder: str, files: Mapping[str, tuple[str, bytes]]) -> None:
-        """Serve files by name in ``folder`` (such as ``people/``), with MIME type and content. All earlier
-        files in it are removed."""
+        """Serve ``files`` (MIME type and content by name) below ``folder``, such as ``people/``, instead of
+        all files that were served there before."""
         kept = {path: file for path, file in self.files.items() if not path.startswith(PREFIX + folder)}
         # one assignment: the thread of the server reads it meanwhile
         self.files = kept | {f"{PREFIX}{folder}{name}": file for name, file in files.items()}
 
     def add_script(self, name: str, **data: float) -> None:
         """Add a script of the folder ``page`` to the page. Only browsers that open the page later run the
-        script. ``data``: numbers that the script reads as data attributes of its element."""
+        script. ``data``: numbers for the script, which become data attributes of its HTML element."""
         self._add_script(name)
         given = "".join(f' data-{key}="{value}"' for key, value in data.items())
         tag = f'<script src="{PREFIX}{name}"{given}></script>'.encode()
@@ -148,7 +148,8 @@ class PageServer:
         self.add_file(name, "application/json", json.dumps(value).encode())
 
     def on_request(self, name: str, function: Callable[[Mapping[str, str]], None]) -> None:
-        """Call ``function`` with the query of requests of ``/humansim/<name>``, in the server's thread."""
+        """Call ``function`` with the query of each request of ``/humansim/<name>``, in the server's
+        thread."""
         self.requests[PREFIX + name] = function
 
     def stream(self, data: bytes | str, kind: str) -> None:
@@ -166,8 +167,8 @@ class PageServer:
             event.set()
 
     async def _stream_to(self, connection: Any) -> None:
-        """Send what :meth:`stream` is given until the browser goes away. Images wait until the page has shown
-        the images before, so that no image is old when it arrives."""
+        """Send the data of :meth:`stream` to one browser until it disconnects. New images are sent only after
+        the page has shown the previous ones, so that no image is old when it arrives."""
         event = asyncio.Event()
         event.set()
         sent: dict[str, bytes | str] = {}
@@ -205,14 +206,14 @@ class PageServer:
             closed.cancel()
 
     def close(self) -> None:
-        """Stop serving."""
+        """Stop the server."""
         with contextlib.redirect_stdout(io.StringIO()):
             self.viser.stop()
 
     @contextlib.contextmanager
     def _checked_connections(self) -> Iterator[None]:
-        """Check the connections of all servers that are started in the block. Viser has no parameter for it.
-        It calls ``websockets.asyncio.server.serve`` with its handlers."""
+        """Check the connections of all servers that are started in the ``with`` block. It replaces
+        ``websockets.asyncio.server.serve``, which viser calls, because viser has no option for checks."""
         serve = websockets.asyncio.server.serve
 
         def checked(handler: Any, host: str, port: int, **options: Any) -> Any:
@@ -248,7 +249,7 @@ class PageServer:
             yield
 
     def _answer(self, request: Request) -> Response | None:
-        """Answer to a request that is not for viser, or that is refused; None for the others."""
+        """Answer a request for a file of this package, or refuse the request; None if viser should answer."""
         if not _is_own(request.headers):
             return _response(http.HTTPStatus.FORBIDDEN, "text/plain", b"only this page may ask\n")
         parts = urlsplit(request.path)
@@ -278,8 +279,8 @@ class PageServer:
 
 
 def is_acceptable(data: object, gate: UploadGate | None = None) -> bool:
-    """Whether a message of a browser is one that its page sends, with values that are in range. ``gate``:
-    judges messages about files. If None, they are not taken."""
+    """Whether a message of a browser has an accepted type and plain values. ``gate``: checks messages of
+    uploads. If None, uploads are refused."""
     if not isinstance(data, bytes):
         return False
     try:
@@ -306,12 +307,11 @@ def is_acceptable(data: object, gate: UploadGate | None = None) -> bool:
 
 @dataclass
 class UploadGate:
-    """Filter for the parts of files from one browser. Passes only parts of announced files, and at most the
-    announced number.
+    """Filter for the uploads of one browser. Accepts only parts of announced files, and each part once.
 
     Attributes:
-        refused: Called with a sentence for people.
-        on_the_way: Bytes of the files that are on their way, of all browsers; shared by their gates.
+        refused: Function that is called with a reason for the user when an upload is refused.
+        on_the_way: Size in bytes of each running upload of all browsers, by upload; shared by all gates.
     """
 
     refused: Callable[[str], None]
@@ -319,7 +319,7 @@ class UploadGate:
     _left: dict[str, set[int]] = field(default_factory=dict)
 
     def takes(self, message: Mapping[str, Any]) -> bool:
-        """Whether a message about a file may go on to viser."""
+        """Whether a message of an upload may be passed on to viser."""
         transfer = str(message.get("transfer_uuid"))
         if message["type"] == "FileTransferStartUpload":
             return self._begins(transfer, message)
@@ -333,7 +333,7 @@ class UploadGate:
         return True
 
     def close(self) -> None:
-        """Release the files of a browser that has gone: they are no longer on their way."""
+        """End the running uploads of a browser that has disconnected, so that they no longer count."""
         for transfer in list(self._left):
             self._end(transfer)
 
@@ -360,7 +360,7 @@ class UploadGate:
 
 
 def size_of_upload(size: object) -> str:
-    """Reason to refuse a file of a browser because of its size (a number, or the number as text)."""
+    """Reason to refuse an uploaded file that is empty or too large. ``size``: bytes, as a number or text."""
     try:
         count = int(str(size)[:20])
     except ValueError:
@@ -370,10 +370,10 @@ def size_of_upload(size: object) -> str:
 
 
 def inside(folder: Path, name: str) -> Path:
-    """Path of a file that a page names: below ``folder`` only.
+    """Path of a file that the page names; only files below ``folder`` are allowed.
 
     Raises:
-        HumansimError: It is elsewhere. The page is not trusted with other files.
+        HumansimError: The file is not below ``folder``. The page may not use other files.
     """
     path = (folder / name.replace("\0", "")).resolve()
     if "\0" in name or not path.is_relative_to(folder.resolve()):
@@ -384,10 +384,10 @@ def inside(folder: Path, name: str) -> Path:
 
 
 def check_value(folder: Path, value: object) -> None:
-    """Check a value that a page gives to a key of a scene: files that it names are below ``folder``.
+    """Check that a value, which the page sets in a scene, names only files below ``folder``.
 
     Raises:
-        HumansimError: A text in it is a path or URL of a file elsewhere.
+        HumansimError: A text in the value is a URL, or the path of a file elsewhere.
     """
     if isinstance(value, str):
         if "://" in value or value.startswith("~"):
@@ -403,7 +403,7 @@ def check_value(folder: Path, value: object) -> None:
 
 
 def _is_plain(value: object, depth: int = 0) -> bool:
-    """Whether a value is shallow, short and finite."""
+    """Whether a value of a message is simple: little nesting, short texts and lists, finite numbers."""
     if depth > 4:
         return False
     if isinstance(value, float):
@@ -422,10 +422,10 @@ def _is_plain(value: object, depth: int = 0) -> bool:
 
 
 def _is_own(headers: Headers) -> bool:
-    """Whether a request is for this machine by name, and comes from our own page or from no page.
+    """Whether a request names this machine as its host, and comes from our own page or from no web page.
 
     A foreign page that points its own name at 127.0.0.1 sends that name as Host; other foreign pages are
-    told by Origin or Sec-Fetch-Site.
+    recognised by the headers Origin or Sec-Fetch-Site.
     """
     host = headers.get("Host", "")
     if re.sub(r":\d+$", "", host).lower() not in _NAMES:
@@ -452,7 +452,7 @@ def _response(
     return Response(status, status.phrase, headers, data)
 
 
-#: MIME types of results that a browser shows. It saves all others.
+#: MIME types of results that a browser shows, by suffix. Results with other suffixes are downloaded.
 _SHOWN = {
     ".html": "text/html; charset=utf-8",
     ".png": "image/png",
@@ -465,8 +465,8 @@ _SHOWN = {
 
 
 def _result(path: Path | None) -> Response:
-    """Answer with a file that a command has written. Scripts in the file, such as those of reports, cannot
-    reach this page."""
+    """Answer with a file that a command has written. It is sandboxed, so that scripts in the file (such as in
+    reports) cannot access this page."""
     if path is None:
         return _response(http.HTTPStatus.NOT_FOUND, "text/plain", b"no such result\n")
     try:
@@ -500,7 +500,7 @@ def _free_port(port: int) -> int:
 
 
 def _index_page(title: str) -> bytes:
-    """Viser's page, with the scripts of this package before its own."""
+    """HTML of viser's page, with the scripts of this package inserted before viser's own scripts."""
     root = Path(viser.__file__).parent / "client" / "build" / "index.html"
     text = read_text(root, HumansimError, "page of viser", _MOST_OWN)
     safe = title.replace("&", "&amp;").replace("<", "&lt;")

@@ -1,6 +1,6 @@
-"""Files that browsers send: named plainly, read as their kind, and kept next to the scene.
+"""Files that browsers upload: checked, and saved in the folder of the scene under a safe name.
 
-Files of browsers are not trusted. The name is made anew from plain characters, and a file is kept only if the
+Uploaded files are not trusted. The file name keeps only plain characters, and a file is saved only if the
 reader of its kind can read it. The server limits the size
 (:class:`humansim_ros.view.server.server.UploadGate`).
 """
@@ -29,11 +29,11 @@ from humansim_ros.people.loading import SUFFIXES as HUMAN_SUFFIXES
 from humansim_ros.people.loading import load_human
 from humansim_ros.view.server.server import MOST_UPLOAD, check_value, inside
 
-#: Longest name of a file without its suffix, and most files of a folder that are offered.
+#: Longest file name without suffix, and most files of a folder that the page lists.
 _LONGEST, _MOST_FILES = 80, 500
 _TEXTS = (".yaml", ".yml", ".json", ".toml", ".xml", ".txt", ".csv", ".cam", ".cal", ".xcp", ".npz", ".dat")
 _IMAGES = (".png", ".jpg", ".jpeg")
-#: Suffix of the skeletons that AMC motions name.
+#: Suffix of skeleton files: an AMC motion needs one.
 _SKELETON = ".asf"
 
 
@@ -42,12 +42,12 @@ _SKELETON = ".asf"
 
 @dataclass(frozen=True)
 class FileKind:
-    """A kind of file that the page takes.
+    """A kind of file that can be uploaded.
 
     Attributes:
-        name: What it is, for people.
-        suffixes: Its suffixes, in lower case.
-        read: Reads the file; raises HumansimError if it is no such file.
+        name: Name of the kind for users, such as ``a mesh``.
+        suffixes: Suffixes of such files, in lower case.
+        read: Reads a file; raises HumansimError if the file is not of this kind.
     """
 
     name: str
@@ -94,7 +94,7 @@ KINDS: Mapping[str, FileKind] = {
         lambda path: None,
     ),
 }
-#: Kind of the files that a key of a scene names, by the last part of the key, and by the section above it.
+#: Kind of the files that a key of a scene names, by the last part of the key, or by its last two parts.
 _KIND_OF_KEY = {
     "body": "body",
     "mesh": "mesh",
@@ -111,7 +111,7 @@ _KIND_OF_KEY = {
 
 
 def kind_of_key(keys: tuple[Any, ...]) -> str | None:
-    """Name of the kind of the files that a key of a scene names; None for other keys."""
+    """Kind (key of :data:`KINDS`) of the files that a key of a scene names; None if it names none."""
     words = [str(key) for key in keys]
     return _KIND_OF_KEY.get(".".join(words[-2:])) or _KIND_OF_KEY.get(words[-1])
 
@@ -120,7 +120,7 @@ def kind_of_key(keys: tuple[Any, ...]) -> str | None:
 
 
 def plain_name(name: str, suffixes: tuple[str, ...]) -> str:
-    """Name of a file made of letters, digits, ``_``, ``-`` and its suffix; folders are dropped.
+    """Make a safe file name: letters, digits, ``_``, ``-`` and the suffix, without folders.
 
     Raises:
         HumansimError: The suffix is not one of ``suffixes``.
@@ -141,21 +141,21 @@ def plain_name(name: str, suffixes: tuple[str, ...]) -> str:
 
 
 def keep_file(folder: Path, name: str, content: bytes, kind: str) -> Path:
-    """Keep a file that a browser has sent next to the scene, if it is of its kind.
+    """Save an uploaded file in the folder of the scene, if the file is of the expected kind.
 
-    A file of the same name and other content stays: the new one gets a number.
+    If another file has the same name but other content, a number is added to the name of the new file.
 
     Args:
         folder: Folder of the scene; made if it does not exist.
-        name: Name that the browser gave.
-        content: The file.
+        name: Name of the file in the browser.
+        content: Content of the file.
         kind: Key of :data:`KINDS`.
 
     Returns:
-        The file, in ``folder``.
+        Path of the saved file.
 
     Raises:
-        HumansimError: It is of another kind, too large, or cannot be written.
+        HumansimError: The file is of another kind, too large, or cannot be written.
     """
     wanted = KINDS[kind]
     plain = plain_name(name, wanted.suffixes)
@@ -184,8 +184,7 @@ def keep_file(folder: Path, name: str, content: bytes, kind: str) -> Path:
 
 
 def files_in(folder: Path, kind: str | None) -> list[str]:
-    """Names of the files in the folder of the scene that may be of a kind, by their suffix; sorted. ``kind``:
-    key of :data:`KINDS`. If None, no files."""
+    """Sorted names of files in a folder with a suffix of a kind (key of :data:`KINDS`); None finds none."""
     if kind is None or not exists(folder):
         return []
     suffixes = KINDS[kind].suffixes
@@ -210,7 +209,7 @@ def files_in(folder: Path, kind: str | None) -> list[str]:
 
 
 def _check(path: Path, name: str, kind: FileKind) -> None:
-    """Read a file as its kind, and name it in the error as it will be named."""
+    """Check that a file can be read as its kind. Errors call the file ``name``, not its temporary path."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
@@ -221,7 +220,7 @@ def _check(path: Path, name: str, kind: FileKind) -> None:
 
 
 def _names(folder: Path, name: str) -> Iterator[Path]:
-    """Paths for a file of a name: with numbers from the second on."""
+    """Candidate paths for a new file: ``name``, then ``name`` with the numbers 2, 3, ... added."""
     stem, suffix = Path(name).stem, Path(name).suffix
     yield folder / name
     for number in range(2, 10_000):

@@ -52,7 +52,6 @@ class BagViewSource(TopicSource):
     Each stamp of the joints of people is a frame. If there are no people, each stamp of the topic with the
     most messages is a frame. ``messages`` says what is not shown because the bag lacks it.
 
-
     Args:
         path: The bag.
         estimate: Topic of a tracker's estimate; ``*`` stands for any name of a person.

@@ -108,7 +108,7 @@ class PersonDraft:
         Args:
             joint: Name of the joint.
             place: (3,) in body space, metres.
-            both: Whether to move the joint of the other side, mirrored, and keep a central joint in the middle.
+            both: Whether to mirror the change to the other side, and put a central joint in the middle.
             keep: Whether :meth:`undone` can undo this step.
 
         Raises:

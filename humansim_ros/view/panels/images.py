@@ -12,14 +12,14 @@ from humansim_ros.types import Image
 from humansim_ros.view.panels.page import Page
 from humansim_ros.view.sources.source import PixelInfo, ViewFrame, jpeg_of
 
-#: First word of a message with images; messages with poses begin with the number of a frame.
+#: First number of a message with images. A message with poses begins with a frame number instead.
 _IMAGES = 0xFFFFFFFF
 
 
 def images_message(images: Mapping[str, Mapping[str, Image]]) -> bytes:
-    """Message of images (H, W, 3) by camera and channel for the page's script (``page/tiles.js``).
+    """Encode images (H, W, 3), by camera and channel, as a message for the page's script (``page/tiles.js``).
 
-    In this order: uint32 0xFFFFFFFF; uint32 length of the table in bytes; the table, a JSON list of
+    The message has uint32 0xFFFFFFFF; uint32 length of the table in bytes; the table, a JSON list of
     ``camera``, ``channel``, ``width``, ``height`` (pixels) and ``bytes``. Then the JPEG files, in the order
     of the table.
     """
@@ -38,7 +38,7 @@ def images_message(images: Mapping[str, Mapping[str, Image]]) -> bytes:
 
 
 class ImagesPanel:
-    """All images that were chosen, as tiles in an area of the page next to the scene (``page/tiles.js``)."""
+    """The chosen images, as tiles next to the 3D scene, which the script ``page/tiles.js`` draws."""
 
     def __init__(self, app: Page) -> None:
         self._app = app
@@ -76,8 +76,8 @@ class ImagesPanel:
             self._app.post(lambda: self._app.pick_pixel(camera, across, down))
 
     def _enlarged(self, query: Mapping[str, str]) -> None:
-        """Handle that a tile became large, or small again (then without a camera). Runs in the thread of the
-        server."""
+        """Handle that the user enlarged an image, or made it small again (query without camera). Runs in the
+        thread of the server."""
         tile = query.get("camera", ""), query.get("channel", "")
 
         def enlarge() -> None:
@@ -93,14 +93,14 @@ _HINT = "Click a person in 3D, or a pixel of an image."
 
 
 class NumbersPanel:
-    """Table of the numbers of what was clicked last."""
+    """Tab ``Numbers``: table of the values at the point that was clicked last."""
 
     def __init__(self, app: Page) -> None:
         with app.tabs["Numbers"]:
             self._text = app.gui.add_markdown(_HINT)
 
     def show(self, info: PixelInfo) -> None:
-        """Show numbers."""
+        """Show the values of a pixel or point as a table."""
         cells = {name: text.replace("|", "\\|").replace("\n", " ") for name, text in info.values.items()}
         rows = "\n".join(f"| {name} | {text} |" for name, text in cells.items())
         self._text.content = f"| | |\n|---|---|\n{rows}"

@@ -1,4 +1,4 @@
-"""The 3D part of the page: people, objects, cameras, floor, and drawings next to them."""
+"""The 3D scene of the page: people, objects, cameras, floor, and drawings such as trails and labels."""
 
 from __future__ import annotations
 
@@ -26,30 +26,30 @@ from humansim_ros.types import Array, Color, Image
 from humansim_ros.view.server.server import PREFIX, PageServer
 from humansim_ros.view.sources.source import JOINTS, ViewFrame, ViewSource, jpeg_of
 
-#: Frames that a trail keeps, and the frames between two of its points.
+#: Number of points of a trail, and number of frames between two points.
 _TRAIL, _TRAIL_STEP = 60, 2
-#: Joints with trails, if a body has them; else all end points.
+#: Joints that get trails. If a body has none of these joints, all its joints get trails.
 _TRAILED = ("HumanoidRoot", "l_wrist", "r_wrist", "l_ankle", "r_ankle", "vt3_end")
-#: Length of a frustum, metres. Its image is as wide as the field of view.
+#: Length of the frustum (pyramid) of a camera, metres.
 _FRUSTUM = 0.45
 #: Width of the images in frusta, pixels.
 _FRUSTUM_IMAGE = 160
-#: Cells of the coverage along its longer side, and the margin around the cameras, metres.
+#: Cells of the coverage picture along its longer side, and its margin around the cameras, metres.
 _CELLS, _MARGIN = 96, 1.0
 _RED = (235, 80, 80)
-#: Colour of scanned surfaces without a person, and size of scanned points, metres.
+#: Colour of scanned points that are not on a person, and size of scanned points, metres.
 _SCAN, _SCAN_POINT = (70, 90, 110), 0.015
-#: Folder of the files of people.
+#: Folder under which the server serves the files of people.
 _PEOPLE = "people/"
-#: Opacity of bodies with joints that are shown.
+#: Opacity of bodies while their joints are shown.
 _SEE_THROUGH = 0.4
-#: Change of size at which a body is built again.
+#: If the size of a person changes by more than this, the body is built again.
 _SIZE_STEP = 1e-3
 
 
 @dataclass(frozen=True)
 class Options:
-    """Drawings next to people, objects and cameras: which are on."""
+    """Which things the 3D scene shows, in addition to people and moving objects."""
 
     cameras: bool = True
     images: bool = True
@@ -65,15 +65,14 @@ class Options:
 
 
 class Stage:
-    """The 3D scene of a page; made again for each source.
-
-    The files of its people have the number of the stage in their names: no page mixes files of two stages.
+    """The 3D scene of a page. Each source gets a new stage. The files of its people have the number of the
+    stage in their names, so that no page mixes files of two stages.
 
     Args:
         server: The server.
-        source: Gives people, objects and cameras.
-        on_click: Called with a name of a person or camera and a ray (origin (3,), direction (3,)) when it is
-            clicked.
+        source: Source of people, objects and cameras.
+        on_click: Function that is called when a person is clicked, with the name and the ray of the click:
+            origin (3,) and direction (3,).
     """
 
     _numbers_of_stages = itertools.count()
@@ -114,7 +113,7 @@ class Stage:
         self.set_options(self.options)
 
     def show(self, frame: ViewFrame) -> None:
-        """Show a frame."""
+        """Move people, objects and cameras to a frame, and show its images and drawings."""
         self.frame = frame
         if abs(frame.index - self._last_index) > 2 * _TRAIL_STEP:
             for trail in self._trails.values():
@@ -136,7 +135,7 @@ class Stage:
         self._server.viser.flush()
 
     def set_options(self, options: Options) -> None:
-        """Change the drawings, from the next frame on."""
+        """Choose what is drawn. Drawings that depend on the frame appear with the next frame."""
         self.options = options
         self._room.visible = options.room
         self._floor.visible = not options.room or not self._source.static
@@ -183,9 +182,9 @@ class Stage:
             self._on_click(name, np.array(event.ray_origin), np.array(event.ray_direction))
 
     def _serve_bodies(self) -> None:
-        """Serve textures and normals of the bodies, by the colour of their meshes, instead of earlier ones.
+        """Serve textures and normals of the bodies, by their colours, in place of those of earlier bodies.
 
-        They do not depend on the sizes of the bodies.
+        The files do not depend on the sizes of the bodies.
         """
         stage = next(self._numbers_of_stages)
         table: dict[str, dict[str, Any]] = {}
@@ -213,7 +212,7 @@ class Stage:
         self._server.add_json("people.json", table)
 
     def _pose_bodies(self, frame: ViewFrame) -> None:
-        """Send the poses of the bones; the page's script applies them (page/page.js)."""
+        """Send the poses of the bones to the script of the page (page/page.js), which poses the bodies."""
         people = []
         for name, (body, handle) in self._bodies.items():
             joints = frame.joints.get(name)
@@ -401,7 +400,7 @@ class Stage:
         )
 
     def mark(self, point: Array | None) -> None:
-        """Mark a point (3,) in ``map``; None removes the mark."""
+        """Mark a point (3,) in ``map`` with a sphere. None removes the mark."""
         self._drop("mark")
         if point is not None:
             self._extras["mark"] = self._scene.add_icosphere(
@@ -436,12 +435,12 @@ class Stage:
 def pose_message(
     index: int, people: Sequence[tuple[Color, Array, Array, Array]], cameras: Mapping[str, Array]
 ) -> bytes:
-    """Message of a frame for the page's script (page/page.js), all in ``map``, metres.
+    """Encode the poses of a frame for the page's script (page/page.js); all positions are in ``map``, metres.
 
     Args:
         index: Number of the frame.
-        people: Colour, bones (B, 4, 4), end points (E, 3) and weights (S,) of the face of each person; none
-            of a stiff face. Those of a scaled body are scaled.
+        people: For each person: colour, poses of the bones (B, 4, 4), end points (E, 3), and weights (S,) of
+            the shapes of the face, times the scale of the body (S is 0 for a stiff face).
         cameras: Centers (3,) of the cameras that are drawn, by name.
     """
     parts = [np.array([index, len(people)], np.uint32).tobytes()]
@@ -456,10 +455,10 @@ def pose_message(
 
 
 def coverage_picture(cameras: Mapping[str, Camera]) -> tuple[Image, Array, Array]:
-    """Number of cameras that see a standing person (0.1 to 1.7 m) at each position of the floor.
+    """Picture of the floor, coloured by the share of cameras that see a standing person (0.1 to 1.7 m) there.
 
     Returns:
-        RGBA image, first row at the largest y; low and high corners (2,) in ``map``, metres.
+        RGBA image (first row at the largest y); smallest and largest x and y (2,) in ``map``, metres.
     """
     centers = np.array([camera.center[:2] for camera in cameras.values()])
     low, high = centers.min(axis=0) - _MARGIN, centers.max(axis=0) + _MARGIN
@@ -477,19 +476,19 @@ def coverage_picture(cameras: Mapping[str, Camera]) -> tuple[Image, Array, Array
 
 
 def person_color(number: int) -> Color:
-    """Colour of a person in lines."""
+    """Colour of the lines and points of a person. ``number``: of the person in the source, from 0."""
     red, green, blue = hsv_colors(distinct_hues(number + 1)[-1:], 170, np.array([235]))[0]
     return int(red), int(green), int(blue)
 
 
 def _wxyz(rotations: Array) -> Array:
-    """Quaternions (N, 4) wxyz, as viser has them, of rotations (N, 3, 3)."""
+    """Convert rotations (N, 3, 3) to quaternions (N, 4) wxyz, the order of viser."""
     return matrix_to_quaternion(np.ascontiguousarray(rotations))[:, [3, 0, 1, 2]]
 
 
 # --- models: people as skinned meshes, objects and room as glTF files
 
-#: Bones per vertex of the page; the largest weights stay.
+#: Most bones per vertex on the page. Only the largest weights are kept.
 _INFLUENCES = 4
 #: Longest side of a texture of a person, pixels.
 _BODY_TEXTURE = 1024
@@ -498,10 +497,10 @@ _GREY: Color = (186, 160, 145)
 
 @dataclass(frozen=True)
 class PageBody:
-    """A human as the page shows it: N vertices; vertices at seams of the texture are copied.
+    """A human as a mesh of N vertices for the page. Vertices at seams of the texture are duplicated.
 
     Attributes:
-        human: The human at rest, in body space.
+        human: The human in the rest pose, in body space.
         size: Scale of the body.
     """
 
@@ -514,24 +513,24 @@ class PageBody:
 
     @property
     def vertices(self) -> NDArray[np.float32]:
-        """(N, 3) at rest."""
+        """Vertices (N, 3) in the rest pose, scaled, metres."""
         return np.asarray(self.size * self.human.mesh.vertices[self._split[0]], dtype=np.float32)
 
     @property
     def faces(self) -> NDArray[np.uint32]:
-        """(T, 3) triangles."""
+        """Triangles (T, 3) of vertex numbers."""
         return self._split[2]
 
     @property
     def rest(self) -> Array:
-        """Bone frames (B, 4, 4) at rest."""
+        """Bone frames (B, 4, 4) in the rest pose, scaled."""
         rest = self.human.skeleton.rest.copy()
         rest[:, :3, 3] *= self.size
         return rest
 
     @property
     def weights(self) -> NDArray[np.float32]:
-        """(N, B) weights of the strongest bones; rows sum to one."""
+        """Skinning weights (N, B); only those of the strongest bones are not 0. Rows sum to one."""
         weights = self.human.weights.toarray()
         if weights.shape[1] > _INFLUENCES:
             least = np.partition(weights, -_INFLUENCES, axis=1)[:, -_INFLUENCES, None]
@@ -541,7 +540,7 @@ class PageBody:
 
     @property
     def surface(self) -> bytes:
-        """Number of vertices (uint32), normals (N, 3) and texture coordinates (N, 2), v down, as float32."""
+        """Binary file: uint32 N; then, in float32, normals (N, 3) and texture coordinates (N, 2), v down."""
         original, uv, _ = self._split
         mesh = self.human.mesh
         normals = SurfaceNormals(mesh.triangles, len(mesh.vertices))(mesh.vertices)[original]
@@ -556,8 +555,9 @@ class PageBody:
 
     @property
     def shapes(self) -> bytes | None:
-        """Shapes of the face: the numbers S of them and K of their offsets, where each starts (S + 1), the
-        vertices (K,), all uint32, and offsets (K, 3) of a body of size 1, float32; None without shapes.
+        """Binary file of the shapes of the face; None without shapes. In this order, uint32: number S of
+        shapes; number K of offsets; first offset of each shape (S + 1,); vertex of each offset (K,). Then
+        float32: offsets (K, 3) for a body of size 1.
         """
         shapes = self.human.shapes
         if shapes is None:
@@ -574,13 +574,13 @@ class PageBody:
 
     @property
     def texture(self) -> bytes | None:
-        """JPEG of the texture; None without one."""
+        """JPEG file of the texture; None if the body has no texture."""
         image = self.human.mesh.texture
         return None if image is None else jpeg_of(image, _BODY_TEXTURE)
 
     @property
     def color(self) -> Color:
-        """Mean colour, for pages that do not have the texture yet."""
+        """Median colour of the body, which pages show until they have the texture."""
         mesh = self.human.mesh
         if mesh.texture is not None:
             used = mesh.texture[::8, ::8].reshape(-1, 3)
@@ -593,24 +593,24 @@ class PageBody:
 
 
 def keyed_color(color: Color, number: int) -> Color:
-    """Colour near ``color`` with lowest bits that are the number (below 512) of a body."""
+    """Colour near ``color``, with the number of a body (below 512) in the 3 lowest bits of each channel."""
     red, green, blue = (channel & ~7 for channel in color)
     return red | number & 7, green | number >> 3 & 7, blue | number >> 6 & 7
 
 
-#: Longest side of a texture of the room, pixels.
+#: Longest side of the textures of room and objects, pixels.
 _ROOM_TEXTURE = 512
 
 
-#: Standard deviation below which a texture is drawn as its mean colour, of 255.
+#: A texture with a standard deviation (of values up to 255) below this is drawn as its mean colour.
 _PLAIN = 4.0
 
 
 def glb_of(meshes: Iterable[Mesh]) -> bytes:
-    """glTF file (GLB) of meshes with their textures or colours.
+    """Encode meshes with their textures or colours as a binary glTF file (GLB).
 
-    Meshes of one texture are joined, and so are all without a texture, or with one that is nearly plain: each
-    mesh and texture costs a page time.
+    Meshes with the same texture are joined to one mesh, since each mesh and texture costs a browser time. So
+    are all meshes without a texture, or with a texture of nearly one colour.
     """
     groups: dict[int, list[Mesh]] = {}
     plain: list[tuple[Mesh, NDArray[np.uint8]]] = []
@@ -633,14 +633,13 @@ def glb_of(meshes: Iterable[Mesh]) -> bytes:
 
 
 def _joined(parts: Sequence[tuple[NDArray[np.integer], int]]) -> NDArray[np.integer]:
-    """Triangles (F, 3) of meshes one after the other, each given with its number of vertices."""
+    """Join triangles of meshes to (F, 3). ``parts``: triangles and number of vertices of each mesh."""
     firsts = np.cumsum([0, *(count for _, count in parts)])
     return np.concatenate([faces + first for (faces, _), first in zip(parts, firsts, strict=False)])
 
 
 def _plain_color(mesh: Mesh) -> NDArray[np.uint8] | None:
-    """Colours (V, 3) or (3,) of a mesh that is drawn without a texture; None if the mesh is drawn with its
-    texture."""
+    """Colours (V, 3) or one colour (3,) to draw a mesh without its texture; None to draw the texture."""
     if mesh.texture is None or mesh.uv is None:
         return np.full(3, 170, np.uint8) if mesh.colors is None else np.asarray(mesh.colors, np.uint8)
     mean, deviation = cv2.meanStdDev(mesh.texture)
@@ -648,7 +647,7 @@ def _plain_color(mesh: Mesh) -> NDArray[np.uint8] | None:
 
 
 def _add_textured(document: GlbDocument, meshes: list[Mesh]) -> None:
-    """Add meshes with the same texture as one mesh."""
+    """Add meshes that share a texture to the document, as one mesh."""
     texture = meshes[0].texture
     assert texture is not None
     split = [split_seams(mesh) for mesh in meshes]

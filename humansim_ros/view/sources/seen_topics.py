@@ -1,4 +1,4 @@
-"""Topics that a page can show, found by name and type, whoever publishes them, and the tree of tf."""
+"""Finds the topics of any program that a page can show, by name and type; and the tree of tf."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ _JOINTS, _CLOUD = "sensor_msgs/msg/MultiDOFJointState", "sensor_msgs/msg/PointCl
 _MESH, _MARKER, _TEXT = "shape_msgs/msg/Mesh", "visualization_msgs/msg/Marker", "std_msgs/msg/String"
 _POSES = {"extrinsics": "geometry_msgs/msg/TransformStamped", "pose": "geometry_msgs/msg/PoseStamped"}
 _TIME = "sensor_msgs/msg/TimeReference"
-#: Ends of names of compressed topics, next to the topic of the image.
+#: Suffixes of the names of compressed image topics.
 _COMPRESSED = tuple(dict.fromkeys(f"/{end}" for end in COMPRESSED.values()))
-#: Channels by their topic below a camera; channels of single bodies have a topic for each.
+#: Channel by name of its topic below a camera, without the channels that have a topic for each body.
 _CHANNELS = {row.topic: name for name, row in CHANNEL_TABLE.items() if not row.per_body}
-#: Namespaces below a camera that repeat its ``camera_info``.
+#: Namespaces below a camera in which its ``camera_info`` is published again.
 _BELOW = frozenset(topic.rpartition("/")[0] for topic in _CHANNELS) - {""} | {*MEASURED_DEPTH}
-#: Topics of other programs that are the image of a camera if it has no ``image_raw``, the best first.
+#: Topics (of other programs) that serve as the image of a camera without ``image_raw``, the best first.
 _PICTURES = ("image_color", "image", "image_rect_color", "image_rect", "image_mono", "image_rect_raw")
 _HUMAN = re.compile(r"/(?:(?P<space>.+)/)?humans/(?P<name>[^/]+)/(?P<kind>joints|mesh|vertices)")
 _OBJECT = re.compile(r"/(?:(?P<space>.+)/)?objects/(?P<name>[^/]+)/marker")
 _KINDS = {"joints": _JOINTS, "mesh": _MESH, "vertices": _CLOUD}
-#: Topics of transforms.
+#: Topics of tf.
 TF_TOPICS = (f"/{TF_STATIC_TOPIC}", f"/{TF_TOPIC}")
-#: Most cameras, people, objects and topics of an estimate: names come from other programs.
+#: Most cameras, people, objects and topics of an estimate that are shown, since programs may publish more.
 MAX_CAMERAS, MAX_PEOPLE, MAX_OBJECTS, MAX_ESTIMATES = 64, 64, 256, 100
 
 
@@ -46,11 +46,11 @@ class SeenCamera:
     """Topics of a camera.
 
     Attributes:
-        info: Its ``camera_info``.
+        info: Topic ``camera_info`` of the camera.
         images: Topic by channel.
-        poses: Topics with its pose, the best first.
-        joints: Joints in the image; empty without.
-        legends: Legends of labels by kind: ``joints``, ``instance``, ``part``.
+        poses: Topics with the pose of the camera, the best first.
+        joints: Topic of the joints in the image; empty if there is none.
+        legends: Topics of the legends (names of labels) by kind: ``joints``, ``instance``, ``part``.
         space: Namespace of the simulation that the camera belongs to.
     """
 
@@ -64,17 +64,17 @@ class SeenCamera:
 
 @dataclass(frozen=True)
 class SeenTopics:
-    """Topics by what they show.
+    """Topics of a graph or bag, sorted by what they show.
 
     Attributes:
-        cameras: By name of the camera.
-        people: Topics ``joints``, ``mesh``, ``vertices``, and ``points`` (keypoints) by name of the person;
-            as far as they exist.
-        objects: Topic of the marker by name of the object.
-        scene_time: Topic with the scene time; empty without.
+        cameras: Topics of each camera, by name.
+        people: Topics of each person, by name: ``joints``; ``mesh``, ``vertices``, ``points`` (keypoints) if
+            they exist.
+        objects: Topic of the marker of each object, by name.
+        scene_time: Topic of the scene time; empty if there is none.
         transforms: Topics of tf.
-        estimate: Person of each topic of the estimate; None if its messages name the people.
-        others: Images of no camera, because there is no ``camera_info`` next to them.
+        estimate: Topics of the estimate, with the name of the person; None if the messages name the people.
+        others: Topics of images that cannot be shown, because no ``camera_info`` belongs to them.
         types: Message type of each topic.
     """
 
@@ -118,7 +118,7 @@ class SeenTopics:
 
     @property
     def lasting(self) -> set[str]:
-        """Topics with messages that stay valid until the next message, however long that takes."""
+        """Topics with messages that stay valid until the next message, such as calibrations and poses."""
         found = {topics["mesh"] for topics in self.people.values() if "mesh" in topics}
         for camera in self.cameras.values():
             found |= {camera.info, *camera.poses, *camera.legends.values()}
@@ -126,7 +126,7 @@ class SeenTopics:
 
     @property
     def topics(self) -> list[str]:
-        """All topics that have a place."""
+        """All topics that the page uses."""
         found = [self.scene_time, *self.transforms, *self.estimate, *self.objects.values()]
         for topics in self.people.values():
             found += topics.values()
@@ -139,12 +139,12 @@ class SeenTopics:
 def seen_topics(
     types: Mapping[str, str], estimate: str | None = None, keypoints: KeypointSet | None = None
 ) -> SeenTopics:
-    """Find what a graph or a bag shows.
+    """Find the topics of a graph or a bag that the page can show.
 
     Args:
         types: Message type by absolute name of each topic.
         estimate: Topic of a tracker's estimate; ``*`` stands for the name of a person. None: there is none.
-        keypoints: Set of the keypoints that the estimate has. If None, joints.
+        keypoints: Keypoint set of the estimate. If None, the estimate has joints.
     """
     cameras = _cameras(types)
     images = {name for name, kind in types.items() if kind in (IMAGE, COMPRESSED_IMAGE)}
@@ -178,7 +178,8 @@ def _cameras(types: Mapping[str, str]) -> dict[str, SeenCamera]:
 
 
 def _is_below(space: str, spaces: Collection[str]) -> bool:
-    """Whether a namespace holds another image of a camera, such as ``/left/depth``."""
+    """Whether a namespace, such as ``/left/depth``, is another image of the camera ``/left``, not a
+    camera."""
     above, _, last = space.rpartition("/")
     return last in _BELOW and above in spaces
 
@@ -246,5 +247,5 @@ def _objects(types: Mapping[str, str]) -> dict[str, str]:
 
 
 def spaced(space: str, name: str) -> str:
-    """Name of a person or object of a simulation in a namespace."""
+    """Name of a person or object, preceded by the namespace of its simulation."""
     return f"{space}/{name}" if space else name

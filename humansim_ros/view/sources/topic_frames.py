@@ -1,4 +1,4 @@
-"""Frames of a page from the messages of topics, of a bag or of a running graph."""
+"""Frames for the page, made from ROS messages of a bag or of a running graph."""
 
 from __future__ import annotations
 
@@ -65,26 +65,27 @@ from humansim_ros.view.sources.topic_people import (
 
 Value = TypeVar("Value")
 
-#: Longest messages that are read, bytes: images, and estimates except point clouds.
+#: Longest messages that are read, bytes: of images, and of estimates (except point clouds).
 _MAX_IMAGE, _MAX_POSES = 256 << 20, 256 << 10
-#: Most messages for the user.
+#: Most different texts that the user is told.
 _MAX_MESSAGES = 20
-#: Encodings of images that are shown as they are, and encodings of depth in millimetres.
+#: Encodings of colour images, and encodings of depth in millimetres.
 _COLORS, _MILLIMETRES = ("rgb8", "bgr8", "mono8", "8UC1", "bayer_rggb8"), ("16UC1", "mono16")
-#: Shapes of markers.
+#: Names of the meshes for the types of markers.
 _MARKERS = {Marker.CUBE: "box", Marker.SPHERE: "sphere", Marker.CYLINDER: "cylinder"}
 _MAX_POINTS = 30_000
 
 
 @dataclass
 class _Person:
-    """A person of the topics.
+    """A person whose body was found from topics.
 
     Attributes:
         human: The body.
-        mesh: Serialised surface from which it was made; None without one.
-        names: Names of the joints from which it was made.
-        surface: Surface that the body lacks, because its bones in the rest pose are not known.
+        mesh: Serialised mesh message that the body was made from; None if there was none.
+        names: Names of the joints that the body was made from.
+        surface: Surface of the person while the body is a figure of bones, because its weights are unknown;
+            else None.
     """
 
     human: Human
@@ -95,7 +96,7 @@ class _Person:
 
 @dataclass(frozen=True)
 class TopicFrame:
-    """Messages of a frame.
+    """Messages that belong to one frame.
 
     Attributes:
         index: Number of the frame.
@@ -111,18 +112,18 @@ class TopicFrame:
 
 
 class TopicFrames:
-    """People, cameras and objects that topics show, and their frames.
+    """Finds people, cameras and objects in the messages of topics, and makes frames for the page from them.
 
-    What cannot be read is left out, and ``messages`` says so.
+    Messages that cannot be read are ignored, and ``messages`` tells the user so.
 
     Args:
-        humans: Bodies that people may have, next to the built-in ones.
+        humans: Humans whose bodies the people may have, in addition to the built-in humans.
         options: How an estimate is read and compared.
         width: Width to which wider images are scaled down, pixels.
 
     Attributes:
-        people: Bodies without pose by name.
-        cameras: Cameras by name, at the poses that they had last.
+        people: Bodies in the rest pose, by name of the person.
+        cameras: Cameras by name, at their last known poses.
         objects: Meshes of objects by name.
         transforms: Transforms of tf.
     """
@@ -141,14 +142,14 @@ class TopicFrames:
         self._humans, self._options, self._width = tuple(humans), options or LiveOptions(), width
         self._known: dict[str, _Person] = {}
         self._markers: dict[str, bytes] = {}
-        #: By topic and reader: the message that was read last, and what it says.
+        #: Cache by topic and reader: the message that was read last, and its value.
         self._read_last: dict[tuple[str, Any], tuple[bytes, Any]] = {}
         self._messages: dict[str, None] = {}
         self._has_changed = False
 
     @property
     def messages(self) -> list[str]:
-        """What the user should know, each once."""
+        """Messages for the user, each once."""
         return list(self._messages)
 
     def note(self, text: str) -> None:
@@ -158,7 +159,8 @@ class TopicFrames:
 
     @property
     def is_lacking(self) -> bool:
-        """Whether a person or object of the topics is not known yet, or a person has got other joints."""
+        """Whether a person or object with topics was not found yet, or the joints of a person have
+        changed."""
         topics = self.topics
         return self._has_changed or not (topics.people.keys() | topics.objects.keys()) <= (
             self.people.keys() | self.objects.keys()
@@ -167,10 +169,10 @@ class TopicFrames:
     # --- people, cameras and objects
 
     def see(self, topics: SeenTopics, data: Mapping[str, bytes]) -> None:
-        """Take bodies, cameras and objects from messages.
+        """Find bodies, cameras and objects in messages, and forget those that have no topics any more.
 
         Args:
-            topics: The topics.
+            topics: The present topics.
             data: Newest serialised message by topic.
         """
         self.topics, self._has_changed = topics, False
@@ -221,14 +223,12 @@ class TopicFrames:
 
     @property
     def skinless(self) -> list[str]:
-        """People with a known surface, but unknown weights of the bones. :meth:`add_skin` finds the
-        weights."""
+        """Names of people with a surface but unknown skinning weights. :meth:`add_skin` finds the weights."""
         people = self.topics.people
         return [name for name, person in self._known.items() if person.surface and "vertices" in people[name]]
 
     def add_skin(self, name: str, samples: Sequence[tuple[bytes, bytes]]) -> None:
-        """Find out how the bones of a person move its surface. If the bones do not move it, the person stays
-        a figure of bones.
+        """Find skinning weights for a person's surface. If none fit, the person stays a figure of bones.
 
         Args:
             name: Name of the person.
@@ -255,7 +255,8 @@ class TopicFrames:
             person.human = self.people[name] = human
 
     def _camera(self, name: str, data: Mapping[str, bytes], stamp: int) -> Camera | None:
-        """A camera at its pose in a frame."""
+        """A camera at its pose at a stamp. Without a calibration message, the camera as last known, or
+        None."""
         topics = self.topics.cameras[name]
         found = self._read(topics.info, data, CameraInfo, _read_calibration)
         if found is None:
@@ -295,7 +296,7 @@ class TopicFrames:
     # --- frames
 
     def frame(self, messages_of: TopicFrame, wanted: FrameRequest = POSES) -> ViewFrame:
-        """A frame with what its messages say."""
+        """Make a frame from its messages, with the wanted images."""
         data, stamp = messages_of.data, messages_of.stamp
         scene_time = stamp - messages_of.start
         if self.topics.scene_time in data:
@@ -358,19 +359,19 @@ class TopicFrames:
         data: Mapping[str, bytes],
         poses: Mapping[str, JointPoses | None] | None = None,
     ) -> tuple[dict[str, Array], dict[str, float]]:
-        """Points and errors of an estimate by person, the same as in ``beside_truth``; none if it cannot be
-        compared.
+        """Points and errors of an estimate by person, as :func:`beside_truth` returns them; empty if it
+        fails.
 
         Args:
             people: People of the estimate, in ``map``, metres.
             data: Serialised message by topic.
-            poses: Joints of the truth by person. If None, they are read.
+            poses: True joints by person, if they have been read. If None, this method reads them.
         """
         truth, topic = self.truth(data, poses), next(iter(self.topics.estimate), "the estimate")
         return self._guarded(topic, lambda: beside_truth(people, truth, self._options)) or ({}, {})
 
     def estimated(self, data: Mapping[str, bytes]) -> list[tuple[str, list[Pose]]]:
-        """People of the estimate in a frame, in ``map`` and metres, by topic."""
+        """People of the estimate in a frame, by topic, in ``map``, metres."""
         return [
             (topic, self._guarded(topic, partial(self._people, topic, person, data[topic])) or [])
             for topic, person in self.topics.estimate.items()
@@ -380,11 +381,11 @@ class TopicFrames:
     def truth(
         self, data: Mapping[str, bytes], poses: Mapping[str, JointPoses | None] | None = None
     ) -> dict[str, TruePoints]:
-        """Joints, or keypoints, that an estimate is compared with, by person.
+        """True joints or keypoints with which an estimate is compared, by person.
 
         Args:
             data: Serialised message by topic.
-            poses: Joints by person. If None, they are read.
+            poses: True joints by person, if they have been read. If None, this method reads them.
         """
         truth: dict[str, TruePoints] = {}
         for name, topics in self.topics.people.items():
@@ -400,7 +401,7 @@ class TopicFrames:
         return truth
 
     def _people(self, topic: str, person: str | None, data: bytes) -> list[Pose]:
-        """People of a message of the estimate."""
+        """Read the people from a message of the estimate."""
         kind = self.topics.types[topic]
         message = deserialised(
             data, readable_type(kind), None if kind.endswith("PointCloud2") else _MAX_POSES
@@ -416,7 +417,8 @@ class TopicFrames:
         channels: Collection[str],
         width: int | None,
     ) -> dict[str, Picture]:
-        """Pictures of the channels of a camera that the frame has. ``width``: most pixels. If None, any."""
+        """Pictures of a camera, by channel, as far as the frame has them. ``width``: largest width, or
+        None."""
         topics, images = self.topics.cameras[name], {}
         for channel in channels:
             own = "rgb" if channel == JOINTS else channel
@@ -441,7 +443,8 @@ class TopicFrames:
         data: Mapping[str, bytes],
         joints: Mapping[str, Array],
     ) -> Picture:
-        """A picture with the joints drawn over it: as the camera's topic has them, else projected."""
+        """Draw the joints over a picture, as the camera's topic has them, or projected without such a
+        topic."""
         for seen in self._joints_in_image(name, camera, data, joints):
             skeleton = self.people[seen.person].skeleton if seen.person in self.people else None
             tree = zip(skeleton.joint_names, skeleton.joint_parents, strict=True) if skeleton else ()
@@ -453,9 +456,9 @@ class TopicFrames:
     def visibility(
         self, messages_of: TopicFrame, projected: Collection[str] = ()
     ) -> Iterator[tuple[str, str, NDArray[np.uint8]]]:
-        """Person, camera and states (J,) of the joints, as :mod:`humansim_ros.scene` has them. Fingers, toes,
-        jaw and eyes are left out. Joints of cameras without a topic of joints are projected: none of them is
-        occluded. ``projected``: cameras with a topic that is not received, with the same effect."""
+        """Yield person, camera and states (J,) of the joints, such as visible or occluded
+        (:mod:`humansim_ros.scene`). Fingers, toes, jaw and eyes are left out. For cameras without a topic of
+        joints, and for those in ``projected``, the joints are projected; then no joint counts as occluded."""
         found = self.frame(messages_of)
         for name, camera in found.cameras.items():
             topic = self.topics.cameras[name].joints
@@ -469,7 +472,8 @@ class TopicFrames:
     def _joints_in_image(
         self, name: str, camera: Camera, data: Mapping[str, bytes], joints: Mapping[str, Array]
     ) -> Iterator[JointsInImage]:
-        """Joints as the topic of a camera has them; else projected, without occlusion."""
+        """Yield the joints in the image of a camera, from its topic; without one, projected and not
+        occluded."""
         topics = self.topics.cameras[name]
         points = self._read(topics.joints, data, PointCloud2, messages.read_joint_view)
         legend = self._legend(topics, "joints", data)
@@ -496,10 +500,10 @@ class TopicFrames:
     # --- pixels
 
     def describe(self, messages_of: TopicFrame, camera: str, x: int, y: int) -> PixelInfo:
-        """Numbers of a pixel, as the topics of a frame say them.
+        """Read the values of a pixel from the messages of a frame.
 
         Args:
-            messages_of: Messages of the frame, also of :data:`PIXEL_CHANNELS`.
+            messages_of: Messages of the frame, including the channels :data:`PIXEL_CHANNELS`.
             camera: Name of the camera.
             x: Column, from 0 at the left.
             y: Row, from 0 at the top.
@@ -567,7 +571,7 @@ class TopicFrames:
         reader: Callable[[Any], Value],
         limit: int | None = None,
     ) -> Value | None:
-        """What the message of a topic says; None without one, or if it cannot be read."""
+        """Read the message of a topic (cached); None if there is no message, or it cannot be read."""
         content = data.get(topic)
         if content is None:
             return None
@@ -579,7 +583,7 @@ class TopicFrames:
         return value_again
 
     def _guarded(self, topic: str, read: Callable[[], Value]) -> Value | None:
-        """The result of reading a message; None and a message for the user if that fails."""
+        """Call ``read`` and return its result. If it fails, tell the user, and return None."""
         try:
             return read()
         except HumansimError as error:
@@ -598,7 +602,7 @@ def _vertices(data: bytes) -> Float32Array:
 
 
 def _read_calibration(message: CameraInfo) -> tuple[Camera | None, tuple[str, Camera]]:
-    """Camera of the images at the origin, or None without calibration; frame, and a camera in its place."""
+    """Camera at the origin (None without calibration); and its tf frame, with a camera to assume then."""
     frame = str(message.header.frame_id)[:256]
     width, height = max(1, message.width), max(1, message.height)
     K = np.array([[width, 0, (width - 1) / 2], [0, width, (height - 1) / 2], [0, 0, 1]], float)
@@ -624,7 +628,7 @@ def _read_marker(message: Marker) -> Mesh:
 
 
 def _picture(channel: str, pixels: NDArray[Any], encoding: str) -> Picture:
-    """Picture of the image of a channel for people. Raises RosError for another kind of image."""
+    """Make a viewable picture of an image of a channel. Raises RosError if the encoding does not fit."""
     if channel == "rgb" and encoding in _COLORS:
         return color_image(pixels, encoding)
     if channel in ("rgb", "depth") and encoding in _MILLIMETRES:
@@ -642,32 +646,32 @@ def _picture(channel: str, pixels: NDArray[Any], encoding: str) -> Picture:
 
 
 def _metres(millimetres: NDArray[Any]) -> NDArray[np.float32]:
-    """Depth in metres; infinite where there is no measurement."""
+    """Convert depth to metres; 0 (no measurement) becomes infinite."""
     return np.where(millimetres > 0, millimetres / 1000.0, np.inf).astype(np.float32)
 
 
 def _labels(legend: object) -> dict[int, str]:
-    """Names by number of a legend, without the background."""
+    """Names by label in a legend, without label 0, the background."""
     if not isinstance(legend, dict):
         return {}
     return {int(key): str(name) for key, name in legend.items() if str(key).isdecimal() and int(key) > 0}
 
 
-#: Period of a source with a single frame, nanoseconds.
+#: Period that is assumed for a source with a single frame, nanoseconds.
 PERIOD = 33_333_333
-#: Frames from which the skin of a body that is not known is found.
+#: Number of frames from which the skinning weights of an unknown body are computed.
 SAMPLES = 4
 
 
 class TopicSource(ViewSource):
-    """Source of a page that shows topics. ``shown``: reads the messages of frames."""
+    """Source of a page that shows topics. ``shown``: makes frames from messages."""
 
     def __init__(self, shown: TopicFrames) -> None:
         self._shown, self._topics = shown, SeenTopics()
 
     @property
     def topics(self) -> SeenTopics:
-        """Topics that are shown."""
+        """The topics that the page shows."""
         return self._topics
 
     @property
@@ -680,17 +684,17 @@ class TopicSource(ViewSource):
 
     @property
     def static(self) -> Mapping[str, Mesh]:
-        """Nothing: no topic has the room."""
+        """Empty, since no topic has the room."""
         return {}
 
     @property
     def cameras(self) -> Mapping[str, Camera]:
-        """Cameras, where they were last."""
+        """Cameras by name, at their last known poses."""
         return self._shown.cameras
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """Channels that there are, and joints over the image if there are people."""
+        """Channels that the topics have, and ``joints`` (drawn over the image) if there are people."""
         names = list(self.topics.channels)
         if "rgb" in names and self.topics.people:
             names.insert(names.index("rgb") + 1, JOINTS)

@@ -13,11 +13,15 @@ from humansim_ros.errors import HumansimError, SceneError
 from humansim_ros.geometry import VELOCITY_STEP, quaternion_to_matrix
 from humansim_ros.motion.body.skeleton import sole_points
 from humansim_ros.motion.pose.limits import load_limits
-from humansim_ros.motion.pose.reaches import WITHOUT_REACH
+from humansim_ros.motion.pose.reaches import WITHOUT_REACH, Reach
 from humansim_ros.scene import Scene, check_scene
+from humansim_ros.scene.config.config import check_config
 from humansim_ros.scene.core.actor import Actor
+from humansim_ros.scene.core.features import begin_draft
 from humansim_ros.scene.core.live import LiveRetargeter
 from humansim_ros.scene.core.playback import Playback
+from humansim_ros.scene.core.source import SceneSource
+from humansim_ros.scene.features.reach.feature import PointGoal
 
 ROOT = Path(__file__).resolve().parents[2]
 CAMERAS = {"front": {"size": [160, 120], "position": [3, 2.6, 2], "look_at": [0, 0, 0.8]}}
@@ -501,3 +505,16 @@ def test_a_pose_goes_on_where_hands_and_motions_are_changed_while_they_play() ->
 def test_a_wrong_pose_is_refused_with_its_key() -> None:
     with pytest.raises(SceneError, match=r"humans\.anna\.reach\.0\.pose: give relaxed, fist"):
         scene([{"to": [0.5, -0.2, 1.1], "pose": "gripp"}])
+
+
+def test_two_features_do_not_use_one_hand_at_one_time() -> None:
+    content = {"humans": {"anna": {"reach": [{"to": [0.4, -0.2, 1.1], "start": 1, "end": 4}]}}}
+    draft = begin_draft(check_config({**content, "cameras": CAMERAS, "room": None}), SceneSource())
+    goal = PointGoal((0.4, -0.2, 1.1), None, None)
+    draft.reach("anna", [Reach("right", 1, 4, 0.5, goal, key="reach.0.to")])
+    draft.reach("anna", [Reach("right", 4, 9, 0.5, goal), Reach("left", 1, 4, 0.5, goal)])
+    for start, end, repeat in ((-np.inf, np.inf, np.inf), (3, 5, np.inf), (0, 0.5, 7)):
+        with pytest.raises(
+            HumansimError, match=r"the right hand of anna is taken: see humans\.anna\.reach\.0"
+        ):
+            draft.reach("anna", [Reach("right", start, end, 0.0, goal, repeat, "umbrella")])

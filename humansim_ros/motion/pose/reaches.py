@@ -104,8 +104,8 @@ class HandGoal:
     Attributes:
         place: Points that the skin of the palm touches, (N, 3).
         palm: Directions that the palm faces, (N, 3). If None, the palm turns with the forearm.
-        fingers: Directions of the fingers, (N, 3). If None, they are along the forearm, or up if the palm
-            allows it.
+        fingers: Directions of the fingers, (N, 3), perpendicular to ``palm``. If None, the fingers are along
+            the forearm, or up if the palm allows it.
     """
 
     place: Array
@@ -130,7 +130,8 @@ class Reach:
 
     Attributes:
         side: The hand.
-        start: Scene time at which it leaves the pose of the motion, seconds.
+        start: Scene time at which the hand leaves the pose of the motion, seconds. A hand that is always at
+            its goal starts at -infinity, with a blend of 0.
         end: Scene time at which it is back, seconds. If infinite, it never goes back.
         blend: Seconds of the way to the goal, and of the way back.
         goal: The goal over scene time.
@@ -145,6 +146,11 @@ class Reach:
     goal: GoalAt
     repeat: float = np.inf
     key: str = ""
+
+    @property
+    def last(self) -> float:
+        """Scene time of the end of the last round, seconds."""
+        return self.end if self.repeat == np.inf else np.inf
 
     def shares(self, times: Array) -> Array:
         """How far (N,) the hand has gone, from 0 to 1, with minimum jerk [Flash, Hogan 1985]."""

@@ -11,16 +11,19 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib import import_module
+from itertools import product
 from typing import Any
 
 import numpy as np
 import scipy
 
-from humansim_ros.errors import SceneError, in_section
+from humansim_ros.errors import SceneError, in_section, some_of
+from humansim_ros.files.mesh import Mesh
+from humansim_ros.geometry import ObjectPose
 from humansim_ros.motion.files import KeyframeTrack
 from humansim_ros.motion.pose import Reach, Reaches, ReachingHand, WalkPath
 from humansim_ros.people.loading import levels_of
-from humansim_ros.scene.config.config import HumanConfig, ObjectConfig, RandomiseConfig, SceneConfig
+from humansim_ros.scene.config.config import LIVE, HumanConfig, ObjectConfig, RandomiseConfig, SceneConfig
 from humansim_ros.scene.core.actor import Actor
 from humansim_ros.scene.core.camera import SceneCamera, build_cameras
 from humansim_ros.scene.core.environment import Environment, Furnishing
@@ -29,6 +32,7 @@ from humansim_ros.scene.core.names import human_names
 from humansim_ros.scene.core.objects import Carrier, SceneObject
 from humansim_ros.scene.core.source import SceneSource
 from humansim_ros.scene.core.world import World
+from humansim_ros.types import Color
 
 #: Humans from which on those who are small in an image are drawn with fewer triangles.
 _MANY = 8
@@ -94,20 +98,51 @@ class Draft:
         used = len(self.names) + sum(item.instance > 0 for item in self.objects.values())
         return used + 1 if labelled else 0
 
+    def add_object(
+        self, name: str, mesh: Mesh, color: Color, mover: Callable[[float], ObjectPose], key: str
+    ) -> None:
+        """Add a labelled object that something moves.
+
+        Args:
+            name: Name in the scene.
+            mesh: Mesh in metres about its own origin.
+            color: Main colour, sRGB.
+            mover: Returns the pose and the velocity at a scene time in seconds, such as
+                :class:`~humansim_ros.scene.core.world.InHand`.
+            key: Key of the scene file that makes the object.
+
+        Raises:
+            SceneError: A human or an object has this name.
+        """
+        if name in self.names or name in self.objects:
+            raise SceneError(f"{name} is the name of a human or an object: give that another name", key=key)
+        at_origin = ObjectPose.on_floor(0.0, 0.0, 0.0)
+        self.objects[name] = SceneObject(
+            name, key, color, mesh, at_origin, None, self.next_label(True), mover, key=key
+        )
+
     def reach(self, name: str, reaches: Sequence[Reach], poses: Sequence[ReachingHand] = ()) -> None:
         """Let a human reach for something, besides what it reaches for already.
 
         Args:
             name: The human.
             reaches: The reaches. Those of one hand do not overlap.
-            poses: Poses of the hands meanwhile.
+            poses: Poses of the hands while they reach.
 
         Raises:
-            MotionError: The motion has no arms, or the poses of the hands move nothing.
+            HumansimError: Another node moves the human, the hands hold or reach for something else, the
+                motion has no arms, or the poses of the hands move nothing.
         """
         actor = self.actors[name]
+        if self.config.humans[name].motion.file == LIVE:
+            raise SceneError(f"another node moves {name}, and its hands")
+        if held := [item.name for item in self.objects.values() if item.held_by == name]:
+            raise SceneError(f"{name} holds {some_of(held)} in both hands: they reach for nothing else")
         before: Reaches | None = actor.settings("reach")
         if before is not None:
+            for old, new in product(before.reaches, reaches):
+                if old.side == new.side and old.start < new.last and new.start < old.last:
+                    raise SceneError(f"the {new.side} hand of {name} is taken: see humans.{name}.{old.key}")
             reaches, poses = (*before.reaches, *reaches), (*before.poses, *poses)
         settings = Reaches(tuple(reaches), actor.motion.motion, actor.retargeter, tuple(poses))
         self.actors[name] = actor.with_layer("reach", settings=settings)
@@ -158,8 +193,8 @@ def _jitter(camera: SceneCamera, randomise: RandomiseConfig) -> SceneCamera:
     return replace(camera, whole=replace(camera.whole, R=r, t=-r @ (camera.whole.center + shift)))
 
 
-#: Features in the order in which they are called, with the condition under which a scene has them. Labels of
-#: objects follow this order.
+#: Features in the order in which they are called, with the condition under which a scene has them. If a
+#: feature needs humans or objects of another one, it comes later. Labels of objects follow this order.
 FEATURES: Mapping[str, Callable[[SceneConfig], object]] = {
     "keyframes": lambda config: any(
         item.keyframes for section in (config.humans, config.objects) for item in section.values()
@@ -172,7 +207,7 @@ FEATURES: Mapping[str, Callable[[SceneConfig], object]] = {
     "robot": lambda config: config.robot,
     "scanners": lambda config: config.scanners,
     "clutter": lambda config: config.randomise and config.randomise.clutter,
-    "reach": lambda config: any(human.reach for human in config.humans.values()),
+    "reach": lambda config: True,
     "face": lambda config: any(human.face for human in config.humans.values()),
 }
 

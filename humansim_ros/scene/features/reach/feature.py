@@ -9,7 +9,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from humansim_ros.errors import SceneError, in_section, some_of, unknown
+from humansim_ros.errors import SceneError, in_section, unknown
 from humansim_ros.geometry import quaternion_to_matrix, rotate, unit_vectors
 from humansim_ros.motion.body import JointPoses
 from humansim_ros.motion.pose import (
@@ -252,11 +252,6 @@ class ReachingHands(CheckedFeature):
             if not config.reach:
                 continue
             with in_section(f"humans.{name}.reach"):
-                if config.motion.file == LIVE:
-                    raise SceneError(f"another node moves {name}, and its hands")
-                if held := [item.name for item in objects.values() if item.held_by == name]:
-                    text = f"{name} holds {some_of(held)} in both hands: they reach for nothing else"
-                    raise SceneError(text)
                 _refuse_overlaps(config.reach)
                 reaches = []
                 for number, each in enumerate(config.reach):
@@ -278,7 +273,7 @@ class ReachingHands(CheckedFeature):
                 continue
             targets = {f"reach.{number}.to": each.to for number, each in enumerate(config.reach)}
             for reach in all_reaches.reaches:
-                first = reach.start + reach.blend
+                first = max(reach.start, 0.0) + reach.blend
                 times = np.linspace(first, min(reach.end - reach.blend, first + _LONGEST), _MEASURED)
                 places = reach.goal(times, actor.others).place
                 lacks = np.linalg.norm(actor.palms_at(reach.side, times) - places, axis=-1)

@@ -1,4 +1,4 @@
-"""Humans from photographs: fitting of a body to calibrated views, and textures from them."""
+"""Humans from photographs: fit a body to calibrated views, and make its texture from the photographs."""
 
 from humansim_ros.lazy import lazy_exports
 

@@ -1,5 +1,5 @@
-"""Texture a person from photographs. In the method ``atlas``, the photographs are blended, their colours are
-aligned, and gaps are filled."""
+"""Texture a person from photographs. The method ``atlas`` aligns the colours of the photographs, blends them,
+and fills gaps."""
 
 from __future__ import annotations
 
@@ -36,31 +36,31 @@ from humansim_ros.photographs.views import PhotoSet
 from humansim_ros.render.frame import GLRenderer
 from humansim_ros.types import Array, Float32Array, Image, Indices
 
-#: Pixel values below this are too dark for ratios of colours: noise is too large a share of them.
+#: Pixel values below this are not used for ratios of colours, since noise is a large share of dark values.
 _DARKEST = 8.0
 #: Least number of places that two views have to share.
 LEAST_SHARED = 30
-#: Standard deviations of samples and of biases (both of 255), and of gains about their first guess.
+#: Standard deviations of samples and of biases, in sRGB values (0 to 255), and of gains from their guess.
 _NOISE, _BIAS, _GAIN = 4.0, 0.5, 0.005
 #: Number of independent samples in a view.
 _SAMPLES = 20
-#: Greatest logarithm of the ratio of two colours of one place to the ratio of the gains, one number per
-#: round.
+#: A place is an outlier if two views see colours with a ratio that differs from the ratio of their gains by
+#: more than this logarithm; one limit per round.
 _FARTHEST = (0.5, 0.25, 0.15, 0.12, 0.12)
 _ROUNDS = 20
-#: Smallest and largest side of a texture that is chosen, texels. Texels for each pixel of the photographs
-#: along a line.
+#: Smallest and largest side of a texture if the caller gives none, texels; and texels along a line per pixel
+#: of the photographs.
 SMALLEST, LARGEST, _DENSITY = 256, 8192, 2.0
 #: Bands of spatial frequency: radius of the low-pass filter in metres, and sharpness of the choice of views.
 #: The finest details come from one view, shades from all of them [Burt 1983].
 _BANDS = ((0.0, 8.0), (0.012, 3.0), (0.05, 1.0))
-#: Below and above these sRGB values colours may be clipped. The share by which such pixels count less.
+#: Colours below and above these sRGB values may be clipped; and the share by which such pixels count less.
 _CLIPPED, _DOUBT = (3, 252), 0.98
 #: Longest usual edge, as a share of the height; and most triangles of a mesh that is divided.
 _EDGE, _MOST_TRIANGLES = 0.03, 400_000
 #: Sum of weights at which a texel is regarded as seen as well as possible.
 _CERTAIN = 0.02
-#: A view with a smaller share of a texel is left out. Number of texels that are blended at once.
+#: A view with a smaller share of a texel's colour is left out. Number of texels that are blended at once.
 _LEAST_SHARE, _CHUNK = 1e-3, 1 << 20
 
 
@@ -71,7 +71,7 @@ class Alignment:
     Attributes:
         gains: (C, 3); their geometric mean is 1.
         biases: (C, 3); their mean is 0.
-        group: (C,) views with the same number are aligned with each other.
+        group: (C,) number of the group of each view. Views of one group are aligned with each other.
     """
 
     gains: Array
@@ -80,13 +80,13 @@ class Alignment:
 
 
 def align_colours(colours: Array, weights: Array) -> Alignment:
-    """Find gains and biases of C views from N places on a surface that reflects evenly in all directions.
+    """Find gains and biases of C views from the colours of N places. The surface is taken to be matt.
 
     Gains follow from the mean colours of the places that two views share. Biases follow from robust least
     squares, which alternates with estimates of the true colours. Views that share too few places with the
     others keep gain 1.
 
-    ``colours``: (C, N, 3) sRGB values, 0 to 255. ``weights``: (C, N) how well the view sees the place. The
+    ``colours``: (C, N, 3) sRGB values, 0 to 255. ``weights``: (C, N) how well each view sees each place. The
     weight is 0 if the view does not see the place or the colour is clipped.
     """
     usable = (colours > _DARKEST).all(axis=2) & (weights > 0)
@@ -108,7 +108,7 @@ def align_colours(colours: Array, weights: Array) -> Alignment:
 
 
 def _solve(seen: Array, weights: Array) -> tuple[Array, Array]:
-    """Gains and biases (C,) of one channel. ``seen``, ``weights``: (C, N)."""
+    """Gains and biases (C,) of one colour channel. ``seen``: (C, N) sRGB values. ``weights``: (C, N)."""
     guess = gains = _gains(seen, weights)
     biases = np.zeros(len(seen))
     for _ in range(_ROUNDS):
@@ -161,7 +161,7 @@ def _gains(seen: Array, weights: Array) -> Array:
 
 
 def without_gains(image: NDArray[np.float32], gains: Array, biases: Array) -> NDArray[np.float32]:
-    """Colours (..., 3) of a view without its gains (3,) and biases (3,)."""
+    """Remove the gains (3,) and biases (3,) of a view from its colours (..., 3)."""
     return np.asarray((image - biases) / gains, np.float32)
 
 
@@ -175,13 +175,13 @@ def texture_atlas(
 ) -> TexturedPerson:
     """Texture a person from photographs.
 
-    Each texel takes its colour from the views that see it. A view with more pixels for the texel counts more.
-    Gains and biases between the cameras are removed first. Three bands of spatial frequency are blended with
-    different sharpness, so that neither seams nor blur appear. Hidden parts take the colours next to them, or
-    those of the other side of the body.
+    Each texel takes its colour from the views that see it. A view that shows the texel with more pixels
+    counts more. Gains and biases between the cameras are removed first. Fine details and smooth shades (three
+    bands of spatial frequency) are blended separately, so that there are neither seams nor blur. Hidden parts
+    take colours from their surroundings, or from the other side of the body.
 
     Args:
-        human: The person, with texture coordinates, or with the package xatlas installed.
+        human: The person. Without texture coordinates, the package xatlas must be installed.
         views: Photographs with the pose of the person in each.
         size: Side of the texture, texels. If None, the texture is as fine as the photographs.
         outfit: Name of the new outfit.
@@ -217,11 +217,11 @@ def texture_atlas(
 
 
 def with_coordinates(human: Human) -> Human:
-    """Return the human with texture coordinates that do not overlap. They are its own, or new ones by the
-    package xatlas.
+    """Return the human with texture coordinates that do not overlap. Its own are kept if possible; else the
+    package xatlas makes new ones.
 
     Raises:
-        PhotographError: The human has no such coordinates, and xatlas is not installed.
+        PhotographError: The texture coordinates overlap or are missing, and xatlas is not installed.
     """
     mesh = human.mesh
     if mesh.uv is not None and mesh.uv_triangles is not None and not _overlaps(mesh):
@@ -242,7 +242,7 @@ def with_coordinates(human: Human) -> Human:
 
 
 def _overlaps(mesh: Mesh) -> bool:
-    """Whether much of the texture belongs to several triangles, or lies outside of the image."""
+    """Whether triangles overlap in much of the texture, or lie outside of the image."""
     assert mesh.uv is not None and mesh.uv_triangles is not None
     a, b, c = (mesh.uv[mesh.uv_triangles[:, corner]] for corner in range(3))
     area = np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]).sum() / 2
@@ -251,7 +251,7 @@ def _overlaps(mesh: Mesh) -> bool:
 
 
 def _useful(sights: Sequence[SurfaceSight]) -> tuple[list[SurfaceSight], dict[str, str]]:
-    """Views that show some of the person, and notes about the others."""
+    """Return the views that show some of the person, and notes about the views that show nothing."""
     useful = [sight for sight in sights if (sight.weights > 0).any()]
     if not useful:
         raise PhotographError(
@@ -317,8 +317,8 @@ def _low_pass(sight: SurfaceSight, radius: float) -> Float32Array:
 
 @dataclass(frozen=True, eq=False)
 class _Blended:
-    """Colours of texels (M, 3) and places (P, 3), and their certainty (M,) and (P,), which is 0 where they
-    are hidden."""
+    """Blended colours of texels (M, 3) and of places (P, 3) of the surface, and their certainty (M,) and
+    (P,), 0 where hidden."""
 
     colours: Float32Array
     certainty: Float32Array
@@ -373,7 +373,7 @@ def _blend_texels(
 def _filled_image(
     surface: Surface, texels: SurfaceTexels, blended: _Blended, side: int, symmetry: bool
 ) -> Image:
-    """Texture (side, side, 3) with filled gaps. Its colours continue beyond the borders of the islands."""
+    """Texture (side, side, 3) with filled gaps. Colours continue beyond the borders of used texels."""
     places = fill_colours(surface, blended.places, blended.places_seen, symmetry)
     certainty = blended.certainty[:, None]
     hidden = blended.certainty < 1
@@ -392,8 +392,8 @@ def _filled_image(
 def _mirrored_details(
     surface: Surface, texels: SurfaceTexels, blended: _Blended, smooth: Float32Array, side: int
 ) -> Float32Array:
-    """Details (M', 3) of hidden texels, taken from the other side of the body: its colours minus its smooth
-    colours (M, 3)."""
+    """Details (M', 3) of hidden texels, taken from the other side of the body. A detail is a colour minus the
+    smooth colour there. ``smooth``: smooth colours (M, 3)."""
     mesh, hidden = surface.mesh, blended.certainty < 1
     assert mesh.uv is not None and mesh.uv_triangles is not None
     details = np.zeros((side, side, 3), np.float32)
@@ -411,8 +411,8 @@ def _mirrored_details(
 
 
 def _rounds(mesh: Mesh) -> int:
-    """Number of times that triangles are divided, so that few edges are longer than _EDGE of the height.
-    Colours are computed at vertices, so vertices must be dense."""
+    """Number of times to divide triangles, so that few edges are longer than _EDGE of the height, since
+    colours are computed at vertices."""
     corners = mesh.vertices[mesh.triangles]
     edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     longest = float(np.quantile(edges, 0.9)) / max(float(np.ptp(mesh.vertices[:, 1])), 1e-9)
@@ -424,8 +424,8 @@ def _rounds(mesh: Mesh) -> int:
 def _chosen(
     surface: Surface, owner: Indices, sights: Sequence[SurfaceSight], numbers: Sequence[int]
 ) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
-    """View (N,) that each triangle takes most of its colour from, and whether any view sees the triangle.
-    ``owner``: for each triangle of the surface, the triangle of the human that it is part of."""
+    """For each triangle of the human: the view (N,) that gives most of its colour, and whether any view sees
+    it (N,). ``owner``: for each triangle of the surface, the triangle of the human that it is part of."""
     fine = [sight.weights[surface.triangles].mean(axis=1) for sight in sights]
     weights = np.stack([np.bincount(owner, own) for own in fine])
     seen = weights.max(axis=0) > 0
@@ -443,12 +443,12 @@ def _dressed(human: Human, image: Image, outfit: str) -> Human:
     return replace(human, mesh=mesh, looks=looks, outfit=outfit)
 
 
-#: Name of a method.
+#: Name of a method of :func:`texture_person`.
 TextureMethod = Literal["atlas", "thesis"]
 
 
 def texture_views(fit: PersonFit, photos: PhotoSet, frames: Sequence[int] = (0,)) -> list[TextureView]:
-    """Photographs of some frames with the pose of the person in each.
+    """Read the photographs of some frames, and pair each with the fitted pose of the person in it.
 
     Raises:
         PhotographError: The fit was made from other views or frames, or an image cannot be read.

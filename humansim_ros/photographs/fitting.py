@@ -1,5 +1,4 @@
-"""Fit a human to calibrated photographs: pose, place, stature and proportions, in one frame or in many
-frames."""
+"""Fit a human to calibrated photographs of one or many frames: pose, place, stature and proportions."""
 
 from __future__ import annotations
 
@@ -45,13 +44,13 @@ from humansim_ros.types import Array
 SHAPE_FRAMES = 12
 #: Most frames with silhouettes that determine the girths.
 SILHOUETTE_FRAMES = 4
-#: Weight of points that no other view confirms.
+#: Weight of 2D points that no other view confirms.
 _UNCONFIRMED = 0.3
-#: Least and greatest stature of people, metres. Least and greatest size of the points relative to the start
-#: that a fit can reach.
+#: Least and greatest stature of people, metres; and of the size of the points, relative to the human at the
+#: start.
 _STATURES, _SIZES = (0.5, 2.3), (0.3, 3.0)
-#: A median distance of points from the body above this share of the longer side of the images causes a
-#: warning.
+#: There is a warning if the median distance between given and fitted points is above this share of the longer
+#: image side.
 _FAR = 0.03
 #: Outlier: a point farther away than 6 standard deviations of the noise, and farther than 4 pixels.
 _FARTHEST, _LEAST_FARTHEST = 6.0, 4.0
@@ -69,10 +68,10 @@ def fit_person(
     """Fit a human to photographs of one person.
 
     Keypoints are triangulated, and wrong points are found by comparison with the other views. Then poses,
-    stature and lengths of bones are found that minimise the distances in the photographs. Joints stay within
-    their limits. All frames have the same proportions. Then the silhouettes of some frames determine the
-    girths and refine the lengths. If the human is an SMPL model, the betas are found that make the model most
-    similar to this body, and the model is fitted again.
+    stature and lengths of bones are fitted, so that distances in the photographs are least. Joints stay
+    within their limits. All frames have the same proportions. Then the silhouettes of some frames determine
+    the girths and refine the lengths. An SMPL model then gets the betas that make it most similar to this
+    body, and is fitted again.
 
     Args:
         photos: Photographs with points.
@@ -98,7 +97,7 @@ def fit_person(
 
 
 def find_doubts(fit: PersonFit, photos: PhotoSet, silhouettes: bool = True) -> list[str]:
-    """Sentences about what is guessed or implausible in a fit, and what the user can do about it.
+    """Return sentences about what is guessed or implausible in a fit, and what the user can do.
     ``silhouettes``: whether the masks were used."""
     model = PoseModel(shaped_human(fit.human, fit.proportions), photos.keypoints)
     found = []
@@ -147,7 +146,7 @@ def _fit(
     silhouettes: bool,
     progress: FitProgress,
 ) -> PersonFit:
-    """Fit a human with betas and offsets of the start to the triangulated points of all frames."""
+    """Fit a human to the triangulated points of all frames. The betas and offsets of ``start`` are kept."""
     base = Proportions() if start is None else start.proportions
     body = shaped_human(name, base)
     model = PoseModel(body, photos.keypoints, base)
@@ -197,12 +196,12 @@ def _check_size(photos: PhotoSet, model: PoseModel, body: Human, found: Sequence
 
 
 def _stored_name(human: str) -> str:
-    """Name of a built-in human, or the absolute path of a file, since a fit may be read from any folder."""
+    """Name that a file of the fit stores: that of a built-in human, or the absolute path of a file."""
     return human if human in built_in_names("humans") else str(find_asset(human, "humans").absolute())
 
 
 def _sight(photos: PhotoSet, model: PoseModel, found: Triangulation) -> Sight:
-    """Points of a frame, and how much they count."""
+    """Points of a frame with their weights, for the fit."""
     points = found.points
     confirmed = np.isfinite(found.positions[:, 0])
     weights = points[..., 2] * model.trust * np.where(confirmed, found.inliers, _UNCONFIRMED)
@@ -225,7 +224,7 @@ def _noise(found: Sequence[Triangulation]) -> float:
 def _initial(
     model: PoseModel, found: Sequence[Triangulation], start: PersonFit | None, progress: FitProgress
 ) -> list[BodyState]:
-    """A first guess of all frames, from the triangulated points."""
+    """Guess the states of all frames from the triangulated points, or take them from ``start``."""
     if start is not None and len(start.root) == len(found):
         return fitted_states(model, start)
     states, last = list[BodyState](), None
@@ -243,8 +242,8 @@ def _initial(
 
 
 def _spread(counts: Array, most: int) -> list[int]:
-    """Numbers of at most ``most`` frames, spread over the sequence. Each is the frame with most points near
-    its place."""
+    """Choose at most ``most`` frames, spread over the sequence; return their numbers. Of frames close
+    together, the one with most points is taken."""
     edges = np.linspace(0, len(counts), min(most, len(counts)) + 1).astype(int)
     return [int(low + np.argmax(counts[low:high])) for low, high in itertools.pairwise(edges)]
 
@@ -258,8 +257,8 @@ def _result(
     found: Sequence[Triangulation],
     noise: float,
 ) -> PersonFit:
-    """Fit of a human before its proportions are applied. ``noise``: standard deviation of the points,
-    pixels."""
+    """Create the result of the fit. ``human``: the human before its proportions are applied. ``noise``:
+    standard deviation of the points, pixels."""
     posed = fields_of_states(model, human, states, photos.cameras, [each.points for each in found])
     residuals: Array = posed["residuals"]
     given = np.isfinite(residuals)

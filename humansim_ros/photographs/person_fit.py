@@ -33,21 +33,21 @@ from humansim_ros.types import Array, Float32Array, Indices
 SMALLEST, LARGEST = 0.2, 5.0
 #: Greatest offset of the surface, metres.
 GREATEST_OFFSET = 0.08
-#: Most betas that are fitted: the first ones of a model matter most.
+#: Most betas that are fitted. The first betas of an SMPL model matter most.
 MOST = 10
-#: Standard deviation of a vertex about its place in the model, metres; and number of vertices that count as
-#: independent.
+#: For the fit of betas: standard deviation of a vertex from the model, metres; and number of vertices that
+#: count as independent.
 _NOISE, _INDEPENDENT = 0.01, 200
-#: Offsets of the surface are alike for points within this share of the height, and within this difference of
-#: unit normals.
+#: Points have similar offsets if they are nearer than this share of the height, and their unit normals differ
+#: by less than this.
 _REACH, _TURN = 0.02, 1.0
-#: Most controls of the offsets of a surface; and number of vertices that are computed at once.
+#: Most control vertices of :class:`SurfaceOffsets`, and number of vertices that are computed at once.
 MOST_CONTROLS, _CHUNK = 1000, 20_000
 
 
 @dataclass(frozen=True)
 class Proportions:
-    """Proportions relative to a human.
+    """Proportions of a person, relative to a human.
 
     Attributes:
         stature: Factor of the whole body.
@@ -55,8 +55,8 @@ class Proportions:
         girths: Factor across each bone, by name of the bone. The factor of an absent bone is 1.
         shape: Betas of the human if the human is an SMPL model.
         offsets: Metres by which the surface moves outwards at the controls of :class:`SurfaceOffsets`, before
-            the factors are applied. Offsets describe clothes, hair and what factors cannot. If empty, there
-            are no offsets.
+            the factors are applied. Offsets describe clothes, hair and shapes that factors cannot. If empty,
+            there are no offsets.
     """
 
     stature: float = 1.0
@@ -82,11 +82,11 @@ class Proportions:
 
 
 def with_proportions(human: Human, proportions: Proportions) -> Human:
-    """Return a human in other proportions. The human already has betas and offsets. Its soles stay where they
-    are.
+    """Return a human in other proportions. Its soles stay where they are. ``human`` already has the betas and
+    offsets.
 
-    A bone scales the vertices near it about its head: v' = sum_b w_b (h'_b + R_b S_b R_b^T (v - h_b)). So the
-    skin stays smooth where it stretches.
+    Each bone scales its vertices about the head of the bone: v' = sum_b w_b (h'_b + R_b S_b R_b^T (v - h_b)).
+    Skinning weights w_b keep the skin smooth.
 
     Raises:
         MeshError: A name is not a bone, or a factor is not plausible.
@@ -122,7 +122,7 @@ class SurfaceOffsets:
 
     Attributes:
         controls: (K,) numbers of the vertices that are controls.
-        factor: (K, K) lower Cholesky factor of the covariances of the controls; their variance is 1.
+        factor: (K, K) lower Cholesky factor of the covariances of the controls (variance 1).
         shares: (V, K) matrix that turns offsets of the controls into offsets of the vertices.
         normals: (V, 3) unit normals of the vertices.
     """
@@ -163,13 +163,13 @@ class SurfaceOffsets:
 
 
 def _likeness(one: Array, other: Array) -> Array:
-    """Covariances (N, M) of points (N, D) and (M, D), for a reach of 1."""
+    """Covariances (N, M) of points (N, D) and (M, D), with coordinates in units of the reach."""
     return np.asarray(np.exp(-0.5 * cdist(one, other, "sqeuclidean")))
 
 
 def _spread(points: Array, most: int) -> Indices:
-    """Numbers of points (N, D). Each point is the farthest from those before, until all points are nearer
-    than 1."""
+    """Choose up to ``most`` of points (N, D); return their numbers. Each next point is the farthest from
+    those chosen, until all are nearer than 1."""
     chosen = [0]
     gaps = np.square(points - points[0]).sum(axis=1)
     while len(chosen) < most and gaps.max() > 1:
@@ -180,12 +180,12 @@ def _spread(points: Array, most: int) -> Indices:
 
 @lru_cache(maxsize=2)
 def surface_offsets(name: str, shape: tuple[float, ...] = ()) -> SurfaceOffsets:
-    """Offsets of the surface of a human with given betas. ``name``: name or file of the human."""
+    """Get the :class:`SurfaceOffsets` of a human with given betas. ``name``: name or file of the human."""
     return SurfaceOffsets.of(shaped_human(name, Proportions(shape=shape)).mesh)
 
 
 def shaped_human(name: str, proportions: Proportions) -> Human:
-    """Load a human by its name or file, with betas and offsets of the surface, before factors are applied.
+    """Load a human by its name or file. Apply the betas and offsets of ``proportions``, but not the factors.
 
     The human has no bones of fingers, toes, jaw and eyes, since photographs do not show their rotations.
 
@@ -206,12 +206,11 @@ def can_be_shaped(name: str) -> bool:
 
 
 def fit_shape(name: str, vertices: Array) -> tuple[float, ...]:
-    """Find the betas that make the body in the rest pose most similar to another body of the model, by least
-    squares.
+    """Find the betas of an SMPL body in the rest pose, by least squares from its vertices.
 
     The prior is that betas of people have a standard deviation of 1.
 
-    ``name``: name or file of an SMPL model. ``vertices``: vertices (V, 3) of the other body in the rest pose.
+    ``name``: name or file of an SMPL model. ``vertices``: vertices (V, 3) of the body in the rest pose.
     """
     mean, directions = _directions(str(find_asset(name, "humans")))
     goal = vertices - vertices.mean(axis=0) - mean
@@ -223,7 +222,7 @@ def fit_shape(name: str, vertices: Array) -> tuple[float, ...]:
 
 @lru_cache(maxsize=4)
 def _directions(path: str) -> tuple[Array, Array]:
-    """Centred vertices (V, 3) of the mean body, and their changes (V, 3, N) by each beta."""
+    """Centred vertices (V, 3) of the mean body of an SMPL model, and their changes (V, 3, N) by each beta."""
     count = min(count_betas(path), MOST)
 
     def body(number: int | None) -> Array:
@@ -240,7 +239,7 @@ class PersonFit:
     """A person fitted to F frames of V photographs.
 
     Attributes:
-        human: Built-in human, or file, that has these proportions.
+        human: Built-in human, or file, that the proportions are relative to.
         proportions: Proportions of the person.
         bones: Names of the B bones.
         root: (F, 4, 4) rigid transforms from body space to ``map``.
@@ -275,7 +274,7 @@ class PersonFit:
         return with_proportions(shaped_human(self.human, self.proportions), self.proportions)
 
     def posed(self, frame: int = 0) -> Array:
-        """Frames of the bones (B, 4, 4) in ``map``."""
+        """Frames (B, 4, 4) of the bones in ``map``, of one frame of the photographs."""
         return self.body.skeleton.pose(self.rotations[frame], self.root[frame])
 
     def joints(self, frame: int = 0) -> Array:
@@ -288,8 +287,8 @@ class PersonFit:
 
 
 def fit_motion(fit: PersonFit) -> Motion:
-    """Motion of the F frames of a fit, with the skeleton of the person, to write as BVH. With ``anchor:
-    file`` in a scene, the person moves where it was photographed."""
+    """Motion of the F frames of a fit, for a BVH file, with the skeleton of the person. With ``anchor:
+    file``, a scene plays it at the place that was photographed."""
     posed = np.array([fit.posed(frame) for frame in range(len(fit.root))])
     return PosedBones(fit.body.skeleton, posed, fit.period / 1e9).to_motion()
 

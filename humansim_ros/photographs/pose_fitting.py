@@ -1,9 +1,9 @@
 """Fit poses and proportions of a body to 2D points: robust nonlinear least squares over all frames at once.
 
 The unknowns are the numbers of :class:`~humansim_ros.photographs.pose_model.PoseModel`: pose numbers of each
-frame, and one set of proportions. A prior of small accelerations couples the frames, so the normal equations
-are a band matrix with a border for the proportions. Therefore the time of a step of Levenberg-Marquardt is
-linear in the number of frames.
+frame, and one set of proportions. A prior of small accelerations couples neighbouring frames, so the normal
+equations are a band matrix with a border for the proportions. Therefore the time of a Levenberg-Marquardt
+step grows only linearly with the number of frames.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from humansim_ros.types import Array, Indices
 _ROBUST = 2.5
 #: Least standard deviation of points, pixels.
 LEAST_NOISE = 0.5
-#: Standard deviation of rotations from the rest pose, radians, by bone name without its side. Other bones
-#: have _USUAL.
+#: Standard deviation of rotations from the rest pose, radians, by bone name without side. For other bones,
+#: _USUAL.
 _STIFFNESS = {
     "HumanoidRoot_to_hip": 0.03,
     "sacroiliac": 0.15,
@@ -40,18 +40,18 @@ _STIFFNESS = {
     "ankle": 0.3,
 }
 _USUAL = 1.5
-#: Bones without their side that turn slowly.
+#: Bones that turn slowly, by name without side.
 _TRUNK = frozenset(_STIFFNESS) - {"wrist", "ankle"} | {"HumanoidRoot", "vt3"}
 #: Standard deviation of the proportions: logarithms of stature and of lengths relative to it.
 _STATURE_SPREAD, _LENGTH_SPREAD = 0.3, 0.1
 #: Standard deviation of logarithms of girths. Only outlines determine girths.
 _GIRTH_SPREAD = 0.2
-#: Greatest logarithms of statures, lengths and girths of people relative to other people, with children and
-#: clothes; and the standard deviation of what is beyond.
+#: Greatest logarithms of statures, lengths and girths of people, children and clothes included, relative to
+#: the mean; and standard deviation of values beyond these limits.
 STATURE_LIMIT, LENGTH_LIMIT, GIRTH_LIMIT, _BEYOND_SHAPE = 0.9, 0.35, 0.55, 0.02
-#: Standard deviations for a part that no point shows: logarithm of its length, and its rotation in radians.
+#: Standard deviations for a bone that no point shows: logarithm of its length, and its rotation in radians.
 _HELD_LENGTH, _HELD_TURN = 0.03, 0.3
-#: Standard deviation of a joint beyond its limit, radians.
+#: Standard deviation of the angle of a joint beyond its limit, radians.
 _BEYOND = 0.02
 #: Standard deviations of accelerations: of the place, metres per second squared; of trunk and limbs, radians
 #: per second squared.
@@ -60,13 +60,13 @@ _ACCELERATION, _TURN, _SWING = 3.0, 8.0, 30.0
 _STEPS, _LIMIT_ROUNDS = 40, 4
 #: Longest step of one pose number, metres or radians, since a larger step can end in another minimum.
 _LONGEST_STEP = 0.5
-#: Factors of the standard deviations of accelerations in the first solutions of a sequence. The next factors
-#: are tried if the solution is a wrong minimum: its cost is above this multiple of the cost of the frames at
-#: the start.
+#: The standard deviations of accelerations are first multiplied by these factors, one solution after the
+#: other. If the last solution is a wrong minimum, the next sequence of factors is tried. A minimum is wrong
+#: if its cost is above this multiple of the cost of the frames at the start.
 _SLACKS = ((30.0, 5.0), (300.0, 100.0, 30.0, 10.0, 3.0), ())
 _WRONG = 5.0
-#: Limbs below a hinge joint, each with the limb above; turns of the limb above that are tried; and the angle
-#: beyond limits, radians, that a turn must save.
+#: Bones below a hinge joint (elbow, knee), each with the bone above; turns that are tried of the bone above;
+#: and by how much, radians, a turn must bring joints closer to their limits.
 _HINGES = tuple(
     (f"{s}_{upper}", f"{s}_{lower}")
     for s in "lr"
@@ -86,7 +86,7 @@ class Sight:
         pixels: (V, K, 2) given points.
         weights: (V, K) confidence; 0 for points that do not count.
         places: (K, 3) triangulated positions in ``map``. NaN where there is none.
-        edges: Points of the skin that should move to the outlines of masks, if there are any.
+        edges: Points of the skin that should move to the outlines of masks. None without masks.
     """
 
     cameras: Sequence[Camera]
@@ -98,7 +98,7 @@ class Sight:
 
 @dataclass(frozen=True, eq=False)
 class EdgePoints:
-    """Points of the skin that should reach lines in the images.
+    """Points of the skin, each with a line in an image that it should reach.
 
     Attributes:
         points: N points.
@@ -137,7 +137,7 @@ class Settings:
 
 def first_state(model: PoseModel, places: Array) -> BodyState:
     """Turn, move and scale the rest pose onto triangulated keypoints (K, 3) [Umeyama 1991]. The trunk counts
-    most, because the limbs are not in the rest pose. NaN stands for absent keypoints."""
+    most, because the limbs of the person are not in the rest pose. NaN stands for absent keypoints."""
     rest = model.keypoints(model.neutral())
     known = np.isfinite(places[:, 0])
     weights = np.where(model.on_trunk, 1.0, 0.05) * known
@@ -167,8 +167,8 @@ def relative_size(model: PoseModel, places: Array) -> float:
 def fit_poses(
     model: PoseModel, states: Sequence[BodyState], sights: Sequence[Sight], settings: Settings
 ) -> list[BodyState]:
-    """Fit the states of F frames to the points of their views. All frames get the proportions of the first
-    state.
+    """Fit the states of F frames to the points of their views. All frames share one set of proportions, which
+    starts from the first state.
 
     Joints beyond their limits (:mod:`humansim_ros.motion.pose.limits`) are pulled back to them.
 
@@ -210,14 +210,14 @@ def _fitted(
 
 
 def fit_places(model: PoseModel, state: BodyState, places: Array) -> BodyState:
-    """Fit a state of one frame, and its proportions, to triangulated keypoints. The result is a first guess.
-    ``places``: positions (K, 3) of the keypoints, NaN where there is none."""
+    """Fit pose and proportions of one frame to triangulated keypoints, as a first guess. ``places``:
+    positions (K, 3) of the keypoints, NaN where there is none."""
     sight = Sight((), np.zeros((0, len(places), 2)), np.zeros((0, len(places))), places)
     return fit_poses(model, [state], [sight], Settings(0.0, limited=False, tolerance=1e-2))[0]
 
 
 class _Problem:
-    """Cost and steps of one fit."""
+    """The least-squares problem of one fit: its cost, its equations, and its solution."""
 
     def __init__(self, model: PoseModel, sights: Sequence[Sight], settings: Settings) -> None:
         self.model, self.sights, self.settings = model, sights, settings
@@ -238,8 +238,7 @@ class _Problem:
         self._constants = np.zeros(frames)
 
     def hold_limits(self, states: Sequence[BodyState]) -> bool:
-        """Pull joints that are beyond their limits back along the direction of the limit. Returns False if no
-        joint is."""
+        """From now on, pull back all joints beyond their limits. Returns False if there is none."""
         assert self.model.limits is not None
         rotations = np.array([self.model.rotations(state) for state in states])
         clamped = self.model.limits.clamp(rotations)
@@ -255,8 +254,8 @@ class _Problem:
         return bool(beyond.any())
 
     def solve(self, states: list[BodyState], tolerance: float | None = None) -> list[BodyState]:
-        """Minimise the cost from the states by Levenberg-Marquardt. If ``tolerance`` is None, that of the
-        settings is used."""
+        """Minimise the cost by Levenberg-Marquardt, starting from some states. Returns the new states. If
+        ``tolerance`` is None, the tolerance of the settings is used."""
         tolerance = self.settings.tolerance if tolerance is None else tolerance
         cost, damping = self.cost(states), 1e-3
         for _ in range(self.settings.steps):
@@ -300,7 +299,8 @@ class _Problem:
         return np.nan_to_num(residuals, nan=1e3), sight.weights[used]
 
     def _slopes(self, sight: Sight, positions: Array, slopes: Array) -> Array:
-        """Derivatives (N, d, size) of the residuals of the points."""
+        """Derivatives (N, d, size) of the residuals of the points by the numbers. ``slopes``: derivatives (N,
+        3, size) of the positions."""
         if not sight.cameras:
             return slopes[np.isfinite(sight.places[:, 0])] / 0.02
         used = sight.weights > 0
@@ -336,7 +336,7 @@ class _Problem:
         return cost
 
     def _beyond_limits(self, shape: Array) -> Array:
-        """By how much numbers of the proportions are beyond their limits, with sign."""
+        """How far the numbers of the proportions are beyond their limits, with sign; 0 within the limits."""
         return np.asarray(shape - np.clip(shape, -self._shape_limits, self._shape_limits))
 
     @staticmethod
@@ -358,7 +358,7 @@ class _Problem:
         return distances, slopes
 
     def _edge_equations(self, state: BodyState, sight: Sight) -> tuple[Array, Array]:
-        """Normal equations (size, size), (size,) of points that should reach lines."""
+        """Normal equations (size, size), (size,) of the points that should reach outlines, in one frame."""
         assert sight.edges is not None
         positions, by_number = self.model.derivatives(state, sight.edges.points)
         distances, by_place = self._edge_distances(sight, positions)
@@ -427,10 +427,10 @@ def _robust_cost(squares: Array) -> Array:
 
 
 class _Equations:
-    """Symmetric equations of F blocks of pose numbers in a band, bordered by the proportions."""
+    """Symmetric linear equations: a band of F blocks for the poses, and a border for the proportions."""
 
     def __init__(self, count: int, size: int, free: NDArray[np.bool_], coupled: bool) -> None:
-        """Make empty equations. ``free``: (E,) whether each number of the proportions is unknown."""
+        """Make empty equations. ``free``: (E,) whether each number of the proportions is an unknown."""
         self._count, self._size, self._free = count, size, free
         extra = len(free)
         width = 3 * size if coupled else size
@@ -441,7 +441,7 @@ class _Equations:
         self._right_shape = np.zeros(extra)
 
     def add_frame(self, number: int, matrix: NDArray[np.float64], right: NDArray[np.float64]) -> None:
-        """Add equations of one frame: pose numbers, then proportions."""
+        """Add the equations of one frame. The order of their unknowns is: pose numbers, then proportions."""
         size, start = self._size, number * self._size
         for diagonal in range(size):
             values = np.diagonal(matrix[:size, :size], -diagonal)
@@ -469,7 +469,7 @@ class _Equations:
             self._right.reshape(-1, size)[first : first + self._count - 2] += coefficients[first] * slopes
 
     def solve(self, damping: float) -> Array:
-        """Step of all numbers. ``damping``: added to the diagonal, relative to the diagonal."""
+        """Solve for the step of all numbers. ``damping``: share of the diagonal that is added to it."""
         band = self._band.copy()
         band[0] += damping * band[0] + 1e-9
         factor = cholesky_banded(band, lower=True)
@@ -520,7 +520,7 @@ def fields_of_states(
     cameras: Sequence[Camera],
     points: Sequence[Array],
 ) -> dict[str, Any]:
-    """Fields of a :class:`PersonFit` that follow from the states of its frames.
+    """Compute the fields of a :class:`PersonFit` that follow from the states of its frames.
 
     Args:
         model, human: The body before its proportions are applied.
@@ -540,15 +540,15 @@ def fields_of_states(
 
 
 def unwound(state: BodyState) -> BodyState:
-    """The same pose with rotation vectors of at most half a turn."""
+    """Return the same pose with rotation vectors of at most half a turn."""
     matrices = quaternion_to_matrix(Rotation.from_rotvec(state.vectors).as_quat())
     return replace(state, vectors=Rotation.from_matrix(matrices).as_rotvec())
 
 
 def with_possible_hinges(model: PoseModel, state: BodyState) -> BodyState:
-    """Turn upper arms and thighs about themselves so that elbows and knees bend in the directions that they
-    can. The directions of the limbs stay the same. Points do not show this turn if the arm or leg is nearly
-    straight. Least squares does not find the turn if the elbow would have to bend backwards on the way."""
+    """Turn upper arms and thighs about their own axes, so that elbows and knees bend in possible directions.
+    The directions of the limbs stay the same. Points do not show this turn if the arm or leg is nearly
+    straight, and least squares does not find it if an elbow would have to bend backwards on the way."""
     if model.limits is None:
         return state
     for upper, lower in _HINGES:

@@ -1,4 +1,4 @@
-"""Keypoints of a body as a function of its pose and proportions, with derivatives."""
+"""The model that is fitted: keypoints of a body as a function of pose and proportions, with derivatives."""
 
 from __future__ import annotations
 
@@ -66,15 +66,15 @@ class BodyState:
 
 @dataclass(frozen=True, eq=False)
 class Attachments:
-    """N points that move with the bones. ``shares``: (N, B) weights of the bones; each row sums to one.
-    ``local``: (N, B, 3) points times their weights, in the frames of the bones in the rest pose."""
+    """N points of a body that move with its bones. ``shares``: (N, B) weights of the bones; each row sums to
+    one. ``local``: (N, B, 3) points times their weights, in the frames of the bones in the rest pose."""
 
     shares: Array
     local: Array
 
     @classmethod
     def of_vertices(cls, human: Human, vertices: Indices) -> Attachments:
-        """Vertices (N,) of the mesh of a human."""
+        """Attach vertices of the mesh of a human, given by their numbers (N,)."""
         rest = human.skeleton.rest_inverse
         shares = human.weights[vertices].toarray()
         at = np.einsum("bij,nj->nbi", rest[:, :3, :3], human.mesh.vertices[vertices]) + rest[:, :3, 3]
@@ -97,7 +97,7 @@ class PoseModel:
     """
 
     def __init__(self, human: Human, keypoints: KeypointSet, base: Proportions | None = None) -> None:
-        """Make a model. ``base``: betas and offsets of the human."""
+        """Make a model. ``base``: betas and offsets that ``human`` already has."""
         self.base = base or Proportions()
         self.keypoint_set = keypoints
         self.skeleton = human.skeleton
@@ -113,7 +113,7 @@ class PoseModel:
 
     @cached_property
     def limits(self) -> JointLimits | None:
-        """Joint limits of the skeleton. None if the skeleton has no bone of the table."""
+        """Joint limits of the skeleton; None if the table of limits has none of its bones."""
         try:
             return load_limits(None, self.skeleton)
         except MotionError:
@@ -131,20 +131,20 @@ class PoseModel:
         return found if found.sum() >= 3 else np.ones(len(found), bool)
 
     def shown(self, keypoints: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Find the bones (B,) with a rotation that the keypoints (K,) determine, and the length groups (G,)
-        with such a length."""
+        """Return masks of the bones (B,) and of the length groups (G,): those with a rotation or length that
+        the keypoints of the mask (K,) determine."""
         slopes = np.abs(self.derivatives(self.neutral())[1][keypoints]).max(axis=(0, 1), initial=0.0) > 1e-6
         turns = slopes[3 : self.pose_size].reshape(-1, 3).any(axis=1)
         return turns, slopes[self.pose_size + 1 :][: len(self.groups)]
 
     @property
     def pose_size(self) -> int:
-        """Number of the pose numbers."""
+        """How many pose numbers there are: 6 + 3 (B - 1)."""
         return 3 + 3 * len(self.skeleton)
 
     @property
     def size(self) -> int:
-        """Number of all numbers."""
+        """How many numbers there are, pose and proportions."""
         return self.pose_size + 1 + len(self.groups) + len(self.girths)
 
     def neutral(self) -> BodyState:
@@ -153,7 +153,7 @@ class PoseModel:
         return BodyState(np.zeros(3), np.eye(3), np.zeros((len(self.skeleton), 3)), *shape)
 
     def moved(self, state: BodyState, step: Array) -> BodyState:
-        """State after a step of the numbers (size,)."""
+        """Return the state after a ``step`` (size,) is added to its numbers."""
         bones = 3 * len(self.skeleton)
         vectors = state.vectors.copy()
         vectors[1:] += step[6 : 3 + bones].reshape(-1, 3)
@@ -212,7 +212,7 @@ class PoseModel:
         return body.positions, slopes
 
     def state(self, proportions: Proportions, root: Array, rotations: Array, body: Skeleton) -> BodyState:
-        """State of a body in a pose.
+        """Compute the state of a body in a pose.
 
         Args:
             proportions: Proportions of the body. Lengths and girths of a group are averaged.
@@ -235,7 +235,7 @@ class PoseModel:
         )
 
     def proportions(self, state: BodyState) -> Proportions:
-        """Proportions of a state."""
+        """Convert a state to the proportions of a person."""
         factors = (np.exp(state.lengths)[self.group_of], np.exp(state.girths)[self.girth_of])
         names = self.skeleton.names
         lengths, girths = (
@@ -274,9 +274,9 @@ class PoseModel:
 
 @dataclass(frozen=True)
 class _Body:
-    """Posed bones. ``axes``: (B, 3, 3) in ``map``; ``origins``: (B, 3); ``scales``: (B, 3); ``turns``: (B, 3,
-    3) rotation of the subtree of each bone in ``map`` by a step of its numbers; ``parts``: (K, B, 3) parts of
-    the keypoints."""
+    """Posed bones, in ``map``. ``axes``: (B, 3, 3). ``origins``: (B, 3). ``scales``: (B, 3). ``turns``: (B,
+    3, 3), how a step of the numbers of a bone rotates the bone and all bones below. ``parts``: (K, B, 3)
+    weighted points of each bone. Their sum over the bones is the keypoint."""
 
     axes: Array
     origins: Array
@@ -300,7 +300,7 @@ def _group(bone: str) -> str:
 
 
 def _attachments(human: Human, keypoints: KeypointSet) -> Attachments:
-    """Express the K keypoints as points that move with the bones."""
+    """Attach the K keypoints to the bones, so that they move with the bones."""
     skeleton = human.skeleton
     locator = KeypointLocator.of(human, keypoints)
     bones, joints = len(skeleton), len(skeleton.joint_names)

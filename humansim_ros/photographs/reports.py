@@ -1,4 +1,4 @@
-"""Pictures of a fit and of a texture."""
+"""Draw pictures that show a fit, or a texture from photographs."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ from humansim_ros.render.pictures import (
 from humansim_ros.scene.pictures import HumanArtist, joint_colors, row, titled_rows
 from humansim_ros.types import Array, Color, Image
 
-#: Colours of the body before and after the step, of given points, and of points that are left out.
+#: Colours of the body before and after a step of the fit, of given points, and of points that are left out.
 _BEFORE: Color = (255, 150, 40)
 _AFTER: Color = (0, 225, 255)
 _POINT: Color = (255, 255, 255)
 _WRONG: Color = (235, 40, 50)
-#: Colours of the bars, on paper.
+#: Colours of the bars, on a light background.
 _BAR_BEFORE: Color = (240, 170, 90)
 _BAR_AFTER: Color = (30, 130, 185)
 #: Width and height of a photograph in the picture, pixels; distance between them.
 _TILE, _GAP = (318, 470), 8
-#: Most photographs in a row, and frames of a sequence.
+#: Most photographs in a row, and most frames of a sequence that are drawn.
 _COLUMNS, _FRAMES = 5, 3
 #: Margin around the person, as a share of its size.
 _MARGIN = 0.08
@@ -53,9 +53,9 @@ _WORSE = 0.2
 #: Least width of the picture, pixels, so that titles and two columns of bars have room.
 _LEAST_WIDTH = 1080
 _AZIMUTHS = range(0, 360, 45)
-#: Height of the texture in the sheet, height of a line of text, and side of a patch of colour, pixels.
+#: Pixels in the sheet: height of the texture, height of a line of text, and side of a patch of colour.
 _TEXTURE, _LINE, _PATCH = 420, 26, 16
-#: Side of the tile of a colour, texels.
+#: Side of the tile of one colour in the texture, texels.
 _PANEL = 4
 
 
@@ -97,7 +97,7 @@ def draw_report(fit: PersonFit, photos: PhotoSet, before: PersonFit | None = Non
 
 @dataclass(frozen=True, eq=False)
 class _Tile:
-    """Cut of a photograph around the person."""
+    """The part of a photograph around the person, scaled for the picture."""
 
     image: Image
     corner: Array
@@ -111,7 +111,8 @@ class _Tile:
 def _frame_tiles(
     fit: PersonFit, photos: PhotoSet, before: PersonFit | None, frame: int
 ) -> tuple[list[Image], list[tuple[float, float]]]:
-    """Tiles of the views of a frame, and IoU before and after of the views with a mask."""
+    """Draw the views of a frame. Returns the tiles, and for each view with a mask the IoU of mask and body
+    before and after the step."""
     after_faces = render_faces(fit, photos, frame)
     before_faces = None if before is None else render_faces(before, photos, frame)
     tiles, overlaps = [], []
@@ -137,13 +138,13 @@ def _frame_tiles(
 
 
 def _points(fit: PersonFit, photos: PhotoSet, frame: int, view: int) -> Array:
-    """Given points (K, 3), with left and right exchanged back."""
+    """Given points (K, 3) of a view. If the fit found left and right exchanged, they are exchanged back."""
     points = photos.frames[frame][view].points
     return points[list(photos.keypoints.mirrored)] if fit.swapped[frame, view] else points
 
 
 def _cut(photo: Photo, faces: list[Faces], points: Array) -> _Tile:
-    """Tile around the body and its points. The photograph is made dull, so that lines are easy to see."""
+    """Cut a tile around the body and its points. The colours are made pale, so that lines are easy to see."""
     width, height = photo.camera.size
     image = np.full((height, width, 3), 128, np.uint8) if photo.image_path is None else photo.image()
     found = [np.argwhere(face > 0)[:, ::-1] for face in faces]
@@ -207,12 +208,12 @@ def _title(fit: PersonFit, overlaps: list[tuple[float, float]], compared: bool) 
 
 
 def _used(fit: PersonFit) -> Array:
-    """Distances (N,) of the points that are not left out."""
+    """Distances (N,) between given and fitted points, without the points that were left out."""
     return np.asarray(fit.residuals[~fit.outliers & np.isfinite(fit.residuals)])
 
 
 def _notes(fit: PersonFit, before: PersonFit | None) -> list[str]:
-    """Sentences about the fit that the reader must know."""
+    """Sentences about the fit that the user must know."""
     notes = []
     if before is not None and len(_used(before)) and len(_used(fit)):
         earlier, now = np.median(_used(before)), np.median(_used(fit))
@@ -252,7 +253,7 @@ def _bar(
     background: Color = PAPER,
     height: int = _CAPTION,
 ) -> Image:
-    """Bar with a line of text."""
+    """Draw a bar with one line of text."""
     bar = np.full((height, width, 3), background, np.uint8)
     draw_text(bar, text, position, scale, color)
     return bar
@@ -309,14 +310,14 @@ def _residual_bars(fit: PersonFit, before: PersonFit | None, photos: PhotoSet, w
 
 
 def _medians(fit: PersonFit) -> Array:
-    """Median distance (K,) of the points that are not left out. NaN where there is no such point."""
+    """Median distance (K,) of each keypoint, without points that were left out. NaN if no point remains."""
     used = np.where(fit.outliers, np.nan, fit.residuals).reshape(-1, fit.residuals.shape[2]).T
     return np.array([np.nanmedian(own) if np.isfinite(own).any() else np.nan for own in used])
 
 
 def draw_sheet(person: TexturedPerson) -> Image:
-    """Draw a textured person from eight sides, the view that each triangle takes, the texture and the gains.
-    Triangles that no view has seen are darker."""
+    """Draw a textured person from eight sides, the view that colours each triangle, the texture and the
+    gains. Triangles that no view has seen are darker."""
     human = person.human
     artist = HumanArtist(human, shaded=False)
     try:
@@ -345,7 +346,7 @@ def draw_sheet(person: TexturedPerson) -> Image:
 
 
 def _view_colors(person: TexturedPerson) -> Human:
-    """Colour each triangle of the human by the view that it takes."""
+    """Colour each triangle of the human by the view that it takes its colour from."""
     mesh, count = person.human.mesh, _count(person)
     # the texture has a tile for each colour, and texture coordinates point at the middle of a tile
     palette = np.repeat(np.repeat(_palette(count)[None], _PANEL, axis=0), _PANEL, axis=1)
@@ -369,7 +370,7 @@ def _count(person: TexturedPerson) -> int:
 
 
 def _view_legend(person: TexturedPerson, width: int) -> Image:
-    """Names, colours, shares and gains of the views."""
+    """Draw the names of the views with their colours, shares of the triangles, and gains."""
     count = _count(person)
     names = person.views or tuple(f"view {number + 1}" for number in range(count))
     heading = "view: share of the triangles" + ("" if person.gains is None else "; gains of red, green, blue")

@@ -1,4 +1,4 @@
-"""Outlines of masks, and refinement of a fitted person by outlines."""
+"""Refine a fitted person by the outlines of masks (silhouettes)."""
 
 from __future__ import annotations
 
@@ -40,31 +40,30 @@ from humansim_ros.render.frame import make_renderer
 from humansim_ros.render.interface import Body
 from humansim_ros.types import Array, Float32Array, Indices
 
-#: Number of points along the outlines of a mask: for pose and factors, and for the surface.
+#: Number of points along the outlines of a mask: to fit pose and proportions, and to fit the surface.
 _COUNT, _SURFACE_COUNT = 160, 600
-#: A part or a hole of a mask with a smaller area, pixels, does not count.
+#: A separate part or a hole of a mask with a smaller area, pixels, is ignored.
 _SPECK = 30
-#: Standard deviation in pixels of the smoothing of distances before their slopes are computed.
+#: Distances are smoothed before their slopes are computed, by a Gaussian of this standard deviation, pixels.
 _SMOOTH = 1.5
 #: A smoothed slope shorter than this has no certain direction.
 _LEAST_SLOPE = 0.3
-#: Outlines that are farther apart than this share of the size of the person are of different things.
+#: Outlines that are farther apart than this share of the size of the person do not belong together.
 _FARTHEST = 0.5
-#: Pixels around two masks, so that slopes at their outlines are known.
+#: Margin around two masks, pixels, so that slopes at their outlines are known.
 _MARGIN = 8
-#: Rounds of rendering and least squares: before the surface moves, and while it moves.
+#: Rounds of rendering and least squares: before offsets of the surface are fitted, and while they are fitted.
 _ROUNDS, _SURFACE_ROUNDS = 4, 5
 #: Least squares ends after this number of steps in each round, because the outline moves with the body.
 _STEPS = 4
 #: Standard deviation of outlines, as a share of the side of a square with the area of the person. It is
 #: large, because clothes differ from bodies, and because errors of neighbouring points are alike.
 _NOISE = 0.022
-#: Weight of points of the skin, such as eyes. It is large, since outlines of hair and hoods would turn and
-#: stretch the head.
+#: Weight of keypoints on the skin, such as eyes. It is large, since otherwise outlines of hair and hoods
+#: would turn and stretch the head.
 _SKIN = 2.0
-#: Standard deviation of offsets of the surface, metres. Standard deviation of outlines that move the surface,
-#: as a share like _NOISE. Outlines that are farther away than the last number of standard deviations count
-#: less.
+#: For offsets of the surface: their standard deviation, metres; standard deviation of outlines, as a share
+#: like _NOISE; outlines farther away than this number of standard deviations count less.
 _SPREAD, _SURFACE_NOISE, _ROBUST = 0.02, 0.007, 4.0
 Faces = NDArray[np.int32]
 
@@ -87,14 +86,14 @@ class MaskOutline:
 
     @cached_property
     def slopes(self) -> Float32Array:
-        """Directions (H, W, 2) away from the mask. They are unit vectors, but shorter where the distance has
-        a crease."""
+        """Directions (H, W, 2) away from the mask: unit vectors, but shorter midway between two outlines,
+        where the direction is uncertain."""
         smooth = cv2.GaussianBlur(self.distances, (0, 0), _SMOOTH)
         down, right = np.gradient(smooth)
         return np.stack([right, down], axis=-1).astype(np.float32)
 
     def pixels(self, count: int = _COUNT) -> NDArray[np.intp]:
-        """Pixels (N, 2) x, y: about ``count`` along the outlines, none at the border of the image."""
+        """About ``count`` pixels (N, 2) x, y along the outlines, without the border of the image."""
         height, width = self.mask.shape
         found, _ = cv2.findContours(self.mask.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
         large = [each[:, 0] for each in found if cv2.contourArea(each) >= _SPECK]
@@ -108,13 +107,12 @@ class MaskOutline:
 
 @dataclass(frozen=True, eq=False)
 class Edges:
-    """Points on the surface of a body, each with a line in an image along which it should move to meet the
-    outline.
+    """Points on the surface of a body. Each should move along a line in an image, to meet the outline.
 
     Attributes:
-        vertices: (N,) nearest vertices of the body.
+        vertices: (N,) number of the vertex nearest to each point.
         normals: (N, 2) directions of the lines in the image.
-        distances: (N,) pixels that the points have to move along the normals.
+        distances: (N,) how far the points have to move along the normals, pixels.
         size: Side of a square with the area of the given mask, pixels.
     """
 
@@ -134,8 +132,9 @@ def find_edges(
 ) -> Edges:
     """Pair points on the outline of a rendered body with points on the given outline.
 
-    Each point of the rendered outline is paired with the nearest point of the given outline, and the reverse.
-    So an arm of the mask that the body does not cover attracts the nearest part of the body.
+    Each point of the rendered outline is paired with the nearest point of the given outline, and each point
+    of the given outline with the nearest rendered one. So an arm of the mask that the body does not cover
+    attracts the nearest part of the body.
 
     Args:
         given: Outline of the given mask.
@@ -170,15 +169,15 @@ def find_edges(
 
 
 def own_parts(mask: NDArray[np.bool_], body: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Parts of a mask (H, W) that a roughly fitted body (H, W) touches. The other parts are of other people.
-    If the body touches no part of the mask, the whole mask is returned."""
+    """Return those connected parts of a mask (H, W) that a roughly fitted body (H, W) touches. Other parts
+    show other people. If the body touches no part of the mask, the whole mask is returned."""
     _, labels = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)
     touched = np.isin(labels, np.unique(labels[mask & body]))
     return np.asarray(touched if touched.any() else mask)
 
 
 def intersection_over_union(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> float:
-    """Number of pixels that both masks have, as a share of the pixels that at least one has; 0 if both are
+    """Intersection over union of two masks: pixels in both, divided by pixels in at least one; 0 if both are
     empty."""
     union = int((first | second).sum())
     return float((first & second).sum() / union) if union else 0.0
@@ -187,8 +186,8 @@ def intersection_over_union(first: NDArray[np.bool_], second: NDArray[np.bool_])
 def _cut_around(
     mask: NDArray[np.bool_], face: NDArray[np.int32]
 ) -> tuple[NDArray[np.intp], NDArray[np.int32]]:
-    """Cut a face image to the surroundings of two masks, to save time. Also returns the corner (2,) x, y of
-    the cut."""
+    """Crop a face image to the surroundings of the given mask and the body, to save time. Returns the top
+    left corner (2,) x, y of the crop, and the crop."""
     both = (face > 0) | mask
     ranges = [np.flatnonzero(both.any(axis=axis)) for axis in (0, 1)]
     if not len(ranges[0]):
@@ -277,7 +276,7 @@ def fit_silhouettes(fit: PersonFit, photos: PhotoSet, frames: Sequence[int] = (0
 
 
 def _posed(human: Human, model: PoseModel, state: BodyState) -> Float32Array:
-    """Vertices (V, 3) in ``map``. ``human``: the human before proportions are applied."""
+    """Vertices (V, 3) of a posed body in ``map``. ``human``: the human before proportions are applied."""
     body = with_proportions(human, model.proportions(state))
     return body.pose(body.skeleton.pose(model.rotations(state), model.root(state, body.skeleton)))
 
@@ -291,10 +290,10 @@ def _fit_offsets(
 ) -> tuple[float, ...]:
     """Find offsets of the surface of a human that move the edges of some frames to their outlines.
 
-    Robust least squares with the Gaussian process of the offsets as prior.
+    This is robust least squares, with the Gaussian process of :class:`SurfaceOffsets` as prior.
 
     ``name``: name or file of the human. ``model``: model of the human with its present offsets. ``edges``:
-    edges of the frames by view.
+    for each frame, edges by number of the view.
     """
     field = surface_offsets(name, model.base.shape)
     plain = shaped_human(name, replace(model.base, offsets=()))
@@ -365,9 +364,9 @@ def _outlines(photos: PhotoSet, number: int) -> dict[int, MaskOutline]:
 def _points(
     human: Human, model: PoseModel, state: BodyState, photos: PhotoSet, edges: Mapping[int, Edges]
 ) -> EdgePoints:
-    """Points of the body at the outlines, and the lines that they should reach. ``human``: the human before
-    proportions are applied. ``state``: the state in which the outlines were found. ``edges``: edges by the
-    number of the view."""
+    """Attach the points at the outlines to the bones, with the lines that these points should reach.
+    ``human``: the human before proportions are applied. ``state``: the state in which the outlines were
+    found. ``edges``: edges by the number of the view."""
     points = Attachments.of_vertices(human, np.concatenate([each.vertices for each in edges.values()]))
     views = np.repeat(list(edges), [len(each.vertices) for each in edges.values()])
     normals = np.concatenate([each.normals for each in edges.values()])
@@ -382,7 +381,7 @@ def _points(
 
 
 def _sight(fit: PersonFit, photos: PhotoSet, model: PoseModel, number: int) -> Sight:
-    """Keypoints of a frame without wrong keypoints, with left and right exchanged back."""
+    """Correct keypoints of a frame, for the fit. Exchanged sides are exchanged back."""
     points = _corrected(fit, photos, number)
     weights = np.where(fit.outliers[number], 0.0, points[..., 2] * np.where(model.trust < 1, _SKIN, 1.0))
     nowhere = np.full((points.shape[1], 3), np.nan)
@@ -390,14 +389,14 @@ def _sight(fit: PersonFit, photos: PhotoSet, model: PoseModel, number: int) -> S
 
 
 def _corrected(fit: PersonFit, photos: PhotoSet, number: int) -> Array:
-    """Points (V, K, 3) of a frame, with left and right exchanged back."""
+    """Given points (V, K, 3) of a frame. Where left and right were exchanged, they are exchanged back."""
     mirrored = list(photos.keypoints.mirrored)
     points = photos.points[number]
     return np.where(fit.swapped[number][:, None, None], points[:, mirrored], points)
 
 
 def _noise(fit: PersonFit) -> float:
-    """Standard deviation of a coordinate of the keypoints. It follows from the distances, which have a
-    Rayleigh distribution."""
+    """Standard deviation of a coordinate of the keypoints, pixels, from the distances, which have a Rayleigh
+    distribution."""
     right = fit.residuals[np.isfinite(fit.residuals) & ~fit.outliers]
     return float(max(np.median(right) / np.sqrt(2 * np.log(2)), LEAST_NOISE)) if len(right) else LEAST_NOISE

@@ -1,7 +1,7 @@
 """The surface of a person in views, and a texture in which each triangle shows one photograph.
 
-Here is what each view shows of the surface, which colours the parts have that no view shows, and the texture
-of the thesis: each triangle takes its colours from one photograph.
+This module finds what each view shows of the surface, and colours for the parts that no view shows. It makes
+the texture of the thesis: each triangle takes its colours from one photograph.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class TextureView:
         camera: Camera with its lens and its pose in ``map``.
         image: (H, W, 3) uint8 sRGB.
         vertices: (V, 3) float32, the vertices of the person in ``map``, metres.
-        mask: (H, W) whether the pixel shows the person; None if that is unknown.
+        mask: (H, W) whether each pixel shows the person; None if no mask is known.
 
     Raises:
         PhotographError: The image or the mask has another size than the camera's images.
@@ -77,7 +77,7 @@ class TexturedPerson:
         gains: (C, 3) factors of the red, green and blue sRGB values of each view. They were removed from the
             colours. None if colours were not aligned.
         views: Names of the C views.
-        notes: Sentences with further facts about the result, by a keyword.
+        notes: Sentences about the result for the user, by a keyword.
     """
 
     human: Human
@@ -101,31 +101,31 @@ def check_views(human: Human, views: Sequence[TextureView]) -> None:
             )
 
 
-#: Greatest distance between a vertex and the mirror image of another vertex if the two form a pair, as a
-#: share of the height.
+#: Two vertices form a left-right pair if one is nearer than this to the mirror image of the other; as a share
+#: of the height.
 _MIRROR = 0.008
-#: Tolerance of depths, metres; and the greatest tangent of the angle of sight that makes the tolerance
-#: larger.
+#: Tolerance when depths are compared, metres. It grows with the tangent of the viewing angle, up to this
+#: tangent.
 _DEPTH, _STEEPEST = 0.006, 6.0
-#: A place with a smaller cosine of the angle of sight does not count.
+#: A place that is seen at a flatter angle (a smaller cosine of the viewing angle) does not count.
 _LEAST_COSINE = 0.12
-#: Width of the border of the person in which its colours mix with those behind it; and width in which weights
-#: grow. Both are pixels.
+#: Width of the border of the person where its colours mix with the background; and width of the zone inside
+#: of the border where weights grow; pixels.
 _BORDER, _RAMP = 1.0, 4.0
 #: A jump of depth between neighbouring pixels that is larger than this is a border, metres.
 _JUMP = 0.04
 #: If the pose is slightly wrong, a strip behind a jump may show what is in front of the jump. This is the
 #: width of the strip, metres.
 _DOUBTFUL = 0.02
-#: Rounds of averaging over neighbours that make weights fade before the border of the seen surface.
+#: Rounds of averaging over neighbours, so that weights fade towards the border of the seen surface.
 _FADE = 4
-#: Columns of tables of texels. Tables are needed because OpenCV takes images, not lists.
+#: Lists of texels are arranged as images with this number of columns, since OpenCV takes images.
 _COLUMNS = 4096
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Topology of a mesh in the rest pose. Vertices at the same place are one place of the surface.
+    """Topology of a mesh in the rest pose. Vertices at the same position (texture seams) are one place.
 
     Attributes:
         mesh: The mesh in the rest pose. The x axis points to the person's left.
@@ -144,7 +144,7 @@ class Surface:
         return cls(mesh, place.reshape(-1), points)
 
     def places(self, vertices: NDArray[np.floating]) -> Array:
-        """Places (P, 3) from vertices (V, 3) of the mesh in a pose."""
+        """Positions (P, 3) of the places, from vertices (V, 3) of the mesh in a pose."""
         points = np.zeros((len(self.points), 3))
         points[self.place] = vertices
         return points
@@ -156,7 +156,7 @@ class Surface:
 
     @cached_property
     def graph(self) -> csr_matrix:
-        """(P, P) edges, weighted by the inverse of their length."""
+        """(P, P) sparse matrix of the edges between places, weighted by the inverse of their length."""
         sides = self.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
         sides = np.unique(np.sort(sides, axis=1), axis=0)
         sides = sides[sides[:, 0] != sides[:, 1]]
@@ -178,8 +178,8 @@ class Surface:
         """For each triangle, the triangle at the mirrored place on the other side of the body.
 
         Returns:
-            Number of the other triangle (N,), -1 if there is none. For each corner of the other triangle,
-            also the corner (0, 1 or 2) of the first triangle that it mirrors (N, 3).
+            Number (N,) of the other triangle, -1 if there is none; and (N, 3) for each corner of the other
+            triangle the corner (0, 1 or 2) of this triangle that is its mirror image.
         """
         opposite = self.mirrored[self.triangles]
         order, other = np.argsort(opposite, axis=1), np.argsort(self.triangles, axis=1)
@@ -199,7 +199,7 @@ class Surface:
         return np.where(exists, found, -1), corner
 
     def smoothed(self, values: NDArray[np.floating], rounds: int) -> NDArray[np.floating]:
-        """Average the values (P, ...) of each place with its neighbours."""
+        """Average the values (P, ...) of each place with those of its neighbours, several times."""
         step = diags(1 / np.maximum(np.asarray(self.graph.sum(axis=1)).ravel(), 1e-12)) @ self.graph
         for _ in range(rounds):
             values = 0.5 * values + 0.5 * (step @ values)
@@ -242,7 +242,8 @@ def fill_colours(surface: Surface, colours: Array, seen: NDArray[np.bool_], symm
 
 
 def _guide(surface: Surface, colours: Array, seen: NDArray[np.bool_], free: NDArray[np.bool_]) -> Array:
-    """Sum (P, 3) over the edges of each place of weighted differences of the mirror image, where known."""
+    """Right side (P, 3) of Poisson's equation: for each place, the sum over its edges of the weighted
+    differences of colour on the other side of the body, where known."""
     other = surface.mirrored
     known = (other >= 0) & seen[np.maximum(other, 0)]
     image = np.where(known[:, None], colours[np.maximum(other, 0)], 0.0)
@@ -256,7 +257,7 @@ def _guide(surface: Surface, colours: Array, seen: NDArray[np.bool_], free: NDAr
 
 @dataclass(frozen=True, eq=False)
 class SurfaceSight:
-    """One view of a surface.
+    """What one view shows of a surface.
 
     Attributes:
         view: The view.
@@ -266,8 +267,8 @@ class SurfaceSight:
         weights: (P,) float32 how well the places are seen. The weight is 0 if the place is hidden, and grows
             with the number of pixels per metre. It fades out towards the border of the seen surface.
         depth_image: (H, W) float32 depths, metres. Infinite where the person or the mask is absent.
-        inside: (H, W) float32 from 0 to 1. It is 0 where colours of the person and of things behind mix, and
-            grows away from borders.
+        inside: (H, W) float32 from 0 to 1. It is 0 at borders of the person, where colours mix with those of
+            things behind, and grows away from borders.
     """
 
     view: TextureView
@@ -288,7 +289,7 @@ class SurfaceSight:
         return focal / float(np.median(self.depths[seen]))
 
     def texel_weights(self, surface: Surface, texels: SurfaceTexels) -> tuple[Float32Array, Float32Array]:
-        """Pixels (M, 2) of texels, and weights (M,) from the corners. The weight is 0 if the texel is
+        """Pixels (M, 2) of texels, and weights (M,), interpolated between the corners of triangles; 0 if
         hidden."""
         triangles = surface.triangles
         values = np.column_stack([self.pixels, self.depths, self.tolerance, self.weights])
@@ -386,8 +387,8 @@ def _border_distance(depth: Float32Array) -> Float32Array:
 
 
 def step_distance(depth: Float32Array) -> Float32Array:
-    """Distance (H, W) in pixels of each pixel from a part of the person that is in front of it. The distance
-    is 1e6 if nothing is in front: no pixel nearby is nearer to the camera by a jump."""
+    """Distance (H, W) in pixels of each pixel from the nearest part of the person that is nearer to the
+    camera by a jump of the depth. It is 1e6 if there is none."""
     seen = np.isfinite(depth)
     far = np.where(seen, depth, 1e6).astype(np.float32)
     nearest = cv2.erode(far, np.ones((3, 3), np.uint8))
@@ -405,8 +406,8 @@ def step_distance(depth: Float32Array) -> Float32Array:
 
 #: Name of the outfit of textured people.
 OUTFIT = "photographs"
-#: The texture includes this number of pixels around the person, so that coarser levels of the texture keep
-#: their colours.
+#: The texture includes this number of pixels around the person, so that its coarser mip levels do not mix in
+#: other colours.
 _MARGIN = 8
 #: Most rounds in which triangles without a view take the view of their neighbours.
 _ROUNDS = 10
@@ -414,11 +415,11 @@ _ROUNDS = 10
 
 @dataclass(frozen=True, eq=False)
 class FaceCounts:
-    """Pixels of the N triangles of a mesh in C views.
+    """Numbers of pixels of the N triangles of a mesh in C views.
 
     Attributes:
-        visible: (C, N) pixels that show the triangle.
-        covered: (C, N) pixels that would show the triangle if nothing hid it.
+        visible: (C, N) number of pixels that show the triangle.
+        covered: (C, N) number of pixels that would show the triangle if nothing hid it.
     """
 
     visible: NDArray[np.int32]
@@ -428,7 +429,7 @@ class FaceCounts:
 def count_faces(human: Human, views: Sequence[TextureView], renderer: GLRenderer | None = None) -> FaceCounts:
     """Count the visible and the covered pixels of all triangles of a person.
 
-    Both counts are of pixel centres, through the lens. They are equal for a triangle that nothing hides. If a
+    Pixel centres are counted, through the lens. Both counts are equal for a triangle that nothing hides. If a
     view has a mask, only pixels of the mask show the person.
 
     ``renderer``: renderer of an empty scene. If None, a new renderer is made.
@@ -454,8 +455,8 @@ def count_faces(human: Human, views: Sequence[TextureView], renderer: GLRenderer
 
 def triangle_neighbours(mesh: Mesh) -> Indices:
     """Pairs of triangles (E, 2) that share an edge. Each pair appears once, with the lower triangle first.
-    Vertices at the same place count as one, since meshes of some files have two along a seam of the
-    texture."""
+    Vertices at the same position count as one, since some files have two vertices at each point of a texture
+    seam."""
     _, place = np.unique(mesh.vertices, axis=0, return_inverse=True)
     corners = place.reshape(-1)[mesh.triangles]
     sides = np.sort(corners[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
@@ -511,10 +512,10 @@ def texture_thesis(
 ) -> TexturedPerson:
     """Texture a person. Each triangle takes its colours from the photograph that shows it best.
 
-    The photographs keep their colours and light, and neighbouring triangles may differ in them. The faces of
-    the result are triangles, in the order of ``human.mesh.triangles``. Its only outfit is ``photographs``.
+    The colours of the photographs are not changed, so neighbouring triangles may differ. The faces of the
+    result are triangles, in the order of ``human.mesh.triangles``. Its only outfit is ``photographs``.
 
-    ``human``: the person without its texture. ``views``: Photographs, and the pose of the person in each.
+    ``human``: the person without its texture. ``views``: photographs with the pose of the person in each.
     ``renderer``: renderer of an empty scene. If None, a new renderer is made.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Triangulate keypoints from 2D points of calibrated views, although some points are wrong."""
+"""Triangulate keypoints from 2D points of calibrated views, even if some points are wrong."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from humansim_ros.types import Array, Indices
 
 #: Human with the mean proportions.
 _HUMAN = "adult_man"
-#: Least and greatest length of a bone of other people, as shares of the mean length.
+#: Least and greatest length of a bone of a person, as shares of the mean length.
 _BONE = (0.65, 1.45)
-#: Greatest distance between two keypoints with a joint between them, as a share of the distance in the rest
+#: If a joint lies between two keypoints, their greatest distance, as a share of the distance in the rest
 #: pose.
 _BENT = 1.6
-#: Sizes of people, as shares of the mean one.
+#: Least and greatest size of people, as shares of the mean size.
 _SIZES = (0.4, 1.3)
 #: Most pairs of views that are tried for one keypoint. If there are more pairs, this number is drawn at
 #: random.
 _MAX_PAIRS = 100
-#: Least square of the sine of the angle between two lines that meet; lines at less than 0.6 degrees count as
+#: Smallest squared sine of the angle between two lines that meet. Lines at less than 0.6 degrees count as
 #: parallel.
 _PARALLEL = 1e-4
 #: Left and right of a view are exchanged only if this makes at least this number of points agree, and at
@@ -42,7 +42,7 @@ _SHARE = 0.2
 #: The limits are divided by these numbers, because the noise is not known yet, and because left and right are
 #: near each other when seen from the side.
 _SCALES = (1, 2, 4)
-#: Pairs of anatomical points. The first point is in front of the second.
+#: Pairs of anatomical points. The first point of a pair is in front of the second on any person.
 _IN_FRONT = (
     ("nose", "left_ear"),
     ("nose", "right_ear"),
@@ -57,16 +57,16 @@ _IN_FRONT = (
 )
 _SHOULDERS = (("l_shoulder", "r_shoulder"), ("left_acromion", "right_acromion"))
 _HIPS = (("l_hip", "r_hip"), ("left_asis", "right_asis"))
-#: If the front of the body is at least this far in front of the back, metres, it overrules the majority of
-#: the views.
+#: If the front of the body is at least this far in front of the back, metres, this decides about left and
+#: right, against the majority of the views.
 _CERTAIN = 0.1
-#: Greatest distance in metres of a point in front from the one behind it.
+#: Greatest plausible distance between the two points of such a pair, metres.
 _FOOT = 0.4
-#: A point that is farther from its place than this share of the size of the person in the image is wrong.
+#: A 2D point is wrong if its error is larger than this share of the size of the person in the image.
 _FARTHEST = 0.3
-#: A point is wrong if it is farther than this number of standard deviations of the noise.
+#: A 2D point is wrong if its error is larger than this number of standard deviations of the noise.
 _DEVIATIONS = 3.5
-#: Least and greatest limit in pixels, for exact points and for points without a person.
+#: Limit of errors, pixels: least limit (for exact points), and limit if the person's size is unknown.
 _LEAST_LIMIT, _ONLY_LIMIT = 1.0, 30.0
 #: Median of the squared length of a vector of two standard normal numbers.
 _MEDIAN_SQUARE = 2 * np.log(2)
@@ -203,8 +203,9 @@ class Sightlines:
         return pairs[..., 0], pairs[..., 1]
 
     def meet(self, first: Indices, second: Indices) -> Array:
-        """Points (P, K, 3) where the lines of pairs of views (P, K) are nearest, halfway between the lines. A
-        point is NaN if the lines are parallel, or are nearest behind a camera."""
+        """Intersect the lines of pairs of views (P, K). Returns the points (P, K, 3) halfway between the
+        lines where these are nearest. A point is NaN if the lines are parallel, or nearest behind a
+        camera."""
         centers = np.array([camera.center for camera in self.cameras])
         keypoint = np.arange(self.weights.shape[1])
         a, b = self.directions[first, keypoint], self.directions[second, keypoint]
@@ -230,23 +231,23 @@ class Sightlines:
         return np.where(self.weights > 0, np.where(np.isfinite(distances), distances, np.inf), np.nan)
 
     def candidates(self, seed: int = 0) -> Candidates:
-        """Points of all pairs of views. ``seed``: seed of the random choice among many pairs."""
+        """Intersect the lines of all pairs of views. ``seed``: seed of the random choice among many pairs."""
         positions = self.meet(*self.pairs(seed))
         return Candidates(positions, self.errors(positions), self.weights)
 
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """Points of P pairs of views for each of K keypoints. ``positions``: (P, K, 3), NaN where lines do not
-    meet. ``errors``: (P, V, K) pixels. ``weights``: (V, K)."""
+    """Possible positions of K keypoints, from P pairs of views. ``positions``: (P, K, 3), NaN where lines do
+    not meet. ``errors``: (P, V, K) pixels. ``weights``: (V, K)."""
 
     positions: Array
     errors: Array
     weights: Array
 
     def costs(self, limits: Array) -> Array:
-        """Costs (P, K). Each point of a view adds its confidence times the square of (its error / the limit
-        of the view), at most its confidence. ``limits``: (V,) pixels."""
+        """Costs (P, K) of the positions. Each 2D point adds its confidence times min(1, (error / limit of its
+        view)^2). ``limits``: (V,) pixels."""
         shares = np.minimum(np.nan_to_num(self.errors, nan=0.0, posinf=1e9) / limits[:, None], 1.0) ** 2
         return np.asarray(np.einsum("pvk,vk->pk", shares, self.weights))
 
@@ -260,8 +261,8 @@ class Candidates:
         return np.where(possible[:, None], self.positions[chosen, keypoint], np.nan)
 
     def supported(self, costs: Array, limits: Array) -> Array:
-        """Positions of :meth:`best` with which three points agree. If at most three views exist, two points
-        are enough. The positions of other keypoints are NaN."""
+        """Positions (K, 3) of :meth:`best`; NaN unless at least three 2D points agree with the position. If
+        there are at most three views, two points are enough."""
         if not len(costs):
             return self.best(costs)
         chosen, keypoint = np.argmin(costs, axis=0), np.arange(costs.shape[1])
@@ -274,7 +275,7 @@ class Candidates:
 def find_exchanged(
     lines: Sightlines, keypoints: KeypointSet, limits: Array, seed: int = 0
 ) -> NDArray[np.bool_]:
-    """Views (V,) in which left and right are exchanged.
+    """Find the views in which left and right are exchanged. Returns a mask (V,).
 
     Left and right of a view are exchanged if more points then agree with the other views. If the views do not
     show which of them are right, or if all views agree, the front of the body decides: the nose is in front
@@ -283,7 +284,7 @@ def find_exchanged(
     Args:
         lines: Lines of sight of all views.
         keypoints: Keypoint set of the points.
-        limits: Distances (V,) in pixels from which a point of a view is wrong.
+        limits: Largest errors (V,) in pixels of correct points, by view.
         seed: Seed of the random choice among many pairs of views.
     """
     partners = keypoints.mirrored
@@ -319,7 +320,7 @@ def find_exchanged(
 
 
 def front_distance(positions: Array, keypoints: KeypointSet) -> float:
-    """Metres by which the front of the body is in front of its back, by the names of left and right.
+    """Metres by which the front of the body is in front of its back, if left and right are as named.
     ``positions``: (K, 3), NaN where unknown. Returns the sum of all distances. It is negative if left and
     right are exchanged, and 0 if the points do not show it, or contradict each other."""
     pairs = zip(keypoints.points, positions, strict=True)
@@ -344,10 +345,10 @@ class Triangulation:
 
     Attributes:
         positions: (K, 3) metres in ``map``; NaN where fewer than two views agree.
-        inliers: (V, K) whether the point agrees with the position.
-        errors: (V, K) distance in pixels of the point from the image of the position. NaN if the point or the
-            position is absent. Infinite if the position has no image.
-        swapped: (V,) whether left and right of the view are exchanged.
+        inliers: (V, K) whether each point agrees with the position.
+        errors: (V, K) distance in pixels between the point and the projected position. NaN if the point or
+            the position is absent. Infinite if the position has no projection.
+        swapped: (V,) whether left and right of each view are exchanged.
         points: (V, K, 3) x, y and confidence as given, but with left and right exchanged back.
     """
 
@@ -363,9 +364,9 @@ def triangulate(
 ) -> Triangulation:
     """Triangulate the keypoints of one person.
 
-    For each keypoint, the lines of sight of all pairs of views are intersected (RANSAC, but exhaustive for
-    up to 15 views). The intersection with which most points agree is refined by least squares of distances
-    in the images, through the lenses. The limit of agreement follows from the noise of all points.
+    For each keypoint, the lines of sight of all pairs of views are intersected (RANSAC, but exhaustive for up
+    to 15 views). The intersection with which most points agree is refined by least squares of distances in
+    the images, through the lenses. Points agree within a limit that follows from the noise of all points.
 
     Args:
         cameras: V cameras; two or more.
@@ -467,10 +468,10 @@ def _frames(numbers: Sequence[int], count: int) -> str:
 def _plausible(
     costs: Array, found: Candidates, lengths: EdgeLengths, positions: Array, inliers: NDArray[np.bool_]
 ) -> Array:
-    """Costs (P, K), with infinity where a place is impossible because of its neighbours.
+    """Return the costs (P, K), but infinity for positions at an impossible distance from their neighbours.
 
     Two wrong points often agree, but three seldom do. Therefore a keypoint with three or more points counts
-    as known. The places of other keypoints are checked, from the trunk outwards.
+    as known. The positions of the other keypoints are checked, from the trunk outwards.
 
     ``lengths``: possible lengths of edges. ``positions``: positions (K, 3) of least cost. ``inliers``: (V, K)
     points that agree with them.
@@ -546,8 +547,8 @@ def _least_squares(lines: Sightlines, start: Array, weights: Array) -> Array:
 
 
 def _noise(errors: Array, inliers: NDArray[np.bool_]) -> float:
-    """Standard deviation of the coordinates of the points in pixels, by the median of the errors. The n
-    points of a position have 2 n coordinates, and three of these are used up by the position."""
+    """Standard deviation of the coordinates of the 2D points, pixels, from the median of the errors. It is
+    corrected, since n points have 2 n coordinates, and a position is fitted to them with 3 numbers."""
     count = inliers.sum(axis=0)
     free = np.where(count >= 2, (2 * count - 3) / np.maximum(2 * count, 1), np.inf)
     squares = (np.square(errors, where=inliers, out=np.zeros_like(errors)) / free)[inliers]

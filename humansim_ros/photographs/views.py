@@ -1,6 +1,6 @@
-"""Photographs of a person, with cameras, 2D points and masks, as a views file names them.
+"""Read a views file: photographs of a person, with cameras, 2D points and masks.
 
-A detector is an external command that writes the 2D points of one image.
+Run a detector: an external command that writes the 2D points of one image.
 """
 
 from __future__ import annotations
@@ -50,12 +50,12 @@ from humansim_ros.types import Array, Image
 MAX_BYTES = 1 << 28
 #: Most images of a view.
 MAX_FRAMES = 100_000
-#: A pixel of a mask shows the person from this value on.
+#: A pixel of a mask image shows the person if its value is at least this.
 _MASK_THRESHOLD = 128
 
 
 def read_points(path: Path, keypoints: KeypointSet, images: Sequence[Path] | None = None) -> list[Array]:
-    """Points (K, 3) of each frame: x, y in pixels, confidence; zeros where a point is absent.
+    """Read the points (K, 3) of each frame: x, y in pixels, confidence; zeros where a point is absent.
 
     A folder has one file for each frame, ordered by the numbers in their names. If a frame has several
     people, the person with the largest sum of confidences is taken.
@@ -89,7 +89,7 @@ def read_points(path: Path, keypoints: KeypointSet, images: Sequence[Path] | Non
 
 
 def write_points(path: str | os.PathLike[str], keypoints: KeypointSet, frames: Sequence[Array]) -> None:
-    """Write points (K, 3) of each frame in the form of this package, atomically. Absent points are left
+    """Write points (K, 3) of each frame in the format of this package, atomically. Absent points are left
     out."""
     named = (zip(keypoints.names, points, strict=True) for points in frames)
     rows = [{name: np.round(point, 3).tolist() for name, point in row if point[2] > 0} for row in named]
@@ -100,13 +100,13 @@ def write_points(path: str | os.PathLike[str], keypoints: KeypointSet, frames: S
 
 
 class _PointsReader:
-    """Reads all forms of files with points of one keypoint set. Errors name the file and the key."""
+    """Reads points of one keypoint set from files in all formats. Errors name the file and the key."""
 
     def __init__(self, path: Path, keypoints: KeypointSet) -> None:
         self._path, self._keypoints = path, keypoints
 
     def own(self, content: Mapping[str, Any]) -> list[Array]:
-        """Points of the frames of a file in the form of this package."""
+        """Points of the frames of a file in the format of this package."""
         name = content.get("keypoints", self._keypoints.name)
         if name != self._keypoints.name:
             raise self._error(
@@ -134,7 +134,7 @@ class _PointsReader:
         return self._present(points)
 
     def openpose(self, people: Any) -> Array:
-        """Points of the person with the largest confidence in an OpenPose file."""
+        """Points (K, 3) of the person with the largest confidence in an OpenPose file."""
         if not isinstance(people, list):
             raise self._error("a list of people is needed", "people")
         key = "pose_keypoints_2d"
@@ -142,8 +142,8 @@ class _PointsReader:
         return self._best([self._row(row, f"people[{number}].{key}") for number, row in enumerate(rows)])
 
     def image_numbers(self, content: Mapping[str, Any], images: Sequence[Path] | None) -> list[Any]:
-        """Image ids of the frames of a COCO file, found by the names of the images, or in the order of the
-        list of the file."""
+        """Image ids of the frames in a COCO file: those of images with the names of ``images`` or, without
+        ``images``, of all images in the order of the file."""
         listed = content.get("images")
         if not isinstance(listed, list) or not all(isinstance(row, dict) for row in listed) or not listed:
             raise self._error("a list of images is needed", "images")
@@ -156,8 +156,8 @@ class _PointsReader:
         return [by_name[image.name] for image in images]
 
     def coco(self, rows: Any, numbers: Sequence[Any] | None) -> list[Array]:
-        """Points of the best person of each image. ``numbers``: ids of the images. If None, the ids of all
-        rows."""
+        """For each image, the points of the person with the largest confidence. ``numbers``: ids of the
+        images. If None, the ids of all rows."""
         if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
             raise self._error("a list of annotations is needed", "annotations")
         found: dict[str, list[Array]] = {}
@@ -175,7 +175,8 @@ class _PointsReader:
         return [self._best(found.get(repr(number), [])) for number in numbers]
 
     def _row(self, values: Any, key: str) -> Array:
-        """x, y, confidence (K, 3) of a flat list; the visibility of COCO (0, 1, 2) becomes a confidence."""
+        """Convert a flat list to x, y, confidence (K, 3). COCO's visibility (0, 1, 2) becomes a
+        confidence."""
         numbers = self._numbers(values, key)
         count = 3 * len(self._keypoints)
         if len(numbers) != count:
@@ -221,7 +222,7 @@ def _sortable(value: Any) -> tuple[bool, Any]:
 
 
 class EmptyMaskError(PhotographError):
-    """A silhouette has no pixel of the person."""
+    """Error: a silhouette has no pixel of the person."""
 
 
 class ViewConfig(Section):
@@ -308,7 +309,7 @@ class PhotoSet:
         human: Built-in human or file to start from.
         period: Nanoseconds between frames.
         frames: Photographs by frame and view.
-        points_files: File of the points of each view. The file need not exist yet.
+        points_files: File of the points of each view. The files need not exist yet.
     """
 
     path: Path
@@ -434,7 +435,7 @@ class _Reader:
         return {name: known[camera] for name, camera in wanted.items()}
 
     def _files(self, view: str, key: str) -> list[Path] | None:
-        """Files of a view, ordered by the numbers in their names; None if the key is absent."""
+        """Files that a key of a view names, in the order of the numbers in names; None without the key."""
         name = getattr(self._config.views[view], key)
         if name is None:
             return None
@@ -473,13 +474,14 @@ class _Reader:
 
 
 def default_points(views: str | os.PathLike[str], view: str) -> Path:
-    """Default file for the points of a view, from a detector or set by hand."""
+    """Default file for the points of a view, written by a detector or by hand."""
     path = Path(views)
     return path.parent / f"{path.stem}_points" / f"{view}.json"
 
 
 def _read_image(path: Path, noun: str, camera: Camera) -> Image:
-    """Image (H, W, 3) of the size of a camera. Raises PhotographError."""
+    """Read an image (H, W, 3). Raises PhotographError if it fails, or the size is not that of the camera.
+    ``noun``: name for the image in the error."""
     data = read_bytes(path, PhotographError, noun, MAX_IMAGE_BYTES)
     with located(PhotographError, path):
         image = decode_image(data, noun)
@@ -494,7 +496,7 @@ def _read_image(path: Path, noun: str, camera: Camera) -> Image:
 
 
 def _natural(path: Path) -> list[Any]:
-    """Sort key that compares numbers in names by their value."""
+    """Sort key for paths that compares numbers in names by their value, so that 9 is before 10."""
     return [int(word) if word.isdigit() else word for word in re.split(r"([0-9]+)", path.name)]
 
 
@@ -508,10 +510,10 @@ _DETECTOR = "--detector"
 def detect_points(
     photos: PhotoSet, command: str, report: Callable[[int, int], None] = lambda done, count: None
 ) -> PhotoSet:
-    """Find the 2D points of all images with a command, and keep them in ``<name>_points`` next to the views.
+    """Find the 2D points of all images with a command, and store them in ``<name>_points`` by the views file.
 
     The command runs once for each image. ``{image}`` stands for the image, ``{points}`` for the JSON file
-    that it has to write, in the form of COCO, of OpenPose or of this package. If the views file names the
+    that it has to write, in the format of COCO, of OpenPose or of this package. If the views file names the
     points of a view, the view keeps these points.
 
     ``command``: command line. It does not go through a shell. ``report``: function that is called with the
@@ -558,7 +560,7 @@ def _command_words(command: str) -> list[str]:
 
 
 def _detected(words: list[str], image: Path, photos: PhotoSet) -> Array:
-    """Points (K, 3) of one image."""
+    """Run the detector for one image. Returns its points (K, 3)."""
     with temporary_folder() as folder:
         output = folder / "points.json"
         line = [word.replace(IMAGE, str(image.absolute())).replace(POINTS, str(output)) for word in words]

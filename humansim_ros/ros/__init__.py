@@ -1,4 +1,4 @@
-"""Nodes, their processes, and programs with nodes."""
+"""ROS nodes, the processes that run them, and programs that use nodes."""
 
 from humansim_ros.lazy import lazy_exports
 

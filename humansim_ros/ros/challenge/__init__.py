@@ -1,4 +1,4 @@
-"""The crash test of trackers."""
+"""The challenge (``humansim challenge``): a tracker runs in ever harder scenes, until it breaks."""
 
 from humansim_ros.lazy import lazy_exports
 

@@ -1,4 +1,4 @@
-"""A case of a challenge: its nodes run in one process, and what the tracker publishes is collected.
+"""Run a case of a challenge: one process runs the nodes of its scene and collects the tracker's messages.
 
 :class:`CaseJob` runs cases in a worker process (``data/engine/workers.py``), one after the other.
 """
@@ -21,15 +21,15 @@ from humansim_ros.people.keypoints import keypoint_set
 from humansim_ros.ros.graph.transport import domain_environment
 from humansim_ros.scene.core import Scene
 
-#: Most messages of a tracker for each frame, and in addition for a case. More messages are a flood.
+#: Most messages of a tracker: this number per frame, plus this number per case. More messages are an error.
 MAX_MESSAGES_PER_FRAME, MAX_MESSAGES = 50, 1000
-#: After this many seconds without a message, no more results are expected.
+#: If no message has arrived for this many seconds after the last frame, the tracker counts as finished.
 _REST = 0.7
-#: Seconds between the end of the tracker and the end of its case, since its last messages still arrive.
+#: Seconds for which a case goes on after the tracker has ended, since its last messages still arrive.
 _AFTER_END = 0.3
 #: Seconds between two checks for subscribers of images.
 _LOOK_EVERY = 0.5
-#: Number of frames for warming up, which have no scores. In a short case, a third of the frames.
+#: Number of first frames that are not scored, to warm up; in a short case, a third of all frames.
 _WARM_UP = 8
 
 
@@ -38,15 +38,15 @@ class ChallengeOptions:
     """How a tracker is run.
 
     Attributes:
-        tracker: Command line.
-        topic: Topic of its estimate.
-        keypoints: Keypoint set of its estimate. If None, its names decide.
+        tracker: Command line that starts the tracker.
+        topic: Topic of the estimate.
+        keypoints: Keypoint set of the estimate. If None, the joint names in its messages determine the set.
         timeout: Seconds that a frame waits for the tracker.
         start_within: The tracker must publish its topic within this time, seconds.
         is_realtime: Whether frames follow the wall clock.
         is_quick: Whether the short form of the suite is run.
-        scale: Metres of a unit of its estimate.
-        axes: Axes of its estimate. If None, the axes of ``map``.
+        scale: Length of a unit of the estimate, metres.
+        axes: Axes of the estimate. If None, the axes of ``map``.
     """
 
     tracker: str
@@ -61,7 +61,8 @@ class ChallengeOptions:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """Everything except the command, without defaults that older reports do not have."""
+        """All options except the command line. Options of newer versions are left out if they are
+        defaults."""
         added = {"scale": 1.0, "axes": None}
         values = {key: value for key, value in asdict(self).items() if key != "tracker"}
         return {key: value for key, value in values.items() if key not in added or value != added[key]}
@@ -87,7 +88,7 @@ class CaseOrder:
 
 
 class _Collector:
-    """Collects messages of a tracker, and times of the frames."""
+    """Collects the messages of a tracker, and the times at which frames were sent."""
 
     def __init__(self, order: CaseOrder, node: Any) -> None:
         from sensor_msgs.msg import TimeReference
@@ -134,8 +135,7 @@ class _Collector:
 
 
 def has_ended(process: int) -> bool:
-    """Whether there is no process with this id. A dead process that its parent has not noticed still
-    counts."""
+    """Whether no process has this id. A zombie (dead, but not yet noticed by its parent) still counts."""
     try:
         os.kill(process, 0)
     except ProcessLookupError:
@@ -146,7 +146,7 @@ def has_ended(process: int) -> bool:
 
 
 def run_case(order: CaseOrder) -> dict[str, Any]:
-    """Run a case. Returns the keys of its ``CaseResult``.
+    """Run a case. Returns values for its ``CaseResult`` by field name.
 
     Raises:
         HumansimError: The scene cannot be played on this machine.
@@ -224,13 +224,13 @@ def _has_images(node: Any) -> bool:
 
 
 def measured(order: CaseOrder, scene: Scene, collector: Any, most: int) -> dict[str, Any]:
-    """Keys of the ``CaseResult`` of a case.
+    """Evaluate a case. Returns values for its ``CaseResult`` by field name.
 
     Args:
         order: The case.
         scene: Scene of the case.
         collector: Messages of the tracker, and times of the frames.
-        most: More messages than this are a flood.
+        most: Largest number of messages. With more, the case fails.
     """
     frames = dict(sorted(collector.frames.items()))
     result: dict[str, Any] = {"frames": len(frames), "estimates": len(collector.stream)}
@@ -299,7 +299,7 @@ class CaseWorker:
         self.costs = Costs()
 
     def work(self, order: CaseOrder) -> FrameResult:
-        """Run a case; ``value`` has the keys of its result."""
+        """Run a case. ``value`` of what is returned has values for ``CaseResult`` by field name."""
         return FrameResult(run_case(order))
 
     def close(self) -> None:
@@ -308,7 +308,7 @@ class CaseWorker:
 
 @dataclass(frozen=True)
 class CaseJob:
-    """Cases of a challenge in a worker process.
+    """Job for a worker process that runs cases of a challenge.
 
     Attributes:
         log: File for the output of the nodes.

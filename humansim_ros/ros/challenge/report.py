@@ -1,4 +1,4 @@
-"""Output of a challenge for people: a table for a terminal, a picture, and an HTML page."""
+"""Show the results of a challenge: as a table in a terminal, as a picture, and as an HTML page."""
 
 from __future__ import annotations
 
@@ -11,27 +11,27 @@ from humansim_ros.files.reading import atomic_path
 from humansim_ros.ros.challenge.results import CaseResult, Report
 from humansim_ros.ros.challenge.suite import STRENGTHS
 
-#: Width of the picture, and its margin, pixels.
+#: Width and margin of the picture, pixels.
 WIDTH, _MARGIN = 1180, 40
-#: Left edges of the tiles and of the curves; width, height and distance of tiles.
+#: Left edges of the tiles of cases and of the curves; width, height and distance of tiles, pixels.
 _TILES, _CURVES, _TILE, _HEIGHT, _GAP = 250, 812, 180, 30, 6
-#: Width of a curve.
+#: Width of a curve, pixels.
 _CURVE = 96
-#: Heights of the head and of the heading of a group.
+#: Heights of the head of the picture, and of the heading of a group of axes, pixels.
 _HEAD, _GROUP = 176, 40
 _INK, _PALE, _BACK, _PAPER = "#1d2433", "#6b7385", "#f3f5f8", "#ffffff"
 #: Colours by share of the baseline's score. They also differ in lightness.
 _SCALE = ((0.0, "#b3324b"), (0.45, "#e0693f"), (0.7, "#f2b84b"), (0.85, "#7fb77e"), (1.0, "#1f8a84"))
 #: Colours of the trackers.
 _TRACKERS = ("#1f4e9c", "#c2561a")
-#: Most characters of a command, and of the label of a tile.
+#: Most characters of a command line, and of the label of a tile, that are shown.
 _MAX_COMMAND, _MAX_LABEL = 100, 21
-#: Files of a report for people.
+#: File names of the picture and of the HTML page in the folder of a report.
 PICTURE, PAGE = "challenge.svg", "index.html"
 
 
 def picture(report: Report, other: Report | None = None) -> Markup:
-    """The picture as SVG. ``other``: report of a second tracker. Its tiles stand below those of the first."""
+    """Picture of the results as SVG. ``other``: report of a second tracker, shown below the first."""
     reports = [report] if other is None else [report, other]
     shapes = list(_head(reports))
     y = _HEAD + 26 * (len(reports) - 1)
@@ -92,7 +92,7 @@ def _baseline_words(base: CaseResult | None) -> str:
 
 
 def _ring(report: Report, x: int, y: int, index: int, count: int) -> Iterator[Markup]:
-    """Robustness as a ring around its number."""
+    """Draw the robustness of a tracker (0 to 100) as a ring around this number."""
     if report.points is None:
         return
     length = 2 * 3.14159265 * 40
@@ -158,8 +158,8 @@ def _tile(report: Report, result: CaseResult | None, label: str, x: int, y: int)
 
 
 def _curve(report: Report, axis: str, x: int, y: int) -> Iterator[Markup]:
-    """Score from the baseline on as a small curve, with a line at the limit below which the tracker is
-    broken."""
+    """Draw a small curve of the score over the strength of a difficulty, from the baseline on; with a line at
+    the limit below which the tracker is broken."""
     base = report.baseline
     results = ([base] if base is not None else []) + report.of_axis(axis)
     bottom, height = y + _HEIGHT - 5, _HEIGHT - 10
@@ -190,7 +190,7 @@ def _legend(report: Report, y: int) -> Iterator[Markup]:
 
 
 def _share(report: Report, result: CaseResult) -> float:
-    """Score as a share of the baseline's score. 0 for a failure."""
+    """Score of a case divided by the score of the baseline. 0 if the case failed."""
     base = report.baseline
     if result.failure:
         return 0.0
@@ -198,7 +198,7 @@ def _share(report: Report, result: CaseResult) -> float:
 
 
 def color_of(share: float) -> str:
-    """Colour for a score that is given as a share of the best score."""
+    """Colour for a score that is given as a share of the baseline's score."""
     value = min(1.0, max(0.0, share))
     for (low, first), (high, second) in pairwise(_SCALE):
         if value <= high:
@@ -260,7 +260,7 @@ _COLUMNS: dict[str, Callable[[CaseResult], str]] = {
 }
 
 
-#: Text about a tracker that does not look at images.
+#: Warning about a tracker that uses no images.
 BLIND = (
     "This tracker subscribes to no topic of images: difficulties of images do not reach it, and its score "
     "says nothing about them."
@@ -268,10 +268,10 @@ BLIND = (
 
 
 def write_pages(folder: Path, report: Report, other: Report | None = None) -> Sequence[Path]:
-    """Write the picture and the page into the folder of a report.
+    """Write the picture and the HTML page into the folder of a report.
 
     Returns:
-        Their paths.
+        Paths of both files.
 
     Raises:
         HumansimError: A file cannot be written.
@@ -284,7 +284,7 @@ def write_pages(folder: Path, report: Report, other: Report | None = None) -> Se
 
 
 def html_page(report: Report, other: Report | None = None) -> str:
-    """The page: the picture, and all numbers of all cases."""
+    """HTML page with the picture, and with the numbers of all cases."""
     reports = {"": report} if other is None else {"A: ": report, "B: ": other}
     tables = [
         part
@@ -314,8 +314,8 @@ def _html_table(report: Report) -> Markup:
 
 
 def show_table(report: Report, other: Report | None = None) -> str:
-    """The table: for each axis the scores of its strengths, the errors at the last strength, and where the
-    tracker breaks."""
+    """Table for a terminal. It has for each axis (difficulty) the score at each strength, the errors at the
+    last strength, and the strength that breaks the tracker."""
     reports = [report] if other is None else [report, other]
     rows = [list(_header(reports))]
     base = ["baseline"]
@@ -369,7 +369,7 @@ def _score(report: Report, result: CaseResult | None) -> str:
 
 
 def _summary(result: CaseResult | None) -> list[str]:
-    """Error, found people and IDF1."""
+    """Cells of a table about a case: mean joint error, share of people found, and IDF1."""
     if result is None:
         return ["–"] * 3
     error = "–" if result.mpjpe is None else f"{1000 * result.mpjpe:.0f} mm"

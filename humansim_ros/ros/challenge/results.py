@@ -1,5 +1,5 @@
-"""Results of the cases of a challenge: files of a report folder, scores, and the strength that breaks a
-tracker."""
+"""Results of the cases of a challenge: read and write them, compute scores, and find the strength of a
+difficulty that breaks a tracker."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from humansim_ros.ros.challenge.suite import BASELINE, STRENGTHS, Suite
 
 #: Version of the keys of ``results.json``.
 JSON_VERSION = 1
-#: File of a report with all results.
+#: Name of the file in a report folder that has all results.
 RESULTS = "results.json"
 #: Largest file of results, bytes.
 _MAX_BYTES = 16 << 20
@@ -23,13 +23,13 @@ _MAX_BYTES = 16 << 20
 
 @dataclass(frozen=True)
 class CaseResult:
-    """Result of one case. Lengths are metres, shares 0 to 1. None where nothing can be measured.
+    """Result of one case. Lengths are metres, shares 0 to 1. A value is None if it cannot be measured.
 
     Attributes:
         axis: Name of the difficulty. ``baseline`` for no difficulty.
         strength: 1 to 3. 0 for the baseline.
-        label: Words for the strength.
-        failure: Why the case has no full result, such as the death of the tracker. Empty if it has one.
+        label: Text that describes the strength.
+        failure: Why the case failed, for example since the tracker ended. Empty if it did not fail.
         frames: Number of frames that were sent.
         estimates: Number of frames with an estimate.
         mpjpe: Mean joint error of people who were found.
@@ -38,9 +38,9 @@ class CaseResult:
         precision: Share of estimated people who are real.
         idf1: Score of identities. None if the tracker has no identities.
         switches: Number of changes of identity. None if the tracker has no identities.
-        seconds: Wall-clock time of the frames.
+        seconds: Wall-clock time in which the frames were sent.
         latency: Median time from the start of a frame to its estimate, seconds.
-        sees: Whether any node has subscribed to images. None if unknown.
+        sees: Whether any node subscribed to images. None if unknown.
     """
 
     axis: str
@@ -66,14 +66,14 @@ class CaseResult:
 
     @property
     def score(self) -> float:
-        """Points from 0 to 100: share of correct joints (PCK), times share of real people among the estimated
-        ones."""
+        """Score from 0 to 100: share of correct joints (PCK) times share of real people among the estimated
+        ones, as a percentage."""
         return 100.0 * (self.pck or 0.0) * (1.0 if self.precision is None else self.precision)
 
 
 @dataclass(frozen=True)
 class AxisInfo:
-    """A difficulty in a report: its title, its group, and the labels of its strengths."""
+    """A difficulty (axis) in a report: title, group, and label of each strength."""
 
     title: str
     group: str
@@ -87,9 +87,9 @@ class Report:
     Attributes:
         tracker: Command line of the tracker.
         suite: Name and version of the suite.
-        settings: Everything else that results depend on.
+        settings: Everything else that the results depend on.
         breaks_below: Share of the baseline's score below which the tracker is broken.
-        axes: The difficulties.
+        axes: The difficulties by name.
         results: Results by name of the case.
     """
 
@@ -102,7 +102,7 @@ class Report:
 
     @classmethod
     def of_suite(cls, suite: Suite, tracker: str, settings: Mapping[str, Any]) -> Report:
-        """Report without results."""
+        """New report of a suite, without results."""
         axes = {
             name: AxisInfo(axis.title, axis.group, [each.label for each in axis.strengths])
             for name, axis in suite.axes.items()
@@ -116,7 +116,7 @@ class Report:
 
     @property
     def is_blind(self) -> bool:
-        """Whether the tracker is known to use no image in any case."""
+        """Whether it is known that no node subscribed to images in any case."""
         known = [each.sees for each in self.results.values() if each.sees is not None]
         return bool(known) and not any(known)
 
@@ -126,8 +126,8 @@ class Report:
         return [each for each in found if each is not None]
 
     def is_broken(self, result: CaseResult) -> bool:
-        """Whether the tracker is broken: it failed, or its score or IDF1 fell below a share of the
-        baseline's."""
+        """Whether a case broke the tracker: it failed, or has too low a score or IDF1 next to the
+        baseline."""
         base = self.baseline
         if result.failure or base is None:
             return bool(result.failure)
@@ -136,7 +136,7 @@ class Report:
         return base.idf1 is not None and (result.idf1 or 0.0) < self.breaks_below * base.idf1
 
     def breaks_at(self, axis: str) -> CaseResult | None:
-        """The weakest case of an axis that breaks the tracker."""
+        """Result of the weakest strength of an axis that breaks the tracker; None if no strength does."""
         return next((each for each in self.of_axis(axis) if self.is_broken(each)), None)
 
     @property
@@ -183,7 +183,7 @@ class Report:
 
 
 def _checked(result: CaseResult) -> CaseResult:
-    """The result, if its fields have the right types. Raises TypeError otherwise."""
+    """Return the result if its fields have the right types. Raises TypeError otherwise."""
     for name, kind in get_type_hints(CaseResult).items():
         kinds = get_args(kind) or (kind,)
         value = getattr(result, name)

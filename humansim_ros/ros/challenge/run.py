@@ -1,4 +1,4 @@
-"""Run a tracker through a suite, case by case, and keep the results of finished cases."""
+"""Run a tracker in all cases of a suite, one after the other, and store the result of each finished case."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ from humansim_ros.ros.graph.transport import claim_domain, domain_environment
 
 #: Seconds from SIGINT to SIGTERM, and from SIGTERM to SIGKILL.
 _AFTER = 2.0
-#: Most bytes of the end of the tracker's output in an error, and most bytes of its output that are kept.
+#: Most bytes of output of the tracker: those from its end that an error shows, and those that are stored.
 _MAX_TAIL, _MAX_OUTPUT = 600, 1 << 20
-#: Option of prctl. With it, orphans among the descendants of this process become its children.
+#: Option of prctl: if a descendant process loses its parent, it becomes a child of this process.
 _PR_SET_CHILD_SUBREAPER = 36
 
 
@@ -52,16 +52,15 @@ def command_words(command: str, values: Mapping[str, str]) -> list[str]:
 
 
 class TrackerProcess:
-    """A running tracker. Use it as a context manager, which stops the tracker with all its processes at the
-    end.
+    """A running tracker. A context manager, which stops all processes of the tracker at its end.
 
-    Daemons that it leaves behind become children of this process and are killed. So start nothing else from
+    Daemons of the tracker become children of this process, and are killed as such. So start nothing else from
     this process while the tracker runs.
 
     Args:
-        words: Command line.
-        environment: Environment variables that are added to the ones of this process.
-        log: File for its output.
+        words: Words of the command line.
+        environment: Environment variables that are added to those of this process.
+        log: File for the output of the tracker.
 
     Raises:
         ChallengeError: The command cannot be started.
@@ -101,7 +100,7 @@ class TrackerProcess:
 
     @property
     def death(self) -> str:
-        """How the process has ended. Empty while it runs."""
+        """Text on how the process ended. Empty while it runs."""
         code = self._process.poll()
         if code is None:
             return ""
@@ -120,7 +119,7 @@ class TrackerProcess:
 
     @property
     def is_too_talkative(self) -> bool:
-        """Whether the output is longer than a report keeps."""
+        """Whether the tracker has written more output than is stored."""
         with suppress(OSError):
             return self._log.stat().st_size > _MAX_OUTPUT
         return False
@@ -143,7 +142,7 @@ class TrackerProcess:
                 os.truncate(self._log, _MAX_OUTPUT)
 
     def _kill_daemons(self) -> None:
-        """Kill processes that have left the group of the tracker, and their children."""
+        """Kill processes of the tracker that have left its process group, and their children."""
         end = time.monotonic() + _AFTER
         while (left := children_of(os.getpid()) - self._others) and time.monotonic() < end:
             for process in left:
@@ -154,7 +153,7 @@ class TrackerProcess:
 
 
 def _adopt_orphans(adopt: bool) -> None:
-    """Set whether descendants become children of this process when their parent has ended."""
+    """Set whether descendants of this process become its children when their parent has ended."""
     ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, int(adopt), 0, 0, 0)
 
 
@@ -166,28 +165,28 @@ def _has_group(number: int) -> bool:
     return True
 
 
-#: Folder of a report with the scenes and the output of the tracker.
+#: Subfolder of a report for the scenes, and for the output of the tracker.
 CASES = "cases"
 #: Seconds between two checks of the processes.
 _LOOK_EVERY = 0.05
-#: Seconds that a case may take in addition to its frames, and that the nodes may take to end.
+#: Longest time that a case may take in addition to its frames, and that nodes may take to end, seconds.
 _BESIDE, _END_WITHIN = 60.0, 20.0
-#: In a case with its own patience, the smallest patience with a tracker, as a multiple of its usual time per
-#: frame.
+#: Even if a case has a shorter limit, a frame waits this many times the tracker's usual time per frame.
 _TIMES_LATENCY = 4.0
 
 
 def open_report(suite: Suite, options: ChallengeOptions, folder: Path, resume: bool) -> Report:
-    """The report of a folder: a new one, or an earlier one that is continued.
+    """Create a report in a folder, or open an existing report to continue it.
 
     Args:
         suite: The suite.
         options: How the tracker is run.
         folder: Folder of the report. It is created.
-        resume: Whether existing results are kept.
+        resume: Whether to continue an existing report and keep its results.
 
     Raises:
-        HumansimError: The folder has results, and they belong to something else, or ``resume`` is not set.
+        HumansimError: The folder has results, and ``resume`` is not set, or the results are of another
+            tracker, suite or settings.
     """
     if options.keypoints is not None:
         keypoint_set(options.keypoints)
@@ -264,7 +263,7 @@ def run_challenge(
 
 
 class CaseProcess:
-    """The process with the nodes of all cases. If it hangs, it is started again. Use it as a context manager.
+    """The process that runs the nodes of each case. If it hangs, it is started again. A context manager.
 
     Args:
         log: File for its output.
@@ -285,7 +284,7 @@ class CaseProcess:
 
     @property
     def processes(self) -> list[WorkerProcess]:
-        """The process, as a list. Empty if it does not run."""
+        """List of the running process. Empty if the process does not run."""
         return [] if self._workers is None else self._workers.processes
 
     def start(self) -> None:
@@ -296,14 +295,14 @@ class CaseProcess:
                 self._workers.wait_until_ready()
 
     def ask(self, order: CaseOrder) -> None:
-        """Begin a case. The process is started if it does not run."""
+        """Send a case to the process, and start the process if it does not run."""
         self.start()
         with self._errors():
             assert self._workers is not None
             self._workers.ask(order)
 
     def answer(self, wait: float) -> dict[str, Any] | None:
-        """The result of a case; None if no result arrives within ``wait`` seconds.
+        """Values of a ``CaseResult`` by field name; None if no result arrives within ``wait`` seconds.
 
         Raises:
             HumansimError: The process has ended, or the case cannot be run.
@@ -334,12 +333,12 @@ class CaseProcess:
 def patience_with(case: Case, timeout: float, baseline: CaseResult | None) -> float:
     """Seconds that a frame of a case waits for the tracker.
 
-    A case with its own patience must not time out a tracker that is slow even in the baseline.
+    A case may have a shorter time. It is raised for a tracker that needs more time even in the baseline.
 
     Args:
         case: The case.
         timeout: Longest time that a frame waits, seconds.
-        baseline: Result without a difficulty.
+        baseline: Result of the case without a difficulty; None if there is none yet.
     """
     if case.patience is None:
         return timeout
@@ -350,13 +349,13 @@ def patience_with(case: Case, timeout: float, baseline: CaseResult | None) -> fl
 def run_case(
     case: Case, options: ChallengeOptions, folder: Path, nodes: CaseProcess, patience: float
 ) -> CaseResult:
-    """Run the tracker in one case. If the tracker fails, that is a result.
+    """Run the tracker in one case. If the tracker fails, the result says so.
 
     Args:
         case: The case.
         options: How the tracker is run.
-        folder: Folder for its scene and its output.
-        nodes: The process with its nodes.
+        folder: Folder for the scene of the case and the output of the tracker.
+        nodes: The process that runs the nodes.
         patience: Seconds that a frame waits for the tracker.
 
     Raises:
@@ -387,7 +386,7 @@ def run_case(
 
 
 def _wait(nodes: CaseProcess, tracker: TrackerProcess, limit: float) -> tuple[dict[str, Any] | None, str]:
-    """Wait for the end of a case. Returns its result, and why it ended early."""
+    """Wait for the end of a case. Returns its values (may be None) and, if it ended early, the reason."""
     failure, end = "", 0.0
     while (answer := nodes.answer(_LOOK_EVERY)) is None:
         if failure and time.monotonic() > end:
@@ -400,7 +399,7 @@ def _wait(nodes: CaseProcess, tracker: TrackerProcess, limit: float) -> tuple[di
 
 
 def _failure(tracker: TrackerProcess, limit: float) -> str:
-    """Why a case ends early. Empty if it goes on. ``limit``: monotonic seconds."""
+    """Reason why a case must end early. Empty if it may go on. ``limit``: latest end, monotonic seconds."""
     if tracker.is_too_talkative:
         return "the tracker prints more than a megabyte"
     if time.monotonic() > limit:

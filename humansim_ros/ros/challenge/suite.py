@@ -16,17 +16,17 @@ from humansim_ros.files.reading import resource_path
 from humansim_ros.files.yaml import Section, Share, line_of, read_yaml, validated
 from humansim_ros.scene.config import SceneConfig, check_config
 
-#: Suite of the package.
+#: Name of the suite that the package brings.
 STANDARD = "standard"
 #: Strengths of each axis.
 STRENGTHS = 3
 #: Name of the case without a difficulty.
 BASELINE = "baseline"
-#: Sections of a scene with names. In an overlay, null removes a name, and ``*`` stands for all names.
+#: Sections of a scene file with names as keys. An overlay can use null to remove a name, ``*`` for all.
 _NAMED = ("humans", "objects", "cameras")
-#: Most suites in a chain of extensions.
+#: Most suites in a chain in which each extends the next.
 _MAX_DEPTH = 10
-#: Pattern of the names of axes. They are names of files, too.
+#: Pattern of the names of axes, which are also used as names of files.
 _NAME = re.compile(r"[a-z0-9_]{1,40}")
 
 _Overlay = Annotated[dict[str, Any], Field(description="keys of a scene that change")]
@@ -77,15 +77,15 @@ class SuiteConfig(Section):
 
 @dataclass(frozen=True)
 class Case:
-    """A run of the tracker.
+    """A run of the tracker in one scene: the baseline, or a difficulty with a strength.
 
     Attributes:
         axis: Name of the difficulty. ``baseline`` for no difficulty.
         strength: 1 to 3. 0 for the baseline.
-        label: Words for the strength.
+        label: Text that describes the strength.
         scene: Content of the scene file, with absolute paths.
         frames: Number of frames.
-        patience: Seconds that a frame waits for the tracker. If None, the timeout of the user.
+        patience: Seconds that a frame waits for the tracker. If None, the timeout that the user has set.
     """
 
     axis: str
@@ -97,7 +97,7 @@ class Case:
 
     @property
     def name(self) -> str:
-        """Name of its files, such as ``people_3``."""
+        """Name of the case and of its files, such as ``people_3``."""
         return f"{self.axis}_{self.strength}" if self.strength else self.axis
 
 
@@ -121,7 +121,7 @@ def load_suite(path: Path | None = None, only: Sequence[str] = (), quick: bool =
         quick: Whether to use the short form, with fewer frames and strengths.
 
     Raises:
-        HumansimError: The file, a scene of it, or a name is wrong.
+        HumansimError: The file, one of its scenes, or a name in ``only`` is wrong.
     """
     source = path or resource_path(f"config/challenge/{STANDARD}.yaml")
     content, tree = _read(source, 0)
@@ -162,7 +162,7 @@ def load_suite(path: Path | None = None, only: Sequence[str] = (), quick: bool =
 
 
 def _read(path: Path, depth: int) -> tuple[Any, Any]:
-    """Content of a suite file, merged over that of the suite that it extends; and its YAML nodes."""
+    """Read a suite file. Returns its content, merged with the suite that it extends; and its YAML nodes."""
     content, tree = read_yaml(path, ChallengeError, "suite")
     if not isinstance(content, dict):
         raise ChallengeError("a suite is a mapping with 'name', 'version', 'scene' and 'axes'", path=path)
@@ -187,7 +187,7 @@ def _read(path: Path, depth: int) -> tuple[Any, Any]:
 
 
 def _with_absolute_files(content: Any, folder: Path) -> Any:
-    """The content with the names of existing files made absolute."""
+    """Replace the names of existing files in ``folder`` by absolute paths. Returns the new content."""
     if isinstance(content, dict):
         return {key: _with_absolute_files(part, folder) for key, part in content.items()}
     if isinstance(content, list):
@@ -198,12 +198,12 @@ def _with_absolute_files(content: Any, folder: Path) -> Any:
 
 
 def _renamed(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
-    """Mapping with added and replaced names. null removes a name."""
+    """Merge two mappings: names in ``above`` are added to ``below``, or replace them. null removes a name."""
     return {name: value for name, value in {**below, **above}.items() if value is not None}
 
 
 def overlaid(scene: Mapping[str, Any], overlay: Mapping[str, Any]) -> dict[str, Any]:
-    """A scene with some keys changed.
+    """Return a scene with some keys changed by an overlay.
 
     Mappings are merged, and other values replaced. In ``humans``, ``objects`` and ``cameras``, null removes a
     name. ``*`` stands for all names, after the other keys have been merged.

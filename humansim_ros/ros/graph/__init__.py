@@ -1,4 +1,4 @@
-"""What nodes and programs ask a ROS graph."""
+"""Watch a ROS graph (clocks, topics, publishers), and set up transport and quality of service."""
 
 from humansim_ros.lazy import lazy_exports
 

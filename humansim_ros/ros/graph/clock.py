@@ -1,4 +1,4 @@
-"""Clocks: check that only one publisher of ``/clock`` exists; detect steps of a node's clock."""
+"""Clocks: find other publishers of ``/clock``, and detect when the clock of a node has been set."""
 
 from __future__ import annotations
 
@@ -14,13 +14,11 @@ from humansim_ros.ros.graph.graph import publishers_of
 from humansim_ros.ros.graph.guarded_node import GuardedNode
 from humansim_ros.ros.graph.qos import ALIVE
 
-#: Topic without messages. A player in lockstep is alive, even during a pause, if a live publisher of it
-#: exists.
+#: Topic without messages. While its publisher is alive, a player in lockstep is alive, even if paused.
 _LOCKSTEP_ALIVE = "/_lockstep_alive"
-#: Longest time between two calls that is counted, seconds.
+#: Longest time between two checks that counts towards the search, seconds.
 _MAX_STEP = 0.1
-#: A publisher that sends nothing may belong to a dead node for this time, seconds, since the middleware
-#: forgets it after 20 s.
+#: For this time, seconds, a silent publisher may be of a dead node, which the middleware forgets after 20 s.
 _DEAD_FOR = 25.0
 _CLOCK = "/clock"
 
@@ -55,7 +53,7 @@ class ClockOwner:
         self._has_time = True
 
     def check(self) -> str | None:
-        """Text about another publisher. Empty if there is none, None if that is not known yet."""
+        """Text about another publisher. Empty if there is no other; None if this is not known yet."""
         # without the time during which the executor has read no message
         now = time.monotonic()
         self._waited += min(now - self._last, _MAX_STEP)
@@ -85,7 +83,7 @@ class ClockOwner:
         self._own = self._node.create_publisher(Header, _LOCKSTEP_ALIVE, ALIVE)
 
 
-#: Smallest step of the system clock that counts, nanoseconds. A smaller step does not disturb the output.
+#: Smaller changes of the system clock than this, nanoseconds, do no harm and are ignored.
 _SMALLEST = 10_000_000
 
 
@@ -108,8 +106,7 @@ class ClockSteps:
         self._offset = self._doubt = 0
 
     def read(self) -> tuple[int, int]:
-        """Read the clock, nanoseconds. Returns also by how much it was set since the last call (0: not
-        set)."""
+        """Read the clock. Returns its time, and by how much it was set since the last call, nanoseconds."""
         before = time.monotonic_ns()
         now, simulated = self._now(), self._is_simulated()
         doubt = time.monotonic_ns() - before  # the process may have waited between the two clocks

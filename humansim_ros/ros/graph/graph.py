@@ -1,4 +1,4 @@
-"""The ROS graph: choice of topics, endpoints that join and leave, and other publishers of the same topics."""
+"""The ROS graph: choose topics, notice new endpoints, warn of other publishers of the same topics."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from humansim_ros.errors import RosError, did_you_mean, printable, some_of
 from humansim_ros.ros.graph.guarded_node import GuardedNode
 from humansim_ros.ros.graph.qos import CAMERA_ALIVE
 
-#: Topics of every ROS node. Patterns do not match them, since they carry no data.
+#: Topics that every ROS node has. Patterns do not match these topics, since they carry no data.
 _OF_EVERY_NODE = ("/rosout", "/parameter_events")
 
 
@@ -38,7 +38,7 @@ class TopicChoice:
 
     @classmethod
     def of(cls, names: Iterable[str], namespace: str = "/") -> TopicChoice:
-        """Choice of the names that a user gives. A name without the first / is in ``namespace``.
+        """Make a choice from names or patterns of a user. A name without the first / is in ``namespace``.
 
         Raises:
             RosError: A name is empty or has spaces.
@@ -60,7 +60,7 @@ class TopicChoice:
         return not self.patterns or any(fnmatchcase(topic, pattern) for pattern in self.patterns)
 
     def unmatched(self, topics: Collection[str]) -> list[str]:
-        """Names and patterns that match none of ``topics``."""
+        """Names and patterns of this choice that match none of ``topics``."""
         return [
             each for each in self.patterns if not any(TopicChoice((each,)).has(topic) for topic in topics)
         ]
@@ -72,7 +72,7 @@ def absolute(name: str, namespace: str) -> str:
 
 
 def similar(name: str, topics: Sequence[str]) -> str:
-    """End of a message about a topic that does not exist: a similar name, or nothing."""
+    """Advice for the end of a message about a topic that does not exist: a similar name, or an empty text."""
     return "" if any(c in name for c in "*?[") else did_you_mean(name, topics)
 
 
@@ -81,9 +81,9 @@ class Endpoint:
     """A publisher of a topic.
 
     Attributes:
-        node: Full name of its node.
+        node: Full name of the node that publishes.
         type: Message type, such as ``std_msgs/msg/Header``.
-        reliable: Whether it offers reliable transport.
+        reliable: Whether the publisher offers reliable transport.
     """
 
     node: str
@@ -92,7 +92,7 @@ class Endpoint:
 
 
 class GraphWatch:
-    """Compares the graph with the graph at the last call."""
+    """Compares the endpoints of the graph with those at the last call."""
 
     def __init__(self, node: Any) -> None:
         self._node = node
@@ -117,7 +117,7 @@ class GraphWatch:
 
 
 def publishers_of(node: Any, topic: str) -> dict[bytes, Endpoint]:
-    """Publishers of a topic by id, as ``node`` knows them. Its own publishers are left out."""
+    """Publishers of a topic that ``node`` knows, by id, without the publishers of ``node`` itself."""
     own = (node.get_name(), node.get_namespace())
     return {
         bytes(each.endpoint_gid): Endpoint(
@@ -132,12 +132,12 @@ def publishers_of(node: Any, topic: str) -> dict[bytes, Endpoint]:
 
 #: Length of the queue of a subscription, messages.
 _DEPTH = 50
-#: Longest message, bytes. Only its stamp is read.
+#: Longest message that is accepted, bytes. Only the stamp of a message is read.
 _MAX_BYTES = 1 << 30
 
 
 class StampedTopics:
-    """Subscribes to topics as soon as they have a publisher, with the type and reliability that it offers.
+    """Reads stamps from topics. Subscribes as soon as a topic has a publisher, with its type and reliability.
 
     Args:
         node: Node that subscribes. Its own publishers do not count.
@@ -153,8 +153,7 @@ class StampedTopics:
         self._subscriptions: dict[str, tuple[Any, str, bool] | None] = dict.fromkeys(topics)
 
     def update(self) -> None:
-        """Subscribe to topics that have a publisher now, or publishers with another type or reliability than
-        before.
+        """Subscribe to topics with a new publisher, or with a new type or reliability of publishers.
 
         Raises:
             RosError: The messages of a topic cannot be used.
@@ -216,20 +215,20 @@ def _usable(topic: str, publishers: Iterable[Endpoint]) -> tuple[str, Any]:
     raise RosError(f"{topic}: {'; '.join(reasons)}")
 
 
-#: Topics that many nodes publish; and names of topics that all camera processes publish.
+#: Topics that many nodes may publish; and last parts of the names of such topics in any namespace.
 _SHARED = ("/rosout", "/parameter_events", "/diagnostics", f"/{TF_TOPIC}", f"/{TF_STATIC_TOPIC}")
 _SHARED_NAMES = ("frame_done", CAMERA_ALIVE)
-#: Another node is named after it has been seen for this time, seconds.
+#: The warning about another node comes when it has been in the graph for this time, seconds.
 _SEEN_FOR = 1.5
 #: The same for a node that may have been killed and started again, since the middleware forgets it after 20
 #: s.
 _DEAD_FOR = 25.0
-#: Topics that a line names.
+#: Most topics that a log line names.
 _MAX_NAMED = 3
 
 
 class Neighbours:
-    """Warns once about each other node with messages that mix with messages of a node.
+    """Warns about other nodes, if their messages get mixed with those of this node. Each is named once.
 
     Such a node publishes a topic of this node, or has the same name, or is one of several senders of a topic
     that should have one sender.
@@ -247,7 +246,7 @@ class Neighbours:
         self._was_alone = False
 
     def expect_one_sender(self, topic: str) -> None:
-        """Also check an input of the node, which should have one publisher."""
+        """From now on, also check that an input topic of the node has no more than one publisher."""
         self._inputs.append(topic)
 
     def check(self) -> None:
@@ -265,7 +264,7 @@ class Neighbours:
         self._was_alone |= own not in found
 
     def _others(self, own: str) -> dict[str, Counter[str]]:
-        """Topics of other nodes, by node name. The topic "" stands for a node that may be dead."""
+        """Conflicting topics by name of the other node. The topic "" means that this node may be dead."""
         others: dict[str, Counter[str]] = {}
         names = [_joined(name, space) for name, space in self._node.get_node_names_and_namespaces()]
         if names.count(own) > 1:

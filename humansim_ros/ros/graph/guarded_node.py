@@ -1,4 +1,4 @@
-"""A node that errors in callbacks cannot end. They are logged and counted, and the node goes on."""
+"""A node that goes on after errors in its callbacks. The errors are logged and counted."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from humansim_ros.data.messages import check_serialised, deserialised
 from humansim_ros.errors import HumansimError, RosError, printable
 from humansim_ros.ros.graph.requests import limited
 
-#: ``max_bytes`` of subscriptions that accept serialised messages of any size and do not read them.
+#: Value of ``max_bytes`` for a subscription that passes on serialised messages of any size, unread.
 ANY_SIZE = -1
-#: The memory of a refused message of at least this size, bytes, is given back to the system.
+#: After a refused message of at least this size, bytes, freed memory is given back to the system.
 _LARGE = 1 << 22
 #: Seconds between two log lines about errors in one callback.
 _LINE_EVERY = 1.0
 #: Most parameters in a request that sets parameters, since each is checked separately; and most elements of
-#: other sequences.
+#: all other lists in requests.
 _MAX_PARAMETERS, _MAX_REQUESTED = 300, 1000
 #: Most characters of the value of a parameter.
 _MAX_TEXT = 100_000
@@ -36,8 +36,7 @@ _MAX_TEXT = 100_000
 
 @dataclass
 class Fault:
-    """An exception that a guard has caught. ``reason``: its kind and text. Empty if there was no
-    exception."""
+    """What :meth:`GuardedNode.guard` has caught. ``reason``: type and text of the exception, or empty."""
 
     reason: str = ""
 
@@ -52,18 +51,18 @@ class GuardedNode(Node):
 
     def __init__(self, name: str, **options: Any) -> None:
         self._counts: dict[str, int] = {}
-        #: By source: monotonic time of the next log line, and errors since the last line.
+        #: By source of errors: monotonic time of the next log line; and number of errors since the last line.
         self._next_line: dict[str, float] = {}
         self._unlogged: dict[str, int] = {}
-        #: Exit code with which the process of the node ends; None while it goes on.
+        #: Exit code with which the process of the node shall end; None while the node goes on.
         self.exit_code: int | None = None
         super().__init__(name, **options)
 
     def complete(self) -> None:
-        """Complete the work of the node before its process ends. This may take long.
+        """Finish the work of the node before its process ends. This may take a long time.
 
         Raises:
-            HumansimError: The work is not complete.
+            HumansimError: The work could not be finished.
         """
 
     def count(self, counter: str, number: int = 1) -> None:
@@ -130,8 +129,8 @@ class GuardedNode(Node):
             callback: Gets each message.
             qos_profile: Quality of service, or depth of the queue.
             raw: Pass serialised messages.
-            max_bytes: Bytes of the longest serialised message that is read; the limit of its type if None.
-                ANY_SIZE: messages are passed unchecked if ``raw``.
+            max_bytes: Longest serialised message that is read, bytes. If None, the limit of the message type.
+                With ANY_SIZE and ``raw``, messages are passed unchecked.
             options: Other options of ``Node.create_subscription``.
         """
 
@@ -146,8 +145,8 @@ class GuardedNode(Node):
         return super().create_subscription(msg_type, topic, on_data, qos_profile, raw=True, **options)
 
     def take_waiting(self, subscription: Any, deadline: float) -> None:
-        """Pass messages that have arrived to the callback, if the executor had no time for them.
-        ``deadline``: monotonic time at which this ends, since publishers may go on."""
+        """Call the callback for messages that have arrived but were not read by the executor. Ends at
+        ``deadline`` (monotonic seconds) at the latest, since publishers may go on."""
         handle = subscription.handle
         with handle:
             while time.monotonic() < deadline and (
@@ -202,7 +201,7 @@ class GuardedNode(Node):
         return service
 
     def add_pre_set_parameters_callback(self, callback: Callable[[Any], Any]) -> None:
-        """Add a callback that completes parameters. If it fails, all parameters are refused."""
+        """Add a callback that adds parameters to a request. If it fails, all parameters are refused."""
 
         def on_parameters(parameters: Sequence[Any]) -> Any:
             with self.guard("parameters", f"{_names(parameters)} refused"):
@@ -246,8 +245,8 @@ def _names(parameters: Sequence[Any]) -> str:
 
 
 def _refusal(request: Any, response: Any, reason: str) -> Any:
-    """Fill the response of a failed request: fields of std_srvs, SetCameraInfo, parameter services and
-    simulation_interfaces.
+    """Fill the response of a failed service request with the reason. Knows std_srvs, SetCameraInfo, the
+    parameter services and simulation_interfaces.
     """
     refused = SetParametersResult(successful=False, reason=reason)
     if hasattr(response, "success"):

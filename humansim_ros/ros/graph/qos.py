@@ -1,4 +1,4 @@
-"""Quality of service: profiles (REP-2003), and profiles of recorded and played topics."""
+"""Profiles of quality of service: for topics of this package (REP-2003), for recording and playing bags."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ NEWEST = _profile(3, QoSDurabilityPolicy.VOLATILE)
 #: Profile of publishers of messages that are sent once. Nodes that join later get the last message.
 LATCHED = _profile(LATCHED_DEPTH, QoSDurabilityPolicy.TRANSIENT_LOCAL)
 
-#: Topic with liveliness: the motion player learns within half a second that a camera process has died. It
-#: also gives the newest report to a restarted player. Reports on ``frame_done`` do neither, since other nodes
-#: may report there, too.
+#: Topic with liveliness, by which the motion player learns within half a second that a camera process has
+#: died. A restarted player also gets the newest report from it. ``frame_done`` offers neither, since other
+#: nodes may report there, too.
 CAMERA_ALIVE = "_camera_alive"
 ALIVE = QoSProfile(
     depth=1,
@@ -54,10 +54,10 @@ ALIVE = QoSProfile(
 
 #: Topic on which nodes report the frames that they have finished.
 FRAME_DONE = "frame_done"
-#: Publishers of these reports.
+#: Profile of the publishers of reports on ``frame_done``.
 DONE = DATA
-#: Profile of subscriptions to reports. There is one report per camera process and frame. The next report
-#: replaces a lost one.
+#: Profile of subscriptions to these reports. Each camera process sends one per frame. If a report is lost,
+#: the next one replaces it.
 REPORTS = _profile(50, QoSDurabilityPolicy.VOLATILE)
 
 
@@ -68,7 +68,7 @@ def offered_profile(topic: Topic[Any]) -> QoSProfile:
 
 #: Most messages that wait until they are recorded. The middleware uses memory only for existing messages.
 RECORDED_DEPTH = 1000
-#: Most messages of a player that wait for slow subscribers.
+#: Most messages of a bag player that wait for slow subscribers.
 PLAYED_DEPTH = 1000
 
 
@@ -83,7 +83,7 @@ def subscription_profile(offers: Sequence[QoSProfile]) -> QoSProfile:
 
 
 def recorded_qos(offers: Sequence[QoSProfile]) -> tuple[Qos, ...]:
-    """Profiles of publishers, for the description of a topic in a bag."""
+    """Convert the profiles of publishers to the form in which a bag describes a topic."""
     return tuple(
         Qos(
             reliable=offer.reliability != QoSReliabilityPolicy.BEST_EFFORT,

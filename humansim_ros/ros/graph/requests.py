@@ -10,7 +10,8 @@ from typing import Any
 
 from humansim_ros.errors import RosError
 
-#: Size in bytes of the numbers of messages in C. Strings and lists are a pointer, a size and a capacity.
+#: Bytes of each number type in the C struct of a message. Strings and lists are a pointer, a size and a
+#: capacity.
 _BYTES = {"boolean": 1, "octet": 1, "char": 1, "wchar": 2, "float": 4, "double": 8}
 _LIST = 24
 
@@ -27,8 +28,8 @@ _Create, _Destroy = ctypes.PYFUNCTYPE(ctypes.c_void_p), ctypes.PYFUNCTYPE(None, 
 
 
 def limited(srv_type: Any, most: int) -> Any:
-    """Make a service type that raises RosError for a request if one of its lists has more than ``most``
-    messages."""
+    """Make a service type that refuses requests: if a list in a request has more than ``most`` messages,
+    reading it raises RosError."""
     kind = srv_type.Request
     lists = [(name, at) for name, field, at in _fields(kind) if "/" in field and "<" in field]
     if not lists:
@@ -60,8 +61,8 @@ def limited(srv_type: Any, most: int) -> Any:
 
 
 def _are_right(kind: Any, counts: Callable[[int], list[tuple[str, int]]]) -> bool:
-    """Whether ``counts`` finds the lengths of the lists of a request in C. The lists in its messages do not
-    count."""
+    """Test on a sample request whether ``counts`` reads the right lengths of lists from the C struct. Only
+    lists of the request itself are compared, not those in its messages."""
     meta, sample = type(kind), kind()
     create, fill, destroy = (
         function(_get_pointer(capsule, _get_name(capsule)))
@@ -89,7 +90,7 @@ def _are_right(kind: Any, counts: Callable[[int], list[tuple[str, int]]]) -> boo
 
 
 def _fields(kind: Any, at: int = 0) -> Iterator[tuple[str, str, int]]:
-    """Name, type and address of each field of a message in C, including fields of messages within it."""
+    """Name, type and address of each field in the C struct of a message, and of messages in it."""
     for name, field in kind.get_fields_and_field_types().items():
         size, align = _layout(field)
         at += -at % align
@@ -100,7 +101,7 @@ def _fields(kind: Any, at: int = 0) -> Iterator[tuple[str, str, int]]:
 
 
 def _layout(field: str) -> tuple[int, int]:
-    """Size of a field in C in bytes, and its alignment."""
+    """Size and alignment of a field in a C struct, bytes."""
     if found := re.fullmatch(r"(.+)\[(\d+)\]", field):
         size, align = _layout(found[1])
         return size * int(found[2]), align

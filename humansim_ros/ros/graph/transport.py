@@ -18,22 +18,22 @@ from pathlib import Path
 
 from humansim_ros.files.reading import resource_path
 
-#: Size of a segment on a machine with enough memory, bytes: room for frames of several cameras.
+#: Size of a segment of shared memory if there is enough memory, bytes: frames of several cameras fit.
 FULL_SEGMENT = 1 << 26
-#: A segment smaller than this, bytes, would lose more images than UDP.
+#: With a segment smaller than this, bytes, more images would be lost than with UDP.
 _MIN_SEGMENT = 1 << 20
-#: Share of the free memory for processes that start together. The rest is for subscribers and ports.
+#: Share of the free memory for processes that start together. Subscribers and ports need the rest.
 _SHARE = 0.8
 _FOLDER = Path("/dev/shm")
-#: Beginning of the names of files: of Fast DDS 2 (Jazzy), and of Fast DDS 3 (Kilted and later).
+#: Pattern for the beginning of file names of Fast DDS 2 (Jazzy) and Fast DDS 3 (Kilted and later).
 _PREFIX = "fast(?:rtps|dds)_"
 _SEGMENT, _PORT = re.compile(rf"{_PREFIX}[0-9a-f]{{16}}"), re.compile(rf"{_PREFIX}port\d+")
 _LOCK = re.compile(rf"/dev/shm/({_PREFIX}\w+)_[es]l")
 #: First bytes of a segment or port that its process has completed (boost::interprocess).
 _COMPLETE = (2).to_bytes(4, "little")
-#: A live process has surely made and locked a file this time after beginning it, seconds.
+#: A live process needs less than this time, seconds, to create and lock a file.
 _MAKING = 3.0
-#: Seconds between two checks of the files of a process.
+#: Shortest time between two checks of the files of processes, seconds.
 _INTERVAL = 1.0
 
 
@@ -55,15 +55,15 @@ def segment_size(free: float, participants: int | None = None) -> int:
 
     Args:
         free: Free bytes of /dev/shm.
-        participants: Number of processes that start together. If None, a process that starts alone takes a
-            quarter, so that those that follow have something left.
+        participants: Number of processes that start together. If None, one process starts alone and takes a
+            quarter, so that memory is left for later processes.
     """
     share = free / 4 if participants is None else free * _SHARE / participants
     return 0 if share < _MIN_SEGMENT else int(min(share, FULL_SEGMENT))
 
 
 class SharedMemoryFiles:
-    """Segments and ports of child processes. They are noted while the children live, and removed after their
+    """Remembers the shared memory files (segments and ports) of child processes, and removes them after their
     death."""
 
     def __init__(self) -> None:
@@ -71,7 +71,7 @@ class SharedMemoryFiles:
         self._next = 0.0
 
     def note(self, pids: Iterable[int], now: bool = False) -> None:
-        """Note the files of living processes, at most once a second unless ``now`` is set."""
+        """Remember the files of living processes, but at most once a second unless ``now`` is set."""
         if not now and time.monotonic() < self._next:
             return
         for pid in pids:
@@ -143,23 +143,23 @@ def _locked(path: Path) -> Iterator[Path]:
 
 #: Environment variables that name the profiles of Fast DDS: version 2 reads the first, version 3 the second.
 PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
-#: If one of these environment variables is set, the user has said which hosts may find the nodes.
+#: Environment variables by which a user configures the transport.
 _TRANSPORT_SETTINGS = (
     *PROFILES,
     "FASTDDS_BUILTIN_TRANSPORTS",
     "ROS_DISCOVERY_SERVER",
 )
 _RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
-#: Environment variables that mean that the user has said which hosts may find the nodes.
+#: Environment variables by which a user decides which hosts may find the nodes.
 _DISCOVERY_SETTINGS = (_RANGE, "ROS_STATIC_PEERS", "ROS_LOCALHOST_ONLY", *_TRANSPORT_SETTINGS)
 _FAST_DDS = ("", "rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp")
-#: Environment variable that profiles of Fast DDS read.
+#: Environment variable with the segment size, which the profiles of Fast DDS read.
 _SEGMENT_BYTES = "HUMANSIM_SEGMENT_BYTES"
 #: Environment variable that makes rmw_fastrtps take the memory policy of readers from the profiles.
 _MEMORY_POLICY = "RMW_FASTRTPS_USE_QOS_FROM_XML"
 #: With a smaller segment than this, bytes, large images may be lost.
 _SMALL_SEGMENT = 1 << 24
-#: Size in /dev/shm of a process with a full-size segment, bytes.
+#: Memory in /dev/shm that a process with a segment of full size uses, bytes.
 _FULL_PROCESS = 70e6
 
 
@@ -168,8 +168,8 @@ class Transport:
     """Transport for this process and the nodes that it starts.
 
     Attributes:
-        environment: Environment variables that set it.
-        reach: Who can find the nodes, for people.
+        environment: Environment variables that set this transport.
+        reach: Text for the user on which hosts can find the nodes.
         warning: Effect of too little shared memory, and the remedy. Empty if there is enough.
     """
 
@@ -217,7 +217,7 @@ def _has_fast_dds_3() -> bool:
 
 
 def _profile(segment: int, network: bool) -> str:
-    """Name of the profile of Fast DDS for segments of a size. 0 stands for no shared memory."""
+    """Name of the Fast DDS profile for a segment size. 0 stands for no shared memory."""
     if segment == FULL_SEGMENT and network:
         return "fastdds"
     if segment:
@@ -243,13 +243,13 @@ _DOMAINS = range(1, 100)
 
 
 def claim_domain() -> int:
-    """A ROS domain that no other test or challenge on this machine uses until this process ends."""
+    """Reserve a ROS domain for this process, which no other test or challenge on this machine then uses."""
     return _claim(os.getpid())[0]
 
 
 @functools.cache
 def _claim(process: int) -> tuple[int, int | None]:
-    """The domain of a process, and the descriptor of a file that stays locked until the process ends."""
+    """Reserve a domain for a process. Returns the domain, and the descriptor of its locked file."""
     first = process % len(_DOMAINS)
     for domain in (*_DOMAINS[first:], *_DOMAINS[:first]):
         path = Path(tempfile.gettempdir()) / f"humansim_test_domain_{domain}.lock"

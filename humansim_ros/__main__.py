@@ -1,4 +1,4 @@
-"""``python -m humansim_ros``: the ``humansim`` command without its script."""
+"""Run the ``humansim`` command by ``python -m humansim_ros``, without its script."""
 
 import sys
 

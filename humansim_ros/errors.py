@@ -66,7 +66,8 @@ class HumansimError(Exception):
         return ": ".join(parts)
 
     def within(self, section: str) -> HumansimError:
-        """The same error, with the key of the ``section`` that contains its key or names its file."""
+        """The same error with its key below ``section``. An error in another file gets the key
+        ``section``."""
         if self.path is not None:
             return type(self)(str(self), key=section)
         return type(self)(self.message, key=f"{section}.{self.key}" if self.key else section)
@@ -74,7 +75,7 @@ class HumansimError(Exception):
 
 @contextmanager
 def in_section(section: str) -> Iterator[None]:
-    """Put ``section`` before the keys of errors. An error in another file becomes an error of this key.
+    """Put ``section`` before the keys of errors in the block. An error in another file gets this key.
 
     The code that has read the file adds path and line. ``__cause__`` is the error in the other file.
     """
@@ -91,7 +92,7 @@ def located(
     line: int | None = None,
     key: str | None = None,
 ) -> Iterator[None]:
-    """Add file, line and key to errors that have none.
+    """Add file, line and key to errors that are raised in the block without them.
 
     Args:
         error: Class of the errors. If None, each keeps its class.
@@ -122,7 +123,7 @@ def near_names(word: str, known: Iterable[str], least: float = 0.65) -> list[str
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """End of a message about an unknown name: ``; did you mean 'walk'?``, or nothing."""
+    """End of a message about an unknown name: ``; did you mean 'walk'?``. Empty if no name is similar."""
     near = near_names(word, known)
     return f"; did you mean {near[0]!r}?" if near else ""
 
@@ -134,7 +135,7 @@ def unknown(kind: str, name: object, known: Iterable[str], owner: str = "", most
         kind: What should have the name, such as ``camera``.
         name: The name.
         known: Names that exist.
-        owner: What should have such a thing, such as ``the scene``.
+        owner: What should contain the thing with this name, such as ``the scene``.
         most: Number of known names that the message shows.
 
     Example:
@@ -161,7 +162,7 @@ def escaped(text: str) -> str:
 
 
 def printable(text: str, limit: int = 300) -> str:
-    """Text from outside (a file, a message) made safe for a log: one line, control characters escaped.
+    """Make text from outside (a file, a message) safe for a log: one line, with control characters escaped.
 
     ``limit``: number of characters that are kept.
     """
@@ -191,7 +192,7 @@ class ResourceError(HumansimError):
 
 
 class MotionError(HumansimError):
-    """A motion file cannot be read, or its joints cannot be matched."""
+    """A motion file cannot be read, or its joints cannot be matched to those of a human."""
 
 
 class MeshError(HumansimError):
@@ -211,7 +212,7 @@ class RenderError(HumansimError):
 
 
 class ChannelError(HumansimError, AttributeError):
-    """A channel of a view, or truth that follows from channels, was not requested."""
+    """A channel of a view (such as depth), or truth that is computed from channels, was not requested."""
 
 
 class KeypointError(HumansimError, KeyError):

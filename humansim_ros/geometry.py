@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 
 
 def levels(parents: Indices) -> tuple[Indices, ...]:
-    """Nodes of a tree by depth, roots first. ``parents``: (N,), parents first, -1 for a root."""
+    """Nodes of a tree by depth, roots first. ``parents``: (N,), each parent before its children; -1 for a
+    root."""
     depth = np.zeros(len(parents), dtype=np.intp)
     for node, parent in enumerate(parents):
         depth[node] = 0 if parent < 0 else depth[parent] + 1
@@ -29,7 +30,7 @@ def levels(parents: Indices) -> tuple[Indices, ...]:
 
 
 def find_cycle(parents: Indices) -> list[int]:
-    """Nodes of a cycle, each followed by its parent; empty if there is none.
+    """Find a cycle in a tree. Returns its nodes, each followed by its parent; empty if there is no cycle.
 
     ``parents``: (N,), in any order, negative for a root.
     """
@@ -49,12 +50,12 @@ def find_cycle(parents: Indices) -> list[int]:
 #: Body space (metres, y up, faces +z, +x is the person's left) to the world (REP-103: x forward, y left, z
 #: up).
 WORLD_FROM_BODY: Array = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-#: Error of the length of a unit quaternion that rounding explains.
+#: Largest error of the length of a unit quaternion that is taken as rounding.
 _ROUNDING = 1e-12
 
 
 def _components(vectors: Array) -> Array:
-    """Components (N, ...) of vectors (..., N): a view, made faster than by ``numpy.moveaxis``."""
+    """View (N, ...) of vectors (..., N) with the components first, like ``numpy.moveaxis`` but faster."""
     return vectors.transpose(-1, *range(vectors.ndim - 1))
 
 
@@ -97,7 +98,7 @@ def moved(poses: NDArray[Any], linear: NDArray[Any], angular: NDArray[Any], seco
         poses: Poses (..., 4, 4).
         linear: Linear velocities (..., 3) in the frame of the poses, m/s.
         angular: Angular velocities (..., 3) in the frame of the poses, rad/s.
-        seconds: Time step; negative for the past.
+        seconds: Seconds from the given poses to the returned ones; negative for the past.
 
     Returns:
         Poses (..., 4, 4).
@@ -145,7 +146,7 @@ def multiply_quaternions(a: NDArray[Any], b: NDArray[Any]) -> Array:
 
 
 def normalised(quaternion: NDArray[Any]) -> Array:
-    """Quaternions (..., 4) divided by their length, also where rounding explains the difference from 1."""
+    """Quaternions (..., 4) divided by their length, even if the length is 1 up to rounding."""
     x, y, z, w = _components(np.asarray(quaternion, dtype=float))
     return np.asarray(quaternion / np.sqrt(x * x + y * y + z * z + w * w)[..., None], dtype=float)
 
@@ -172,7 +173,7 @@ def matrix_to_quaternion(matrix: NDArray[Any]) -> Array:
 def unit_quaternions(quaternions: NDArray[Any]) -> Array:
     """Quaternions (..., 4) divided by their length, which is not zero.
 
-    A quaternion with length 1 up to rounding keeps all its bits.
+    A quaternion with length 1 up to rounding is returned unchanged.
     """
     q = np.asarray(quaternions, dtype=float)
     length = np.linalg.norm(q, axis=-1, keepdims=True)
@@ -190,7 +191,8 @@ def turn_about_z(yaw: float) -> Array:
 
 
 def heading_of_hips(across: Array) -> float:
-    """Direction that hips face, radians from x to y. ``across``: (3,) from the right hip to the left one."""
+    """Direction to the front of the hips, radians from x to y. ``across``: (3,) from right hip to left
+    hip."""
     return float(np.arctan2(-across[0], across[1]))
 
 
@@ -213,7 +215,7 @@ def slerp(start: Array, end: Array, fraction: Array) -> Array:
 
 
 def are_rotations(matrices: Array) -> bool:
-    """Whether all matrices (..., 3, 3) are rotations, to 0.001."""
+    """Whether all matrices (..., 3, 3) are rotations, with errors up to 0.001."""
     if not (np.abs(matrices) < 2).all():  # False for NaN, too
         return False
     products = matrices @ np.swapaxes(matrices, -1, -2)
@@ -242,7 +244,7 @@ def from_y_axis(direction: Array) -> Array:
 
 
 def shortest_rotations(starts: Array, ends: Array) -> Array:
-    """Shortest rotations (..., 3, 3) from unit vectors (..., 3) to others (..., 3) that are not opposite."""
+    """Shortest rotations (..., 3, 3) from unit vectors to unit vectors (..., 3) that are not opposite."""
     axes = cross_products(starts, ends)
     skew = np.zeros((*axes.shape, 3))
     skew[..., [2, 0, 1], [1, 2, 0]] = axes
@@ -279,7 +281,8 @@ def fit_similarity(
         source: Points (..., N, 3).
         target: Points (..., N, 3).
         weights: Weight of each pair of points, (..., N); 1 if None.
-        scale: Fixed scale; None: the scale is fitted, too. It is 0 if all source points are the same.
+        scale: Fixed scale. If None, the scale is fitted, too. A fitted scale is 0 if all source points are
+            the same.
 
     Returns:
         Scale (...), rotation (..., 3, 3) and translation (..., 3).
@@ -305,7 +308,7 @@ def nearest_axis(direction: Array) -> Array:
 
 
 def angle_between(a: Array, b: Array) -> Array:
-    """Angle (...,) between vectors (..., 3), radians; a quarter turn where one has no length."""
+    """Angle (...,) between vectors (..., 3), radians; pi / 2 where a vector is zero."""
     dot = np.einsum("...i,...i->...", a, b)
     scale = np.sqrt(np.einsum("...i,...i->...", a, a) * np.einsum("...i,...i->...", b, b))
     return np.arccos(np.clip(dot / np.maximum(scale, 1e-30), -1.0, 1.0))
@@ -319,7 +322,7 @@ def rotate(matrices: NDArray[Any], vectors: NDArray[Any]) -> Array:
 def compose_poses(
     outer: tuple[NDArray[Any], NDArray[Any]], inner: tuple[NDArray[Any], NDArray[Any]]
 ) -> tuple[Array, Array]:
-    """Poses of things in the world. Their poses are given relative to other poses.
+    """Poses in the world, from poses that are relative to other poses.
 
     Args:
         outer: Positions (..., 3) and quaternions (..., 4) xyzw in the world of the other poses.
@@ -331,7 +334,7 @@ def compose_poses(
 
 
 def smooth_step(share: Array) -> Array:
-    """Shares (...) of a change that is smooth at its ends: 0 up to 0, 1 from 1 on."""
+    """Smooth step: 0 for a ``share`` (...) up to 0, 1 for a share from 1 on, and a smooth change between."""
     share = np.clip(share, 0.0, 1.0)
     return np.asarray(share * share * (3 - 2 * share))
 
@@ -342,7 +345,7 @@ def unit_vectors(vectors: NDArray[Any]) -> Array:
 
 
 def lengths_of(vectors: NDArray[Any]) -> Array:
-    """Lengths (...) of vectors (..., N), with the bits of ``numpy.linalg.norm`` in less time."""
+    """Lengths (...) of vectors (..., N): exactly equal to ``numpy.linalg.norm``, but faster."""
     return np.asarray(np.sqrt(np.add.reduce(vectors * vectors, axis=-1)))
 
 
@@ -352,13 +355,13 @@ def perpendicular(vectors: Array, directions: Array) -> Array:
 
 
 def cross_products(a: Array, b: Array) -> Array:
-    """Cross products (..., 3) of vectors (..., 3), with the bits of ``numpy.cross`` in less time."""
+    """Cross products (..., 3) of vectors (..., 3): exactly equal to ``numpy.cross``, but faster."""
     return np.asarray(
         a.take(_NEXT, axis=-1) * b.take(_LAST, axis=-1) - a.take(_LAST, axis=-1) * b.take(_NEXT, axis=-1)
     )
 
 
-#: Axes after and before each axis.
+#: Next and previous axis of each axis, in cyclic order.
 _NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
 
 
@@ -376,7 +379,7 @@ _BATCH = 200_000
 
 
 def segments_crossing(starts: Array, ends: Array, corners: Array) -> NDArray[np.bool_]:
-    """Whether segments (N, 3) to (N, 3) cross a triangle of a surface (T, 3, 3) [Moller 1997]."""
+    """(N,) whether segments from ``starts`` to ``ends`` (N, 3) cross a triangle (T, 3, 3) [Moller 1997]."""
     crossing = np.zeros(len(starts), bool)
     if not len(corners) or not len(starts):
         return crossing
@@ -410,7 +413,7 @@ def _crosses(origin: Array, direction: Array, corners: Array) -> NDArray[np.bool
         return np.asarray((u >= 0) & (v >= 0) & (u + v <= 1) & (t >= 0) & (t <= 1))
 
 
-#: Half the time span of the central differences that give velocities; and the times of one, seconds.
+#: Half the time span of the central differences that give velocities, seconds; times of a central difference.
 VELOCITY_STEP = 1e-3
 AROUND: Array = VELOCITY_STEP * np.array([-1.0, 0.0, 1.0])
 
@@ -436,7 +439,8 @@ class Velocity:
 
     @classmethod
     def between(cls, positions: Array, rotations: Array, seconds: float) -> Velocity:
-        """Velocity from the first to the last of K poses: positions (K, 3), rotations (K, 4); in seconds."""
+        """Velocity from the first to the last of K poses: positions (K, 3), rotations (K, 4), ``seconds``
+        apart."""
         return cls(*central_difference(positions, rotations, max(seconds, 1e-12)))
 
     def scaled(self, factor: float) -> Velocity:
@@ -444,7 +448,7 @@ class Velocity:
         return self if factor == 1 else Velocity(self.linear * factor, self.angular * factor)
 
     def of_point(self, arm: Array) -> Velocity:
-        """Velocity of a point that is fixed to the pose, ``arm`` (3,) away from it in ``map``."""
+        """Velocity of a point that is fixed to the pose. ``arm``: (3,) from pose to point, in ``map``."""
         return Velocity(self.linear + np.cross(self.angular, arm), self.angular)
 
 
@@ -487,9 +491,10 @@ class ObjectPose:
         )
 
     def carry(self, pose: ObjectPose) -> ObjectPose:
-        """Pose in ``map`` of a thing that this one carries; the size of this one has no effect.
+        """Pose in ``map`` of a thing that this object carries. The size of this object has no effect.
 
-        ``pose``: pose and velocity of the thing in the axes of this one; without velocity it is fixed there.
+        ``pose``: pose and velocity of the thing relative to this object. A thing without velocity is fixed to
+        this object.
         """
         position, rotation = compose_poses((self.position, self.rotation), (pose.position, pose.rotation))
         velocity = self.velocity

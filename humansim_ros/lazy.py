@@ -17,8 +17,8 @@ def lazy_exports(
 
     Args:
         package: ``__name__`` of the package.
-        file: Its ``__file__``. The stub next to it (.pyi) imports the names from their modules.
-        have_moved: Whether the package is an old path of the names: each use warns.
+        file: ``__file__`` of the package. The stub next to it (.pyi) imports the names from their modules.
+        have_moved: Whether the package is only an old path of the names. Each use of a name causes a warning.
 
     Returns:
         ``__getattr__``, ``__dir__`` and ``__all__`` of the package.

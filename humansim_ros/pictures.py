@@ -1,4 +1,4 @@
-"""Pictures of objects in notebooks. The folder ``drawing`` makes them, for classes of lower folders."""
+"""Pictures of objects in notebooks. The folder ``drawing`` makes the pictures."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ class Pictured:
     """Base class of objects that notebooks show as a picture, at most 640 pixels wide."""
 
     def _repr_png_(self) -> bytes | None:
-        """PNG file for IPython. If it cannot be drawn, a warning and None, so that IPython shows the text."""
+        """PNG file for IPython. If it cannot be drawn, warns and returns None, so that IPython shows text."""
         try:
             png: bytes = drawing("notebooks").notebook_png(self)
         except Exception as reason:  # a cell with this object as its value must not fail

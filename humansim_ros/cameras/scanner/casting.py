@@ -21,7 +21,7 @@ from humansim_ros.errors import SceneError
 from humansim_ros.geometry import quaternion_to_matrix
 from humansim_ros.types import Array, Float32Array, FloatArray, Indices
 
-#: Barycentric coordinates down to this count as inside, so that no ray passes between two triangles.
+#: Negative barycentric coordinates down to -_SEAM count as inside, so that no ray passes between triangles.
 _SEAM = 1e-9
 #: A surface is around the scanner if it is nearer than this, metres.
 _AROUND = 0.3
@@ -86,8 +86,8 @@ class Hits:
 
     ``ranges``: (N,) metres; infinite if the ray meets no surface. ``surfaces``: (N,) number of the surface,
     -1 for none. ``triangles``: (N,) index of the triangle in the surface. ``weights``: (N, 2) barycentric
-    weights of its second and third corner. ``cosines``: (N,) cosine of the angle between the ray and its
-    normal.
+    weights of the second and third corner of the triangle. ``cosines``: (N,) cosine of the angle between the
+    ray and the normal of the triangle.
     """
 
     ranges: Array
@@ -129,7 +129,7 @@ class Shot:
     """Rays that are fired between two moments, with the pose of the scanner for each ray.
 
     ``directions``: (N, 3) unit vectors in the scanner's frame. ``shares``: (N,) time of each ray, as a share
-    of the time from the first moment to the second; ascending. ``index``: the rays by direction.
+    of the time from the first moment to the second; ascending. ``index``: finds rays by direction.
     """
 
     directions: Array
@@ -159,7 +159,7 @@ class Shot:
                     _keep_nearest(hits, *found)
 
     def _near(self, surfaces: Sequence[MovingTriangles]) -> Iterator[tuple[MovingTriangles, int, int]]:
-        """Surfaces with boxes that rays meet, with the first and the last of these rays."""
+        """Surfaces with bounding boxes that rays meet, with the first and the last of these rays."""
         starts, ends = (
             np.concatenate([_box(getattr(surface, moment)) for surface in surfaces])
             for moment in ("start", "end")
@@ -176,9 +176,10 @@ class Shot:
             yield surfaces[number], int(first[number]), int(last[number])
 
     def _by_distance(self, surface: MovingTriangles, first: int, last: int) -> tuple[Indices | None, Array]:
-        """Order of the triangles by distance, and a lower bound of each distance. Both hold from the first to
-        the last ray. The order is None if the surface is not around the scanner. Around it, each triangle
-        meets many rays, and most are hidden by nearer triangles."""
+        """Order of the triangles by distance, and a lower bound of each distance. Both hold for all rays from
+        the first to the last. The order is None if the surface is not around the scanner. A surface around
+        the scanner needs the order: each triangle meets many rays, which mostly hit a nearer triangle
+        first."""
         positions = self.poses.take(slice(first, last + 1)).positions
         if _distance(positions[0], surface.start) > _AROUND:
             return None, np.zeros(0)
@@ -193,7 +194,7 @@ class Shot:
         return order, near[order]
 
     def _seen(self, surface: MovingTriangles, first: int, last: int) -> tuple[Angles, ...]:
-        """Directions of the vertices when the first and the last ray are fired. One entry if nothing
+        """Directions of the vertices at the times of the first and the last ray. One entry if nothing
         moves."""
         still = surface.end is surface.start and self.poses.still
         seen = []
@@ -204,8 +205,8 @@ class Shot:
         return tuple(seen)
 
     def _margin(self, surface: MovingTriangles, first: int, last: int) -> float:
-        """Radians by which directions deviate from straight paths in the scanner's frame while the scanner
-        moves."""
+        """Largest angle (radians) by which directions of vertices deviate from straight paths, in the
+        scanner's frame, while the scanner moves."""
         if self.poses.still or first == last:
             return 0.0
         here = self.poses.take(slice(first, last + 1))
@@ -262,7 +263,7 @@ class Shot:
 
 
 def _keep_nearest(hits: Hits, rays: Indices, found: Hits) -> None:
-    """Replace hits by nearer ones. If two are equal, the earlier one remains."""
+    """Replace hits by ``found`` hits of ``rays`` that are nearer. Of equal hits, the earlier one remains."""
     order = np.lexsort((found.ranges, rays))
     first = np.ones(len(order), dtype=bool)
     first[1:] = rays[order][1:] != rays[order][:-1]
@@ -300,8 +301,8 @@ def _cross(a: Array, b: Array) -> Array:
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
 
 
-#: Number of rows of rays, but one row per elevation if there are at most ``_MOST_ROWS`` elevations; and
-#: columns of a turn.
+#: Number of rows into which elevations are divided (one row per elevation, if there are at most
+#: ``_MOST_ROWS`` elevations); and number of columns into which a turn is divided.
 _ROWS, _MOST_ROWS, _COLUMNS = 128, 256, 2048
 #: Radians by which bounds are enlarged, since single precision rounds.
 _MARGIN = 1e-5
@@ -345,7 +346,7 @@ class Bounds:
     def of(
         cls, corners: NDArray[np.integer], moments: tuple[Angles, ...], margin: float | Array = 0.0
     ) -> Bounds:
-        """Bounds of all that lies between points at several moments.
+        """Bounds of triangles that move from moment to moment.
 
         Args:
             corners: (T, K) indices of the points of each triangle or other convex body.
@@ -393,7 +394,7 @@ def _bounded(tangent: FloatArray) -> FloatArray:
 
 
 class RayIndex:
-    """Rays by direction. ``directions``: (N, 3) in the scanner's frame."""
+    """Finds rays by their direction. ``directions``: (N, 3) in the scanner's frame."""
 
     def __init__(self, directions: Array) -> None:
         angles = Angles.of(directions)
@@ -415,7 +416,7 @@ class RayIndex:
         np.maximum.at(self._high, row, height)
 
     def pairs(self, bounds: Bounds) -> Iterator[tuple[Indices, Indices]]:
-        """Batches of pairs: numbers of rays, and of the triangles with bounds around them.
+        """Batches of pairs of a ray and a triangle with bounds around the ray: numbers of both.
 
         Raises:
             SceneError: There are too many pairs, so that the test would take seconds.
@@ -435,8 +436,7 @@ class RayIndex:
             begin = end
 
     def _within(self, bounds: Bounds, place: Indices, triangle: Indices) -> tuple[Indices, Indices]:
-        """Keep the pairs with the ray within the bounds of the triangle, since columns and rows are
-        coarser."""
+        """Keep the pairs with the ray within the bounds. Columns and rows find rays near the bounds, too."""
         offset = self._azimuths[place] - bounds.azimuth[triangle]
         offset -= np.float32(_TURN) * np.floor(offset * np.float32(1 / _TURN))
         height = self._heights[place]

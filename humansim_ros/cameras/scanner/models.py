@@ -63,8 +63,8 @@ class Rays:
         return {}
 
     def index(self, chosen: slice) -> RayIndex:
-        """Chosen rays by direction. They are cached, since the sweeps of a scanner are often cut at the same
-        times."""
+        """Index that finds chosen rays by direction. It is cached, since the sweeps of a scanner are often
+        cut at the same times."""
         key = int(chosen.start), int(chosen.stop)
         if key not in self._indices:
             if len(self._indices) >= _MAX_INDICES:
@@ -91,11 +91,11 @@ class Rays:
 
 @dataclass(frozen=True, eq=False)
 class Pattern:
-    """Rays of all sweeps of a scanner.
+    """Scan pattern: the rays of all sweeps of a scanner.
 
     ``period``: nanoseconds from the start of a sweep to the start of the next. ``count``: number of rays of a
-    sweep. ``repeated``: rays of every sweep; None if no two sweeps are alike. Then ``make``, which can be
-    pickled, makes the rays of a sweep by number.
+    sweep. ``repeated``: rays of every sweep; None if no two sweeps are alike. In this case ``make``, which
+    can be pickled, makes the rays of a sweep from its number.
     """
 
     period: float
@@ -175,8 +175,8 @@ def raster(
         rate: Sweeps per second.
         elevations: Degrees of each row, in the order in which they are fired.
         columns: Rays of a row.
-        azimuths: Azimuths in degrees of the first and of the last column. Each further pair is another laser
-            at its side that fires at the same time. The ring is then the number of the laser.
+        azimuths: Azimuths in degrees of the first and of the last column. Each further pair is for another
+            laser, which fires at the same time. With several lasers, the ring is the number of the laser.
     """
     rows, lasers = len(elevations), len(azimuths)
     first, last = np.array(azimuths).T
@@ -274,11 +274,11 @@ _REFERENCE = 1.0
 
 @dataclass(frozen=True)
 class Measuring:
-    """How a scanner measures.
+    """Properties of a scanner that decide which returns it reports.
 
     Attributes:
         range: Least and greatest distance in metres.
-        returns: Which returns are reported.
+        returns: Which returns of a beam are reported.
         divergence: Opening angle of a beam, radians.
         noise: Standard deviation of distances, metres.
         dropout: Share of returns that are lost at random.
@@ -332,7 +332,7 @@ def measure(echoes: Returns, subrays: int, measuring: Measuring, random: np.rand
     Args:
         echoes: A return for each ray that meets a surface, with its true distance, and the share of the light
             that the surface reflects back as intensity.
-        subrays: Rays per beam. Numbers of rays are divided by it to get numbers of beams.
+        subrays: Rays per beam. The number of a beam is the number of a ray divided by ``subrays``.
         measuring: How the scanner measures.
         random: Random numbers of the sweep.
     """
@@ -409,7 +409,7 @@ class ScannerModel:
     """One scanner, with the figures of its manufacturer.
 
     ``source``: where the figures come from, then the file of the driver that numbers the rings. ``rate``:
-    sweeps per second. ``pattern``: function that makes the scan pattern for such a rate. ``range``: least and
+    sweeps per second. ``pattern``: function that makes the scan pattern for a rate. ``range``: least and
     greatest distance, metres. ``noise``: standard deviation of distances, metres. ``divergence_mrad``:
     opening angle of a beam. ``layout``, ``stamp``: what the driver publishes.
     """

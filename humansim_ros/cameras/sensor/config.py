@@ -223,7 +223,7 @@ class DepthSensorConfig(ShortSection):
     @model_validator(mode="before")
     @classmethod
     def _text_alone(cls, value: Any) -> Any:
-        """Settings of the preset and of the model, with the given keys in place of theirs."""
+        """Add the settings of the preset and of the model, except for keys that are given."""
         given = {"preset": value} if isinstance(value, str) else value
         if not isinstance(given, dict):
             return given

@@ -31,9 +31,9 @@ Reflectivity = Float32Array | np.float32
 #: Depth (H, W) in metres, and mask (H, W) of the pixels that have a measurement.
 Measurement = tuple[Float32Array, NDArray[np.bool_]]
 
-#: Standard deviation of the point spread of time of flight, pixels. At edges, surfaces are mixed by it.
+#: Standard deviation of the blur of a time-of-flight sensor, pixels. The blur mixes surfaces at edges.
 _SPREAD = 0.5
-#: Largest footprint of a depth pixel in the colour image, pixels.
+#: Largest width of the footprint of a depth pixel in the colour image, pixels.
 _WIDEST = 16
 #: Rounding changes the inverse depth by up to this share.
 _ROUNDING = np.float32(1e-3)
@@ -58,7 +58,7 @@ class Surfaces:
 
     @classmethod
     def of(cls, depth: Float32Array, K: Array, rays: Float32Array) -> Surfaces:
-        """Find the planes of exact depth (H, W). No difference is taken across an edge."""
+        """Find the planes of exact depth (H, W). Differences of depth across an edge are not used."""
         with np.errstate(divide="ignore"):
             inverse = np.float32(1) / depth
         slope_x, slope_y = _slope(inverse, 1), _slope(inverse, 0)
@@ -76,8 +76,8 @@ class Surfaces:
 
 
 def _slope(inverse: Float32Array, axis: int) -> Float32Array:
-    """Change per pixel along an axis. Of both neighbours, the one that differs less is used: it is on the
-    same surface."""
+    """Change of the inverse depth per pixel along an axis. Of both neighbours of a pixel, the one that
+    differs less is used, since it is on the same surface."""
     step = np.diff(inverse, axis=axis)
     missing = np.full_like(np.take(inverse, [0], axis=axis), np.inf)
     before, after = np.concatenate([missing, step], axis), np.concatenate([step, missing], axis)
@@ -151,7 +151,7 @@ class DepthSensor:
         second: Float32Array | None = None,
         colours: Image | None = None,
     ) -> Millimetres:
-        """Measure the depth (H, W) of an image.
+        """Compute the depth (H, W) that the sensor measures, in millimetres.
 
         Args:
             depth: Exact depth (H, W) of :meth:`camera_at`, metres; inf where nothing is.
@@ -222,8 +222,8 @@ class DepthSensor:
         return distance / along, (signal > 0) & (signal >= cast(float, config.dark))
 
     def _lit(self, surfaces: Surfaces, second: Float32Array) -> NDArray[np.bool_]:
-        """Pixels (H, W) with a surface that the second camera sees, too. It sees the point if its depth there
-        is that of the point, and not that of something in front."""
+        """Mask (H, W) of pixels with a surface that the second camera sees, too. It sees the surface if its
+        depth image ``second`` shows nothing nearer there."""
         inverse = surfaces.inverse
         shift = np.float32(self._focal_baseline)
         columns = np.arange(inverse.shape[1], dtype=np.float32) + np.float32(self._margin)
@@ -249,7 +249,7 @@ class DepthSensor:
 
     @cached_property
     def _margin(self) -> int:
-        """Additional columns at the left of a projector's image. A right imager has none."""
+        """Number of additional columns at the left of a projector's image; 0 for a right imager."""
         if self.config.model != "structured_light":
             return 0
         return int(np.ceil(self._focal_baseline / self.config.range[0]))
@@ -263,8 +263,8 @@ class DepthSensor:
 
 
 def infrared_reflectivity(colours: Image) -> Float32Array:
-    """Reflectivity (H, W) at the wavelength of depth sensors, of sRGB colours (H, W, 3). It is the square
-    root of the luminance, since dyes of cloth and carpets absorb less in the near infrared."""
+    """Reflectivity (H, W) of surfaces with sRGB colours (H, W, 3), at the wavelength of depth sensors: the
+    square root of the luminance, since dyes of cloth and carpets absorb less in the near infrared."""
     return np.sqrt(luminance(srgb_to_light(colours)))
 
 
@@ -359,7 +359,7 @@ def aligned(depth: Millimetres, rays: Array, camera: Camera, other: Camera) -> M
 
 
 def _in_frame_of(other: Camera, camera: Camera, points: Float32Array) -> Float32Array:
-    """Points (3, N) of the optical frame of a camera in the optical frame of another one."""
+    """Transform points (3, N) from the optical frame of ``camera`` to the optical frame of ``other``."""
     turn = other.R @ camera.R.T
     shift = other.t - turn @ camera.t
     return np.asarray(turn.astype(np.float32) @ points + shift.astype(np.float32)[:, None])
@@ -378,7 +378,7 @@ def _span(centre: Float32Array, half: Float32Array, size: int) -> tuple[Indices,
 
     Args:
         centre: (N,) middles of the footprints, pixels; NaN for none.
-        half: (N,) half of their width, pixels.
+        half: (N,) half of the width of the footprints, pixels.
         size: Number of pixels of the image.
     """
     half = np.minimum(half, np.float32(_WIDEST / 2))

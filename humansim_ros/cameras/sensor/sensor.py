@@ -47,7 +47,8 @@ def add_noise(electrons: Float32Array, read_noise: float, random: np.random.Gene
 
 
 def normal_numbers(shape: tuple[int, ...], random: np.random.Generator) -> Float32Array:
-    """Standard normal numbers from a table of quantiles: five times as fast as ``standard_normal``."""
+    """Random standard normal numbers, drawn from a table of quantiles. This is five times as fast as
+    ``standard_normal``."""
     count = int(np.prod(shape))
     uniform = np.frombuffer(random.bytes(2 * count), "<u2")
     return np.take(_quantiles(), uniform).reshape(shape)
@@ -55,7 +56,7 @@ def normal_numbers(shape: tuple[int, ...], random: np.random.Generator) -> Float
 
 @cache
 def _quantiles() -> Float32Array:
-    """65536 equally likely standard normal numbers. The largest is 4.3 standard deviations."""
+    """Table of 65536 equally likely standard normal numbers. The largest one is 4.3."""
     from scipy.special import ndtri  # imported here, since the import is slow and few cameras have noise
 
     values = ndtri((np.arange(1 << 16) + 0.5) / (1 << 16))
@@ -142,9 +143,9 @@ class Sensor:
         """Times (T,) at which the scene must be rendered, seconds from the stamp of the frame. The stamp is
         the midpoint of the exposure of the middle row.
 
-        With a global shutter, they are the midpoints of equal parts of the exposure. With a rolling shutter,
-        they are spread evenly from the start of the first row to the end of the last row. Without motion blur
-        and rolling shutter, there is a single time, 0.0.
+        With a global shutter, the times are the midpoints of equal parts of the exposure. With a rolling
+        shutter, the times are spread evenly from the start of the first row to the end of the last row.
+        Without motion blur and rolling shutter, there is a single time, 0.0.
         """
         exposure, row_time, samples = self._shutter
         span = exposure + (self.camera.size[1] - 1) * row_time
@@ -242,8 +243,8 @@ class Sensor:
     def _digitize(
         self, light: Float32Array, random: np.random.Generator, factors: Float32Array | None
     ) -> Image:
-        """Digital values (H, W, 3) or (H, W). ``light``: (H, W, 3) in front of the colour filters. It is
-        multiplied by ``factors``."""
+        """Digital values (H, W, 3) or (H, W). ``light``: (H, W, 3) in front of the colour filters.
+        ``factors`` multiply the light."""
         if factors is not None:
             light = light * factors[..., None]
         config, noise = self.config, self.config.noise
@@ -268,7 +269,7 @@ class Sensor:
         return out
 
     def _filtered(self, light: NDArray[Any]) -> NDArray[Any]:
-        """Light, or an 8-bit image, (H, W, 3) behind the colour filters."""
+        """What the colour filters let through: of light, or of an 8-bit image, (H, W, 3)."""
         if self.config.encoding == "mono8":
             return luminance(light)
         return bayer_mosaic(light) if self.config.encoding == "bayer_rggb8" else light
@@ -322,7 +323,7 @@ def _srgb_table() -> Float32Array:
 
 
 def _blocks(image: NDArray[Any]) -> Iterator[slice]:
-    """Slices that divide the rows of an image into blocks."""
+    """Slices that divide the rows of an image into blocks of about ``_BLOCK`` samples."""
     step = max(1, _BLOCK * len(image) // image.size)
     return (slice(top, top + step) for top in range(0, len(image), step))
 

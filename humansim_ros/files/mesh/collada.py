@@ -61,7 +61,7 @@ _NAMES = ("sid", "id", "name")
 def converted_collada(path: str | os.PathLike[str], data: bytes) -> bytes:
     """Convert a COLLADA file with its skins, textures and animations to a .glb file in metres, y up. Images
     are searched in the folder of the file and below it. A missing image causes a warning. If the file is
-    wrong, MeshError names the element as its key."""
+    wrong, the ``key`` of MeshError is the wrong element."""
     with located(path=path):
         if data.count(b"<") + data.count(b"=") > _MAX_PARTS:
             raise MeshError(f"more than {_MAX_PARTS} elements and attributes: simplify the mesh")
@@ -82,9 +82,9 @@ def converted_collada(path: str | os.PathLike[str], data: bytes) -> bytes:
 
 
 class _Curve(NamedTuple):
-    """Values (K, W) at times (K,) of one transform of a node. ``place``: the transform; ``first``: its first
-    animated value. ``keys``: times in the file. ``exact``: a whole matrix, interpolated exactly between its
-    keys."""
+    """Values (K, W) at times (K,) of one transform of a node. ``place``: number of the transform in the node.
+    ``first``: number of its first animated value. ``keys``: times in the file. ``exact``: whether a whole
+    matrix is interpolated exactly between its keys."""
 
     node: int
     place: int
@@ -124,7 +124,7 @@ class _Conversion(GlbBuilder):
 
     @contextmanager
     def inside(self, element: Element) -> Iterator[None]:
-        """Name an element in errors that its content causes."""
+        """Name ``element`` in the errors that are raised in the block."""
         name = next((text for key in ("id", "name", "url") if (text := element.get(key))), "")
         with located(MeshError, self.path, key=printable(f"{element.tag} {name}".strip(), 80)):
             try:
@@ -135,7 +135,7 @@ class _Conversion(GlbBuilder):
     # --- elements of the document
 
     def find(self, url: str | None, *tags: str) -> Element:
-        """Element that a URL such as ``#Body`` names. It must have one of some tags."""
+        """Element that a URL such as ``#Body`` names. Raises MeshError unless it has one of ``tags``."""
         found = self.elements.get((url or "").strip().removeprefix("#"))
         if found is None or found.tag not in tags:
             raise MeshError(f"there is no <{tags[0]}> {printable(url or '', 60)!r} in the file")
@@ -149,7 +149,8 @@ class _Conversion(GlbBuilder):
         return found
 
     def spend(self, count: int) -> None:
-        """Count what is read, since short files may refer to the same element again and again."""
+        """Count numbers that are read, up to a limit: a short file may use the same element again and
+        again."""
         self.spent += count
         if self.spent > _MAX_READ:
             raise MeshError(f"more than {_MAX_READ} numbers with all repetitions: simplify the mesh")
@@ -266,8 +267,8 @@ class _Conversion(GlbBuilder):
     # --- meshes, skins and materials
 
     def mesh(self, instance: Element) -> dict[str, int]:
-        """Numbers of the mesh and the skin of an instance. They are made once. Empty if the mesh has no
-        polygons."""
+        """Numbers ``mesh`` and ``skin`` for the node of an instance; empty if the mesh has no polygons. Equal
+        instances share mesh and skin."""
         looks = {each.get("symbol"): each.get("target", "") for each in instance.iter("instance_material")}
         controller = geometry = self.find(instance.get("url"), "controller", "geometry")
         skin: Element | None = None
@@ -437,9 +438,9 @@ class _Conversion(GlbBuilder):
     # --- animations
 
     def animations(self, lost: list[str]) -> Iterator[tuple[str, tuple[float, float], list[_Curve]]]:
-        """Animations: the clips of the file, or else the whole file as one. Yields name, span of time and
-        curves of each. A second animation of the same transform begins a new animation. ``lost``: gets
-        targets that do not exist."""
+        """Yield name, span of time and curves of each animation: of the clips of the file or, without clips,
+        of all its animations joined to one. A transform that is animated twice begins a new one. ``lost``:
+        gets targets that do not exist."""
         clips = self.root.findall("library_animation_clips/animation_clip")
         for clip in clips:
             with self.inside(clip):
@@ -551,8 +552,8 @@ class _Conversion(GlbBuilder):
 
 
 def _triangles(sizes: Indices, strips: bool) -> Indices:
-    """Corners (T, 3) of triangles that make up polygons, or triangle strips, with ``sizes`` (P,) corners
-    each."""
+    """Divide polygons, or triangle strips, with ``sizes`` (P,) corners into triangles. Returns their corners
+    (T, 3)."""
     counts = np.maximum(sizes - 2, 0)
     first = np.repeat(np.cumsum(sizes) - sizes, counts)
     step = np.arange(len(first)) - np.repeat(np.cumsum(counts) - counts, counts)

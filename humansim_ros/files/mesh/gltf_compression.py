@@ -32,7 +32,7 @@ _UNPACKED = {
 
 
 def decode_stream(data: bytes, mode: str, filter_name: str, count: int, stride: int) -> Bytes:
-    """Decode a buffer view: (count * stride,) bytes. ValueError if it does not fit the format.
+    """Decode a buffer view to (count * stride,) bytes. Raises ValueError if the data do not fit the format.
 
     Args:
         data: Compressed bytes.
@@ -59,7 +59,7 @@ def decode_stream(data: bytes, mode: str, filter_name: str, count: int, stride: 
 
 
 def _attributes(data: bytes, count: int, stride: int) -> Bytes:
-    """Elements (count, stride)."""
+    """Decode elements (count, stride) that were compressed as vertex attributes."""
     version = {0xA0: 0, 0xA1: 1}.get(data[0])
     if version is None:
         raise ValueError(f"attributes with header {data[0]:#x}")
@@ -181,7 +181,7 @@ class _Reader:
         raise ValueError("a number of more than five bytes")
 
     def skip_name(self) -> None:
-        """Skip a text after its length in a byte."""
+        """Skip a text. The byte in front of it is its length."""
         self.at += 1 + self.data[self.at]
 
     def index(self) -> int:

@@ -68,14 +68,15 @@ Item = TypeVar("Item")
 
 @dataclass(frozen=True)
 class Gltf:
-    """Content of a glTF file. Wrong content raises MeshError. ``decoded_images``: by number."""
+    """Content of a glTF file. Wrong content raises MeshError. ``decoded_images``: cache of the images that
+    have been decoded, by number."""
 
     path: Path
     document: Document
     embedded: bytes | None
     decoded_images: DecodedImages = field(default_factory=DecodedImages, compare=False)
     _draco_meshes: dict[int, DracoMesh] = field(default_factory=dict, compare=False)
-    #: Content of buffer views with meshopt data, and of buffers.
+    #: Cache of the decoded content of buffer views with meshopt data, and of buffers, by number.
     _decoded: dict[int, bytes] = field(default_factory=dict, compare=False)
     _buffers: dict[int, bytes] = field(default_factory=dict, compare=False)
 
@@ -142,8 +143,8 @@ class Gltf:
         return parents
 
     def local(self, properties: dict[tuple[int, str], Array] | None = None) -> Array:
-        """Transforms (..., N, 4, 4) of the nodes in their parents. ``properties``: replace properties of the
-        file, such as ``(3, "rotation"): (..., 4)`` for node 3."""
+        """Transforms (..., N, 4, 4) of the nodes relative to their parents. ``properties``: values that
+        replace properties of the file, such as ``(3, "rotation"): (..., 4)`` for node 3."""
         properties = properties or {}
         shape = next((value.shape[:-1] for value in properties.values()), ())
         out = np.broadcast_to(np.eye(4), (*shape, len(self.nodes), 4, 4)).copy()
@@ -163,7 +164,7 @@ class Gltf:
         return out
 
     def world(self, local: Array | None = None) -> Array:
-        """Transforms (..., N, 4, 4) of the nodes in the scene."""
+        """Transforms (..., N, 4, 4) of the nodes to the scene, from :meth:`local` transforms."""
         local = self.local() if local is None else local
         out = np.array(local)
         order = self.order
@@ -252,7 +253,7 @@ class Gltf:
         return _normalised(values, values.dtype) if accessor.normalized else values
 
     def indices(self, primitive: Primitive) -> tuple[NDArray[np.int64] | None, int]:
-        """Vertex indices of a primitive (None if absent), and its mode."""
+        """Vertex indices of a primitive (None if absent), and its mode (:class:`Primitive`)."""
         mesh, _ = self._draco_mesh(primitive)
         if mesh is not None:
             return mesh.triangles.ravel(), 4
@@ -261,7 +262,7 @@ class Gltf:
         return self.accessor(primitive.indices, ["SCALAR"], "indices").astype(np.int64), primitive.mode
 
     def _draco_mesh(self, primitive: Primitive) -> tuple[DracoMesh | None, DracoPrimitive]:
-        """Draco mesh of a primitive (None for no Draco mesh), and its attributes."""
+        """Decoded Draco mesh of a primitive (None for no Draco mesh), and the ids of its attributes."""
         with located(path=self.path, key=DRACO):
             packed = draco_primitive(primitive.extensions)
             position = primitive.attributes["POSITION"]
@@ -354,7 +355,7 @@ class Gltf:
     def _read(
         self, place: Accessor | SparseValues, count: int, width: int, dtype: np.dtype[Any], key: str
     ) -> NDArray[Any]:
-        """Values (``count``, ``width``) at a place with a buffer view."""
+        """Read values (``count``, ``width``) from the buffer view of an accessor, or of sparse values."""
         assert place.bufferView is not None
         data, offset = self._view(place.bufferView, key), place.byteOffset
         size = width * dtype.itemsize
@@ -457,7 +458,7 @@ def _normalised(values: NDArray[Any], dtype: np.dtype[Any]) -> NDArray[Any]:
 
 
 def _glb_chunks(data: bytes, path: str | os.PathLike[str]) -> tuple[bytes, bytes | None]:
-    """The JSON text and the binary data of a .glb file."""
+    """The JSON text and the binary data of a .glb file; None for no binary data."""
     text: bytes | None = None
     embedded: bytes | None = None
     if len(data) >= 12 and struct.unpack_from("<I", data, 4)[0] != 2:

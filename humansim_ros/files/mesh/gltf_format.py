@@ -19,7 +19,7 @@ Vector = tuple[float, float, float]
 
 
 class Part(Checked):
-    """Section of the document. It is no Section of io.schema, since files may have further keys."""
+    """Section of the document. Unlike a Section of files.yaml, it may have unknown keys, as files do."""
 
     model_config = ConfigDict(frozen=True, allow_inf_nan=False)
 

@@ -223,7 +223,7 @@ def _flat_without_normals(pieces: list[_Piece]) -> list[_Piece]:
 
 
 def _shading(pieces: list[_Piece]) -> csr_matrix | None:
-    """Weights (V, N) of all triangles in the vertex normals; None if no piece has normals."""
+    """Weights (V, N) of all triangles in the vertex normals (see Mesh); None if no piece has normals."""
     if all(piece.normals is None for piece in pieces):
         return None
     unknown = (np.zeros_like(p.vertices) if p.normals is None else p.normals for p in pieces)
@@ -272,7 +272,7 @@ class _Attachment:
 
 
 def _pieces(gltf: Gltf, number: int, skeleton: GltfSkeleton | None) -> Iterator[_Piece]:
-    """Pieces of the mesh of one node."""
+    """Pieces of the mesh of node ``number``: one for each primitive."""
     node = gltf.nodes[number]
     if node.mesh is None:
         return

@@ -55,9 +55,9 @@ class GltfSkeleton:
         """Joints that an animation moves, in a file that may have no mesh. None if the animation moves no
         joint.
 
-        For a VRM animation, they are its human bones; or else the joints of all skins; or else the nodes that
-        the animation rotates, the nodes between these, and their ends. Without skins, the rest pose is that
-        of the nodes.
+        For a VRM animation, the joints are its human bones. For other files, they are the joints of all
+        skins. If there are no skins, they are the nodes that the animation rotates, and the nodes below
+        these. Without skins, the rest pose is that of the nodes.
         """
         human = _human_bones(gltf)
         if human and "VRMC_vrm_animation" in gltf.document.extensions:
@@ -76,8 +76,8 @@ class GltfSkeleton:
 
     @classmethod
     def _of_nodes(cls, gltf: Gltf, chosen: Collection[int], human: dict[int, str]) -> GltfSkeleton:
-        """Skeleton with joints at some nodes, in the rest pose of the nodes. ``human``: human bones, by
-        node."""
+        """Skeleton with joints at the ``chosen`` nodes, in the rest pose of the nodes. ``human``: names of
+        human bones, by node."""
         nodes = np.array([n for n in gltf.order if int(n) in chosen], dtype=np.intp)
         frames = np.array(gltf.at_rest[nodes])
         if not (np.isfinite(frames).all() and (np.abs(np.linalg.det(frames[:, :3, :3])) > 1e-27).all()):
@@ -129,10 +129,10 @@ def _nearest(gltf: Gltf, node: int, nodes: Collection[int]) -> int:
 def _common_space(changes: Array, gltf: Gltf) -> tuple[Array, float]:
     """Similarity transform (4, 4) from bind time to the scene, and its scale.
 
-    ``changes``: (J, 4, 4) transforms of the joints. They are equal if the rest pose of the nodes is the bind
-    pose. Otherwise each joint has its own rotation. So the scale is the median. Rotation and translation are
-    those of the joint with the rotation nearest to all others, since a mean of different rotations is no
-    rotation.
+    ``changes``: (J, 4, 4) transforms of the joints. The transforms are equal if the rest pose of the nodes is
+    the bind pose. Otherwise they have different rotations. So the result has the median of the scales, and
+    the rotation and translation of the joint with the rotation nearest to all others, since a mean of
+    different rotations is no rotation.
     """
     sizes = np.cbrt(np.abs(np.linalg.det(changes[:, :3, :3])))
     scale = float(np.median(sizes))

@@ -26,7 +26,7 @@ from humansim_ros.files.reading.arrays import ARCHIVE_ERRORS
 from humansim_ros.files.reading.programs import run_limited
 from humansim_ros.types import Array
 
-#: Rotation to z up by up axis of a file. For y, Blender's rotation; for x, that of COLLADA.
+#: Rotation to z up, by the up axis of a file. For y it is the rotation of Blender, for x that of COLLADA.
 _TO_Z_UP: dict[str, Array] = {
     "x": np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]]),
     "y": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]),
@@ -194,7 +194,7 @@ def parse(kind: str, data: bytes) -> dict[str, Any]:
 
 
 def _arrays(kind: str, data: bytes, loaded: Any) -> dict[str, Any]:
-    """Join all parts of a file to one mesh, each at its place."""
+    """Join all parts of a file to one mesh. Each part is moved to its place."""
     import trimesh
 
     parts: list[tuple[Any, Array]] = []

@@ -36,8 +36,8 @@ WornName = Literal[
     "backpack",
     "bag",
 ]
-#: Names of the labels, counted from 1. 0 is no human. Numbers never change: new names come last, also those
-#: of worn things.
+#: Names of the labels of surfaces. The first name has label 1; label 0 is no human. Labels never change: new
+#: names come last, also names of worn things.
 MATERIALS = (
     "unknown",
     "skin",
@@ -63,7 +63,7 @@ def with_hair(
 ) -> NDArray[np.uint8]:
     """Change labels (N,) of the triangles at points from skin to hair, for points on a texel of hair. ``uv``:
     (N, 2) texture coordinates of the points, v up. ``hair``: (H, W) share of hair in each texel of the skin,
-    255 is all of it."""
+    0 to 255."""
     height, width = hair.shape
     column = np.clip((uv[:, 0] * width).astype(np.intp), 0, width - 1)
     row = np.clip(((1 - uv[:, 1]) * height).astype(np.intp), 0, height - 1)
@@ -139,7 +139,7 @@ class Mesh:
     each texel of skin; if None, everything that is not ``skin``. ``off_body``: (F,) bool, whether each face
     belongs to an off-body surface: one away from the body, such as a skirt, a hat or long hair. None if no
     face does. ``material``: reflection of static meshes; if None, matt. ``shading``: (V, N) weights of the
-    area vectors of the N triangles in the vertex normals; if None, 1
+    area vectors of the N triangles in the vertex normals; if None, all are 1
     (:func:`humansim_ros.files.mesh.normals.shading_weights`).
 
     Raises:

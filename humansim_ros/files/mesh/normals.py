@@ -139,7 +139,8 @@ def subdivide(mesh: Mesh, rounds: int) -> Subdivision:
 
 
 def _divided(triangles: Indices, count: int) -> tuple[Indices, Indices]:
-    """Triangles (4 N, 3), and pairs (E, 2) of the ``count`` points. A new point lies between each pair."""
+    """Divide N triangles of ``count`` points. Returns triangles (4 N, 3), and pairs (E, 2) of points: a new
+    point lies between each pair."""
     sides = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     pairs, number = np.unique(sides, axis=0, return_inverse=True)
     ab, bc, ca = (count + number.reshape(-1, 3)).T
@@ -157,7 +158,8 @@ _INSIDE = 1e-9
 @dataclass(frozen=True, eq=False)
 class SurfaceTexels:
     """M texels that lie in triangles, in the order of the rows of the texture. ``row``: (M,), row 0 is the
-    top, v = 1. ``column``, ``triangle``: (M,). ``weights``: (M, 3) barycentric coordinates of the centres."""
+    top, v = 1. ``column``: (M,). ``triangle``: (M,) triangle at the centre of each texel. ``weights``: (M, 3)
+    barycentric coordinates of the centres."""
 
     row: NDArray[np.intp]
     column: NDArray[np.intp]
@@ -263,7 +265,7 @@ class SurfaceNormals:
 
 
 def welded(positions: NDArray[np.floating]) -> Indices:
-    """(V,) number of the place of each vertex. Vertices (V, 3) at the same place have the same number."""
+    """Numbers (V,) of vertices with positions (V, 3). Vertices at the same position have the same number."""
     order = np.lexsort(positions.T)
     new = (np.diff(positions[order], axis=0, prepend=np.nan) != 0).any(axis=1)
     places = np.empty(len(positions), np.intp)
@@ -280,7 +282,7 @@ def mean_normals(face_normals: Array, faces: NDArray[np.integer], n_vertices: in
     return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12))
 
 
-#: Up to this number, vertices at one place share their triangles. If there are more, each has only its own.
+#: Vertices at one place share their triangles. If there are more vertices than this, each has only its own.
 _MOST_AT_PLACE = 32
 #: If normals differ by less than this (degrees) from area-weighted means, nothing is fitted; steps of the
 #: fit.
@@ -427,7 +429,8 @@ def _checked_frames(vertices: FloatArray, count: int) -> tuple[FloatArray, tuple
 
 
 def _sides(points: FloatArray, corners: tuple[Indices, ...]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Sides (3, N) of triangles, from corner 0 to 1, 1 to 2 and 2 to 0. Coordinates come first."""
+    """Sides (3, N) of triangles, as vectors from corner 0 to 1, 1 to 2 and 2 to 0. The first axis is x, y,
+    z."""
     columns = np.ascontiguousarray(points.T)
     a, b, c = (columns.take(corner, axis=1) for corner in corners)
     return b - a, c - b, a - c

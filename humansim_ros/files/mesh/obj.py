@@ -31,8 +31,8 @@ from humansim_ros.files.reading.images import MAX_IMAGE_BYTES, DecodedImages
 from humansim_ros.geometry import unit_vectors
 from humansim_ros.types import Array, Image
 
-#: By keyword, for one material: line number, and the words after the keyword. The last statement of a keyword
-#: counts.
+#: Statements of one material: by keyword, the line number and the words after the keyword. If a keyword comes
+#: again, the last statement counts.
 Statements = Mapping[str, tuple[int, list[str]]]
 #: Specular reflectance (F0) for Ks = 1. Ks = 0.5 is glass and plastic (F0 0.04), as in Blender.
 _SPECULAR = 0.08
@@ -44,7 +44,7 @@ _UNSUPPORTED = ("map_Ks", "map_Ns", "map_Pr", "map_Pm", "map_Ps", "disp", "refl"
 
 @dataclass(frozen=True)
 class _Mtl:
-    """A material of a material file. ``images``: images of the file that have been decoded already."""
+    """A material of a material file. ``images``: cache of the decoded images of the file."""
 
     path: Path
     name: str
@@ -145,7 +145,7 @@ def _read(file: Path) -> bytes:
 
 
 def read_mtl(path: Path, images: DecodedImages) -> dict[str, _Mtl]:
-    """Materials of a material file by name. ``images``: images that have been decoded already."""
+    """Materials of a material file by name. ``images``: cache of decoded images."""
     materials: dict[str, dict[str, tuple[int, list[str]]]] = {}
     for number, line in enumerate(read_text(path, MeshError, "material", _MAX_MTL_BYTES).splitlines(), 1):
         words = line.partition("#")[0].split()

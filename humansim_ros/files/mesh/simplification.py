@@ -25,7 +25,7 @@ _TRIED = 0.35
 _LEAST_COSINE = 0.3
 #: The error of a level holds for this share of the vertices: they deviate by at most this error.
 _WITHIN = 0.95
-#: If a limit of the error is to be reached, each round removes at least this share of the triangles.
+#: Up to a limit of the error, rounds go on as long as each removes more than this share of the triangles.
 _LEAST_REMOVED = 0.003
 #: Number of vertices at which :func:`bounded_errors` measures, and the share of them that the error must hold
 #: for. This share is two standard deviations above ``_WITHIN``.
@@ -40,8 +40,8 @@ class Simplification:
 
     ``parents``: (V,) vertex that each vertex collapses into. A vertex that stays at all levels has its own
     number. ``coordinate_parents``: (T,) the same for texture coordinates. ``removed_at``: (V,) first level
-    without the vertex, 255 if the vertex stays. ``errors``: (K + 1,) metres. 95 % of the vertices are nearer
-    to the surface of a level than this, in all poses.
+    without the vertex, 255 if the vertex stays. ``errors``: (K + 1,) metres, one per level. 95 % of the
+    vertices are nearer to the surface of the level than this, in all poses.
     """
 
     parents: Indices
@@ -299,7 +299,7 @@ def _without_degenerate(triangles: Indices, coordinates: Indices) -> _Triangles:
 
 
 def _followed(parents: Indices, stays: NDArray[np.bool_]) -> Indices:
-    """(V,) follow the parents of each vertex up to the first one that stays."""
+    """(V,) vertex that each vertex collapses into in the end: its first ancestor that stays."""
     found = np.where(stays, np.arange(len(parents)), parents)
     while not stays[found].all() and not np.array_equal(
         further := np.where(stays[found], found, parents[found]), found

@@ -1,9 +1,9 @@
 """Arrays in untrusted files: NumPy archives (.npz), and pickles.
 
-A pickle is a program. Its opcodes are interpreted here. A name in it selects a function from a table, which
-makes a plain value from bytes. The unpickler of Python is not used, since it imports what a file names, and
-allocates as much memory as the file demands. Pickles of Python 2 and 3, .npy files of objects, and files of
-joblib and PyTorch are read.
+A pickle is a program. Its opcodes are interpreted here. A name in a pickle can only select a function of this
+module, which makes a plain value from bytes. The unpickler of Python is not used, since it imports what a
+file names, and allocates as much memory as the file demands. Pickles of Python 2 and 3, .npy files of
+objects, and files of joblib and PyTorch are read.
 """
 
 from __future__ import annotations
@@ -176,7 +176,7 @@ class _RefusedError(Exception):
 
 
 class _Made:
-    """A value that gets its content later: by ``build``, or by ``finish`` when all is read."""
+    """A value that gets its content later: by ``build``, or by ``finish`` when the file has been read."""
 
     def __init__(self, build: Callable[[Any], Any], finish: Callable[[], Any] | None = None) -> None:
         self.value: Any = None
@@ -202,13 +202,14 @@ class _DType(_Made):
 
 
 class _Machine:
-    """Interpreter of the pickles in a stream, one after another. ``room``: bytes that values may still need,
-    as a list of one number. ``load``: function that returns the bytes of a storage in an archive."""
+    """Interpreter of the pickles in a stream, one after another. ``room``: list with one number, the bytes
+    that values may still need. ``load``: function that returns the bytes of an array of PyTorch (a storage)
+    in an archive."""
 
     def __init__(self, data: bytes, room: list[int], load: Callable[[str], bytes] | None = None) -> None:
         self.stream, self.room, self.load = io.BytesIO(data), room, load
         self.storages: dict[str, _Made] = {}
-        #: Functions that names stand for. A name with None cannot be called.
+        #: Functions by their names in pickles. A name with None cannot be called.
         self.makers: Mapping[str, Callable[..., Any] | None] = {
             "numpy.ndarray": None,
             "numpy.dtype": _DType,
@@ -226,8 +227,8 @@ class _Machine:
             **{f"{module}.{kind}": make for module in _BUILTIN_MODULES for kind, make in _BUILTINS},
             **dict.fromkeys(_STORAGES),
         }
-        #: Functions from what an opcode pops to what it pushes. Opcodes that are not listed push their
-        #: argument.
+        #: Functions by opcode. Each takes what the opcode pops from the stack, and returns what the opcode
+        #: pushes. Opcodes that are not listed push their argument.
         self.steps: Mapping[str, Callable[..., Any]] = {
             "NEWTRUE": lambda: True,
             "NEWFALSE": lambda: False,
@@ -250,7 +251,7 @@ class _Machine:
         }
 
     def take(self, size: int) -> None:
-        """Count bytes. Raises ValueError if the file needs too many."""
+        """Count ``size`` bytes of memory. Raises ValueError if the values of the file need too many."""
         self.room[0] -= size
         if self.room[0] < 0:
             raise ValueError

@@ -1,4 +1,4 @@
-"""Find files of the package, humans and motions; hide words of other files in messages.
+"""Find files of the package, humans and motions; hide the content of users' files in messages.
 
 In a source checkout or an editable install, the files are next to the package. After an install by pip or
 colcon, they are in ``share/humansim_ros`` of the prefix. AMENT_PREFIX_PATH, which pip users do not have, is
@@ -141,8 +141,7 @@ HIDDEN = "…"
 #: Parts of a message: quoted texts, and words.
 _PARTS = re.compile(r"""(?<!\w)'(?:[^'\\]|\\.)+'(?!\w)|(?<!\w)"(?:[^"\\]|\\.)+"(?!\w)|[\w.:+$-]{3,}""")
 _WORD, _ESCAPE = re.compile(r"\w{3,}"), re.compile(r"\\(?:x..|u.{4}|U.{8}|.)")
-#: A number with fewer characters, outside quotes, may be a count or a length and equal a word of the file by
-#: chance.
+#: A short number outside quotes is not hidden: it may be a count or a length, which is in the file by chance.
 _NUMBER = re.compile(r"[\d.,:+-]{1,8}")
 #: Largest file that is searched, bytes.
 _LARGEST = 1 << 24
@@ -150,7 +149,7 @@ _ENCODINGS = ("utf-8", "utf-16-le", "utf-16-be", "latin-1", "cp932", "gb18030", 
 
 
 class FileQuotes:
-    """Hides words of files in texts. ``known``: text with words that may be shown."""
+    """Hides words of users' files in messages. ``known``: text with words that may be shown."""
 
     def __init__(self, known: Callable[[], object]) -> None:
         self.files: dict[str, None] = {}
@@ -208,8 +207,7 @@ def _own_texts() -> tuple[str, ...]:
 
 
 def _is_in(file: Path, word: str) -> bool:
-    """Whether a file contains a word, in any encoding. For files that would take long to search, the answer
-    is yes."""
+    """Whether a file contains a word, in any encoding. True for files that would take long to search."""
     forms = set[bytes]()
     for encoding in _ENCODINGS:
         with suppress(UnicodeEncodeError):

@@ -23,7 +23,7 @@ from humansim_ros.errors import HIDING, HumansimError, did_you_mean, near_names
 _BLOCK = 1 << 20
 #: Most names of a folder that are compared with the name of a missing file.
 _MOST_NAMES = 5000
-#: Words for entries of a folder that are not regular files.
+#: What to call entries of a folder that are not regular files, by their type.
 _KINDS = {
     stat.S_IFDIR: "a folder",
     stat.S_IFIFO: "a named pipe",
@@ -35,7 +35,7 @@ _KINDS = {
 
 @contextmanager
 def reading_errors(path: str | os.PathLike[str], error: type[HumansimError], what: str) -> Iterator[None]:
-    """Convert exceptions of opening and reading a file to ``error``, with path and reason."""
+    """Convert exceptions of opening and reading a file, in the block, to ``error`` with path and reason."""
     if "\0" in os.fspath(path):
         raise error("a file name cannot contain a NUL character", path=path)
     try:
@@ -160,7 +160,7 @@ def decode_text(data: bytes, path: str | os.PathLike[str], error: type[HumansimE
 
 #: East Asian encodings, with their names in messages.
 ENCODINGS = {"cp932": "Shift-JIS", "gb18030": "GBK", "cp949": "EUC-KR", "big5": "Big5", "euc_jp": "EUC-JP"}
-#: An encoding is taken if at least this share of the characters are among those below.
+#: An encoding is accepted if at least this share of the decoded characters is in ``_BODY``.
 _LEAST_BODY = 0.2
 #: Characters in names of joints in these scripts: left, right, and parts of the body.
 _BODY = frozenset(
@@ -212,7 +212,7 @@ def parse_json(
         most: Maximum count of values and keys.
         nan: Whether NaN and Infinity are accepted. They are not valid JSON, but common. The caller must check
             its numbers.
-        pairs: Makes an object from its keys and values. If None, it becomes a dict.
+        pairs: Function that makes an object from its keys and values. If None, an object becomes a dict.
 
     Raises:
         HumansimError: ``error`` with path and line, if the text is no JSON, has too many values or levels,
@@ -283,8 +283,8 @@ def _is_deep(content: Any) -> bool:
 
 
 def missing_file(path: Path, hint: str = "") -> str:
-    """Message about a missing file. It names a similar file of the folder. ``hint``: what to use instead of a
-    file."""
+    """Message about a missing file, with the name of a similar file if the folder has one. ``hint``: what to
+    use instead of a file."""
     return "; ".join(filter(None, (f"no such file {str(path)!r}", hint, near_file(path))))
 
 
@@ -315,7 +315,7 @@ def near_file(path: Path) -> str:
 
 
 def _names(folder: Path) -> list[str]:
-    """Names in a folder, at most the first thousands."""
+    """Names in a folder, but at most ``_MOST_NAMES`` of them."""
     with os.scandir(folder) as entries:
         return [entry.name for entry in islice(entries, _MOST_NAMES)]
 
@@ -401,7 +401,7 @@ def _beside(target: Path) -> Iterator[Path]:
 _PREFIX = "humansim-"
 #: File in a folder that the process using the folder keeps locked.
 _LOCK = ".lock"
-#: After this time, seconds, a process has surely locked a folder that it has made.
+#: A process locks a folder at most this many seconds after it has made the folder.
 _MAKING = 10.0
 
 
@@ -467,9 +467,9 @@ def cache_folder() -> Path | None:
 
 @contextmanager
 def only_one_process(path: Path, longest: float) -> Iterator[None]:
-    """Make processes that want to create the same file do so one after the other. A process that comes later
-    finds the file ready. After ``longest`` seconds it stops waiting, since the other process may have been
-    stopped. Without write access no process waits. ``path``: lock file, which is removed afterwards."""
+    """Make processes that want to create the same file do so one after the other. A process that has waited
+    finds the file ready. After ``longest`` seconds a process stops waiting, since the other process may have
+    been stopped. Without write access no process waits. ``path``: lock file, which is removed afterwards."""
     with suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
     try:

@@ -54,7 +54,7 @@ def _has_whole_chunks(data: bytes) -> bool:
 
 
 class DecodedImages:
-    """Images of one file. Each is decoded once. Together they have at most MAX_PIXELS_OF_FILE pixels."""
+    """Cache of the decoded images of one file. Together the images have at most MAX_PIXELS_OF_FILE pixels."""
 
     def __init__(self) -> None:
         self._images: dict[Hashable, NDArray[np.uint8]] = {}
@@ -74,7 +74,7 @@ class DecodedImages:
         return self._alphas[key]
 
     def tinted(self, key: Hashable, image: NDArray[np.uint8], color: Array) -> NDArray[np.uint8]:
-        """Image (H, W, 3) times a colour (3,), sRGB 0 to 1. It is computed once per key and colour. Raises
+        """Image (H, W, 3) times a colour (3,), sRGB 0 to 1. The result is cached by key and colour. Raises
         MeshError."""
         key = key, *color.tolist()
         if key not in self._images:
@@ -138,10 +138,10 @@ def declared_size(data: bytes) -> tuple[int, int] | None:
 
 
 def encode_srgb(linear: Array) -> Array:
-    """sRGB values of linear light."""
+    """Convert linear light to sRGB values. White is 1 in both."""
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 0) ** (1 / 2.4) - 0.055)
 
 
 def decode_srgb(encoded: Array) -> Array:
-    """Linear light of sRGB values."""
+    """Convert sRGB values to linear light. White is 1 in both."""
     return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)

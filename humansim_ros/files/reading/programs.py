@@ -33,7 +33,7 @@ def cores() -> int:
 
 
 def thread_limits(rendering: int) -> dict[str, str]:
-    """Environment variables that divide the cores among ``rendering`` processes that render.
+    """Environment variables that divide the CPU cores among several processes. ``rendering``: their number.
 
     By default Mesa without a GPU, and OpenCV, start one thread per core in each process. Variables that the
     user has set are left out.
@@ -62,8 +62,8 @@ _BINARY_FBX = b"Kaydara FBX Binary"
 _IMAGES = (".png", ".jpg", ".jpeg", ".tga", ".bmp", ".tif", ".tiff")
 _NAMES = ("FBX2glTF", "fbx2gltf", "FBX2glTF-linux-x64", "FBX2glTF-linux-x86_64")
 
-#: Runs a command under limits. It is a separate program, since ``preexec_fn`` may block if there are other
-#: threads.
+#: Program that runs a command under limits. The limits are not set by this process, since ``preexec_fn`` may
+#: block if there are other threads.
 _LIMITED = """
 import os, resource, sys
 memory, seconds, size = map(int, sys.argv[1:4])
@@ -73,7 +73,7 @@ resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
 resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 os.execv(sys.argv[4], sys.argv[4:])
 """
-#: Converts in Blender. An image that is not in the folder of the FBX file is not taken as its content.
+#: Script that converts in Blender. Images outside the folder of the FBX file are not read.
 _BLENDER = """
 import os, sys, bpy
 source, target, folder = sys.argv[-3:]
@@ -107,7 +107,7 @@ def run_limited(
         command: Absolute path of the program, and its arguments.
         data: Standard input of the program.
         memory: Most address space, bytes.
-        cpu_seconds, seconds: Most processor time, and most time.
+        cpu_seconds, seconds: Most processor time, and most wall-clock time, seconds.
         environment, folder: Environment and working directory. If None, those of this process.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Schemas of all YAML files: base model, value types, and errors in our own words.
+"""Schemas of all YAML files: base model, value types, and errors in words of this package.
 
 An error says what a key needs and what was given. The messages are made from the annotations of the schema,
 not from the messages of the validation library.
@@ -66,7 +66,8 @@ class Expected:
 
 @dataclass(frozen=True)
 class _Place:
-    """The key of an error, the need of the key, and the field that states it."""
+    """Place of an error: the key path, the annotation with the need of the key, and the field with this
+    annotation."""
 
     keys: tuple[Any, ...]
     annotation: Any
@@ -81,7 +82,7 @@ def validated(
     path: str | os.PathLike[str] | None = None,
     tree: yaml.Node | None = None,
 ) -> Model:
-    """Make a model of the content of a file.
+    """Check the content of a file against a model, and return it as an object of this model.
 
     Args:
         model: The model.
@@ -204,7 +205,7 @@ def show_value(value: Any) -> str:
 
 
 def _best(faults: Sequence[Any]) -> Any:
-    """The first fault. If the key has alternatives, the fault in the alternative that is a mapping of
+    """The fault to report: the first one or, if a key accepts alternatives, that of the alternative with
     names."""
     first, alternative = faults[0], len(faults[0]["loc"]) - 1
     if isinstance(first["input"], (str, list)):
@@ -218,7 +219,7 @@ def _best(faults: Sequence[Any]) -> Any:
 
 
 def _place(model: type[BaseModel], location: tuple[Any, ...]) -> _Place:
-    """The place of an error, as deep as its location, but a list of plain values is one place."""
+    """The place of an error at a ``location`` in a model. A list of plain values is one place."""
     place = _Place((), model, None)
     for number, part in enumerate(location):
         annotation = _plain(place.annotation)
@@ -249,7 +250,7 @@ def _field(model: type[BaseModel], name: Any) -> FieldInfo | None:
 
 
 def _found(fault: Any, place: _Place, inner: Sequence[int]) -> str:
-    """The value that was given at a place. For a long list, the wrong item, at the indices ``inner``."""
+    """Text of the value that was found at a place. For a list, the item at the indices ``inner``."""
     if place.is_name:
         return f"the name {show_value(place.keys[-1])}"
     value = show_value(fault["input"])
@@ -461,12 +462,12 @@ else:
     ModelMetaclass = type(BaseModel)
 
 
-#: Keys of a schema with content that is no schema.
+#: Keys of a pydantic core schema that have no schemas below them.
 _NO_SCHEMAS = ("default", "metadata", "serialization")
 
 
 def _refusing_booleans(part: Any) -> Any:
-    """Add a check before each number of a schema, which refuses booleans."""
+    """Add a check to each number of a schema. The check refuses booleans."""
     if isinstance(part, (list, tuple)):
         return type(part)(_refusing_booleans(item) for item in part)
     if not isinstance(part, dict):
@@ -517,7 +518,7 @@ class Section(Checked, metaclass=_SectionType):
 Byte = Annotated[int, Field(ge=0, le=255)]
 #: Red, green, blue; sRGB.
 ByteColor = tuple[Byte, Byte, Byte]
-#: Fraction of a whole.
+#: Fraction, from 0 to 1.
 Share = Annotated[float, Field(ge=0, le=1)]
 #: Axis of a file, such as ``y`` or ``-z``.
 Axis = Annotated[
@@ -548,12 +549,13 @@ class NamedFile(str):
     """Value of a key that names a file."""
 
 
-#: A path. If the key allows it, the name of a built-in. Relative paths start from the folder of the scene.
+#: Path of a file or, if the key allows it, name of a built-in file. Relative paths start from the folder of
+#: the scene.
 FileName = Annotated[str, AfterValidator(NamedFile), Expected("a name or path", "names or paths")]
 
 
 def one_or_more(schema: dict[str, Any]) -> None:
-    """Let the JSON schema of a list accept a single item of the list, too."""
+    """Change the JSON schema of a list so that it accepts a single item of the list, too."""
     options = schema.pop("anyOf", None) or [
         {key: schema.pop(key) for key in ("type", "items", "maxItems") if key in schema}
     ]
@@ -562,7 +564,7 @@ def one_or_more(schema: dict[str, Any]) -> None:
 
 
 def alone_in_list(value: Any) -> Any:
-    """Put a single text or section into a list."""
+    """Put a single text or section into a tuple. Return other values unchanged."""
     return (value,) if isinstance(value, (str, dict)) else value
 
 
@@ -570,7 +572,7 @@ class ShortSection(Section):
     """Section that can be written as a single text. The text is the value of one of its keys, such as the
     name of its file."""
 
-    #: The key with this value.
+    #: The key that gets this text.
     short_key: ClassVar[str] = "file"
 
     @model_validator(mode="before")

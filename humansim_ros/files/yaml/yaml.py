@@ -86,7 +86,7 @@ if yaml.__with_libyaml__:
     _CParser: Any = yaml.cyaml.CParser  # type: ignore[attr-defined]
 
     class _FastLoader(_Limits, _CParser, yaml.constructor.SafeConstructor, yaml.resolver.Resolver):
-        """Like Loader, with the parser of libyaml. The messages of libyaml have other words."""
+        """Like Loader, with the parser of libyaml, which is faster but has other words in its messages."""
 
         def __init__(self, text: str) -> None:
             _CParser.__init__(self, text)
@@ -97,7 +97,7 @@ if yaml.__with_libyaml__:
 
 
 def _tree(text: str, kind: type[Loader]) -> tuple[Any, yaml.Node | None]:
-    """Loader of a text, and its nodes."""
+    """Loader of a YAML text, and the root node of the text (None if the text is empty)."""
     # libyaml accepts tabs that YAML does not
     if kind is Loader and len(text) > _LONG and "\t" not in text and yaml.__with_libyaml__:
         with suppress(yaml.YAMLError, ValueError):  # the other parser reports the error
@@ -172,7 +172,7 @@ def _yaml_errors(text: str, error: type[HumansimError], path: str | os.PathLike[
 
 
 def line_of(node: yaml.Node | None, keys: Sequence[str | int]) -> int | None:
-    """Line of a key path, or of the deepest existing key of the path."""
+    """Line of a key path, or of the deepest key of the path that exists; None if no key exists."""
     line = None
     for key in keys:
         children = node.value if isinstance(node, (yaml.MappingNode, yaml.SequenceNode)) else []
@@ -194,7 +194,8 @@ def _check_keys(
     root: yaml.Node | None, error: type[HumansimError], path: str | os.PathLike[str], names: bool
 ) -> None:
     """Raise ``error`` for a repeated key, since PyYAML would silently take the last value. ``names``: also
-    for a key that YAML 1.1 reads as a boolean, since it may be the name of a camera or a human."""
+    raise it for a key that YAML 1.1 reads as a boolean, since the key may be the name of a camera or a
+    human."""
     pending, visited = [root], set[int]()
     while pending:
         node = pending.pop()

@@ -1,4 +1,4 @@
-"""Checks of scenes."""
+"""Check scenes for probable mistakes."""
 
 from humansim_ros.lazy import lazy_exports
 

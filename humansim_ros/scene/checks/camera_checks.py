@@ -25,30 +25,30 @@ from humansim_ros.scene.core.findings import (
 from humansim_ros.scene.core.scene import Scene
 from humansim_ros.types import Array
 
-#: Largest distance of a camera from the people: nothing beyond is rendered.
+#: Largest distance of a camera from the people, metres, since nothing beyond is rendered.
 _FARTHEST = 200.0
 #: Plausible distances of a camera from the origin, metres, to guess the unit of its position.
 _PLAUSIBLE = (1.0, 40.0)
 #: Metres per unit that a file or a person may have used, most probable first.
 _UNITS = (("millimetres", 0.001), ("centimetres", 0.01))
-#: Flesh around the joints, metres, and the nearest visible depth.
+#: Thickness of flesh around the joints, and smallest visible depth, metres.
 _FLESH, _NEAR = 0.1, 0.05
 #: Plausible fields of view in degrees; the widest is for a lens without distortion.
 _NARROWEST, _WIDEST = 3.0, 170.0
 #: Largest plausible distance of a principal point from the image centre, as a share of the image side.
 _OFF_CENTER = 0.35
-#: Largest share of an image beyond the valid radius of its lens.
+#: Largest acceptable share of an image beyond the valid radius of its lens.
 _FOLDED = 0.01
-#: Degrees off the axis at which all cameras are limited, even without folding.
+#: Every camera is limited at this angle to its axis, degrees, even if its distortion has no limit.
 _UNLIMITED = 89.0
-#: Most images for which the pixels of humans are estimated: all times of thirty cameras.
+#: Most images for which the pixels of humans are estimated; enough for all times of thirty cameras.
 _MOST_VIEWS = 20_000
-#: A camera that sees somebody does so at one of few times, mostly; else all times are looked at.
+#: First every 50th time is tested, which is mostly enough to find a human. Then all times are tested.
 _STEPS = (50, 1)
 
 
 def check_cameras(samples: SceneSamples, obstacles: Sequence[Obstacle]) -> Iterator[Finding]:
-    """Check all cameras. ``obstacles``: what a camera must not be inside of."""
+    """Check all cameras. ``obstacles``: things that a camera must not be inside of."""
     scene = samples.scene
     of_rig: dict[str, list[tuple[str, Finding]]] = {}
     for name in (name for name, camera in scene.scene_cameras.items() if not camera.left):
@@ -72,16 +72,16 @@ def check_cameras(samples: SceneSamples, obstacles: Sequence[Obstacle]) -> Itera
 
 
 def visible(camera: Camera, rotations: Array, translations: Array, points: Array) -> NDArray[np.bool_]:
-    """Whether a camera may see something at points, with flesh around them.
+    """Whether a camera may see the flesh around points, such as joints.
 
     Args:
-        camera: Size, K and lens.
-        rotations: Its rotations (N, 3, 3) from ``map`` to the optical frame, or one (1, 3, 3).
-        translations: Its translations (N, 3) or (1, 3), metres.
+        camera: Camera. Its size, K and lens are used, not its pose.
+        rotations: Rotations (N, 3, 3) or (1, 3, 3) from ``map`` to the optical frame.
+        translations: Translations (N, 3) or (1, 3) from ``map`` to the optical frame, metres.
         points: (N, P, 3) in ``map``.
 
     Returns:
-        (N, P) bool.
+        (N, P) whether each point may be visible.
     """
     optical = np.einsum("nij,npj->npi", rotations, points) + translations[:, None]
     with np.errstate(all="ignore"):
@@ -92,8 +92,8 @@ def visible(camera: Camera, rotations: Array, translations: Array, points: Array
 
 
 def covered_pixels(name: str, samples: SceneSamples) -> float:
-    """Pixels of the rectangles that all humans cover in an image, mean over time and the checked humans.
-    Scenes of many cameras are looked at less often."""
+    """Estimate the number of pixels in an image that are within the rectangles around humans, as a mean over
+    time. Scenes with many cameras are sampled at fewer times."""
     if not samples.joints:
         return 0.0
     camera, times = samples.scene.scene_cameras[name].camera, len(samples.times)
@@ -115,7 +115,7 @@ def covered_pixels(name: str, samples: SceneSamples) -> float:
 def _check_camera(
     name: str, samples: SceneSamples, obstacles: Sequence[Obstacle]
 ) -> Iterator[tuple[str, Finding]]:
-    """Kind and finding."""
+    """Check one camera. Yields findings, each with its kind."""
     scene = samples.scene
     key = pose_key(scene, name)
     if far := _far(name, samples):
@@ -133,7 +133,7 @@ def _check_camera(
 
 
 def pose_key(scene: Scene, name: str) -> str:
-    """Key that gives the pose of a camera."""
+    """Key of the scene file that gives the pose of a camera."""
     config = scene.config.cameras.get(name)
     if config is None:
         return "rig.file"
@@ -155,7 +155,7 @@ def intrinsics_key(scene: Scene, name: str, option: str) -> str:
 
 
 def _far(name: str, samples: SceneSamples) -> str | None:
-    """Finding about a camera that is too far away to see anything."""
+    """Text of the finding that a camera is too far away to see anything; None if not far away."""
     centers = samples.centers(name)
     distances = np.linalg.norm(centers - samples.middle, axis=1)
     # a person may be the one who is far from everything
@@ -175,7 +175,7 @@ def distance_text(metres: float) -> str:
 
 
 def _in_unit(name: str, samples: SceneSamples, scale: float) -> str:
-    """Remedy for a position in a unit of ``scale`` metres."""
+    """Advice how to change the scene if the position is in a unit of ``scale`` metres."""
     config = samples.scene.config.cameras.get(name)
     own_pose = config is not None and (config.position is not None or config.t is not None)
     if config is None or (config.calibration is not None and not own_pose):
@@ -188,7 +188,7 @@ def _in_unit(name: str, samples: SceneSamples, scale: float) -> str:
 
 
 def _sees_nobody(name: str, samples: SceneSamples) -> str | None:
-    """Finding about a camera that never sees a human."""
+    """Text of the finding that a camera never sees a human; None if a human is seen."""
     scene = samples.scene
     if len(samples.joints) < max(1, len(scene.actors)):
         return None  # another node may move somebody to the camera
@@ -243,7 +243,7 @@ def _measures_nobody(name: str, samples: SceneSamples) -> str | None:
 
 
 def _other_poses(camera: Camera) -> Iterator[tuple[str, tuple[Array, Array]]]:
-    """Plausible poses that other conventions give to the same numbers R and t."""
+    """Yield other poses that the numbers R and t may mean, each with the name of the convention."""
     r, t = camera.R, camera.t
     flip, axes = np.diag([1.0, -1.0, -1.0]), "as in OpenGL and Blender"
     for text, rotation, translation in (
@@ -276,13 +276,13 @@ def _sees_object(name: str, samples: SceneSamples) -> bool:
 
 
 def _with_middles(joints: Array) -> Array:
-    """Joints (N, J, 3), and points between each and the next, so that large views of limbs count."""
+    """Joints (N, J, 3), and points between each joint and the next, so that a close view of a limb counts."""
     between = [share * joints[:, 1:] + (1 - share) * joints[:, :-1] for share in (0.25, 0.5, 0.75)]
     return np.concatenate([joints, *between], axis=1)
 
 
 def _check_intrinsics(name: str, scene: Scene) -> Iterator[tuple[str, str, str]]:
-    """Kind, key and text."""
+    """Check the intrinsics of a camera. Yields kind, key and text of each finding."""
     camera, config = scene.scene_cameras[name].whole, scene.config.cameras.get(name)
     for message in _wrong_size(camera):
         yield "size", "K", f"camera {name}: {message}"
@@ -309,7 +309,7 @@ def _check_intrinsics(name: str, scene: Scene) -> Iterator[tuple[str, str, str]]
 
 
 def _wrong_size(camera: Camera) -> list[str]:
-    """Messages about a K that does not belong to the image."""
+    """Messages if K does not fit the size of the image."""
     messages = check_image_size(camera)
     share = (camera.K[:2, 2] + 0.5) / camera.size
     if messages or np.abs(share - 0.5).max() <= _OFF_CENTER:
@@ -328,16 +328,16 @@ def _lost_share(camera: Camera) -> float:
     return float(1 - np.isfinite(rays).all(axis=1).mean())
 
 
-#: Slowest change of the light from frame to frame that is seen, Hz: a period of a minute.
+#: Slowest change of the light from frame to frame that a viewer notices, Hz: a period of a minute.
 _SLOWEST = 1 / 60
-#: Depth of the flicker in the image that is seen: half a level of 255.
+#: Smallest flicker in the image that is visible: half a level of 255.
 _FAINTEST = 0.5 / 255
-#: Frames of the schedule that are looked at, at most.
+#: Most frames of the schedule that are tested.
 _MAX_FRAMES = 3000
 
 
 def check_faults(samples: SceneSamples) -> Iterator[Finding]:
-    """Check the faults of all cameras; the faults of a rig once for all of its cameras."""
+    """Check the faults of all cameras. The cameras of a rig have the same faults, which are checked once."""
     of_rig: dict[str, tuple[Finding, list[str]]] = {}
     for name, camera in samples.scene.scene_cameras.items():
         if camera.left:
@@ -363,7 +363,7 @@ def _check_camera_faults(camera: SceneCamera, samples: SceneSamples) -> Iterator
 
 
 def _hidden_flicker(camera: SceneCamera, rate: float) -> Iterator[tuple[str, str]]:
-    """Flicker that leaves all images alike."""
+    """Find flicker that no image shows, since all images get the same light. Yields key and text."""
     faults = camera.faults
     if faults is None or faults.config.flicker is None:
         return
@@ -387,7 +387,8 @@ def _hidden_flicker(camera: SceneCamera, rate: float) -> Iterator[tuple[str, str
 
 
 def _late_members(camera: SceneCamera, scene: Scene) -> Iterator[tuple[str, str]]:
-    """A clock that is behind, so that results with the stamps of images never finish a frame in lockstep."""
+    """Find a late clock, since results with its stamps never finish a frame in lockstep. Yields key and
+    text."""
     time, clock = scene.config.time, None if camera.faults is None else camera.faults.config.clock
     topics = [each.topic for each in time.wait_for if each.topic]
     if time.mode != "lockstep" or clock is None or not topics:
@@ -402,7 +403,7 @@ def _late_members(camera: SceneCamera, scene: Scene) -> Iterator[tuple[str, str]
 
 
 def _no_images(camera: SceneCamera, scene: Scene, duration: float) -> Iterator[tuple[str, str]]:
-    """Faults that leave no image in the time that is checked."""
+    """Find faults due to which a camera sends no image in the time that is checked. Yields key and text."""
     if camera.faults is None or not (camera.faults.config.drop or camera.faults.config.outage):
         return
     frames = min(_MAX_FRAMES, scene.config.time.frames or round(duration * scene.config.rate))
@@ -419,27 +420,27 @@ def _no_images(camera: SceneCamera, scene: Scene, duration: float) -> Iterator[t
     yield min(kinds), text
 
 
-#: CPU ms of rgb, depth, instance and part [docs/performance.md, scaling]: of a camera, of a million pixels of
-#: the rectangles that humans cover, of 10,000 triangles of all humans for each camera, and once.
+#: CPU ms for rgb, depth, instance and part [docs/performance.md, scaling]: per camera; per million pixels of
+#: the rectangles around humans; per 10,000 triangles of all humans, for each camera, and once per frame.
 _CAMERA, _MEGAPIXEL, _TRIANGLES_PER_CAMERA, _TRIANGLES = 1.9, 112.0, 1.55, 0.25
-#: Factor of a distorted lens, and of the publishing of images.
+#: Factors by which a distorted lens, and publishing images, increase these times.
 _LENS, _PUBLISHING = 1.25, 1.1
-#: CPU ms in which the room is rendered again, for a moving camera without and with distortion.
+#: CPU ms to render the room again for a moving camera, without and with distortion.
 _MOVING, _MOVING_LENS = 50.0, 195.0
-#: CPU ms of a skinner, and of the motion player.
+#: CPU ms per frame of a skinner, and of the motion player.
 _SKINNER, _PLAYER = 3.5, 2.0
 #: Share of the rendering of a camera that one sample of motion blur or rolling shutter repeats.
 _SAMPLE = 0.9
-#: CPU ms of noise and other effects for a million pixels [docs/sensors.md].
+#: CPU ms of noise and other effects per million pixels [docs/sensors.md].
 _EFFECTS = 14.0
 
 
 def cpu_ms(scene: Scene, covered: Mapping[str, float]) -> float:
     """Estimate the CPU time of a frame of all nodes of a scene, milliseconds, without a GPU.
 
-    All images of the table of the scaling in docs/performance.md are subscribed: rgb, depth, instance, part.
+    Each camera has subscribers for rgb, depth, instance and part (docs/performance.md, scaling).
 
-    ``covered``: pixels of the rectangles that humans cover in a frame, by camera.
+    ``covered``: by camera, the pixels that :func:`covered_pixels` estimates.
     """
     triangles = sum(len(actor.human.mesh.triangles) for actor in scene.actors.values()) / 1e4
     cameras = sum(
@@ -464,5 +465,5 @@ def _camera_ms(camera: SceneCamera, covered: float, triangles: float, room: bool
 
 
 def has_gpu() -> bool:
-    """Whether the system shows a GPU, for which these figures do not hold."""
+    """Whether this machine has a GPU, for which these CPU times are not valid."""
     return any(Path("/dev/dri").glob("renderD*")) or Path("/dev/nvidia0").exists()

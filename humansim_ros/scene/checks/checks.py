@@ -1,4 +1,4 @@
-"""Checks of a scene that loads. They report what is probably a mistake, and change nothing."""
+"""Find probable mistakes in a scene that loads without errors. The scene is not changed."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ from humansim_ros.scene.core.findings import (
 from humansim_ros.scene.core.scene import Scene
 from humansim_ros.types import Array
 
-#: Seconds between two times, most poses and most humans of a complete check and of a quick one.
+#: Of a complete check, then of a quick check: seconds between two times, most poses, most humans.
 _COMPLETE = (0.1, 6000, 10_000)
 _QUICK = (0.2, 600, 50)
-#: Factor by which an estimate must be above the processor time of the machine to be reported.
+#: An estimated processor time is reported if it is above the available time by this factor.
 _TOO_MUCH = 1.3
 
 
 def check_scene(scene: Scene, quick: bool = False, processors: int | None = None) -> list[Finding]:
-    """Find probable mistakes in a scene that loads (docs/scene.md, Checks).
+    """Find probable mistakes in a scene that loads without errors (docs/scene.md, Checks).
 
     The first minute is checked, or a longer cycle of a motion, up to ten minutes.
 
@@ -46,8 +46,8 @@ def check_scene(scene: Scene, quick: bool = False, processors: int | None = None
         scene: The scene.
         quick: Check fewer times, the first 50 humans, and not the furniture of the room, as ``humansim run``
             does.
-        processors: Cores that play the scene, for the estimate of the rate; all of this machine if None,
-            unless it has a GPU.
+        processors: Cores that play the scene, for the check of the rate. If None, all cores of this machine.
+            A machine with a GPU then skips this check.
 
     Returns:
         Findings with file and line, errors first; empty for a scene without findings.
@@ -81,7 +81,7 @@ def check_scene(scene: Scene, quick: bool = False, processors: int | None = None
 
 
 def _rate(samples: SceneSamples, processors: int | None) -> list[Finding]:
-    """Finding about a rate that needs more than the processor time of this machine."""
+    """Findings if the rate of the scene needs more processor time than ``processors`` cores have."""
     if processors is None and has_gpu():
         return []
     scene = samples.scene
@@ -109,8 +109,8 @@ def _rate(samples: SceneSamples, processors: int | None) -> list[Finding]:
 _BEYOND = 0.02
 #: Farthest plausible position of a human, metres.
 _FARTHEST = 200.0
-#: Bones that nothing may cross, from joint to joint: not hands, forearms and feet, which touch things, nor
-#: the root, which is on the seat of a person who sits.
+#: Bones that nothing may cross, from joint to joint. Hands, forearms and feet are left out, since they touch
+#: things, and the root, since it touches a seat.
 _BONES = (
     ("sacroiliac", "vl5"),
     ("vl5", "vt3"),
@@ -121,19 +121,19 @@ _BONES = (
     ("l_shoulder", "l_elbow"),
     ("r_shoulder", "r_elbow"),
 )
-#: Part of these bones that counts: a foot may stand on something.
+#: Share of the length of a bone that is tested; the end is left out, since a foot may stand on something.
 _PART = 0.85
-#: Bones that touch what a person sits on: the lowest part of the trunk, and the legs.
+#: Bones that touch a seat: the lowest part of the trunk, and the legs.
 _SEATED = (_BONES[0], *_BONES[2:6])
-#: Metres to which they may be in it: flesh and cushions give way.
+#: These bones may be this deep in a seat, metres, since flesh and cushions give way.
 _CONTACT = 0.12
-#: Metres below the hips in which a seat is looked for, and share of the height of the hips of a person who
-#: stands (the length of the legs) up to which it sits.
+#: A seat is searched at these distances below the hips, metres; a person sits if the height of the hips is at
+#: most this share of the length of the legs.
 _SEAT, _SITS = (0.05, 0.1, 0.15, 0.2, 0.25), 0.75
 #: Joints of the spine, from below.
 _SPINE = ("HumanoidRoot", "sacroiliac", "vl5", "vt3", "vt3_end")
-#: Points of the spine that are compared. Bodies are in each other if their spines are nearer than this share
-#: of the length of both, half of the depth of a trunk.
+#: Number of points of a spine that are compared; and two bodies are in each other if their spines are nearer
+#: than this share of the lengths of both spines (half of the depth of a trunk).
 _POINTS, _DEPTH = 9, 0.12
 
 
@@ -168,7 +168,7 @@ def _beyond(samples: SceneSamples, joints: Array) -> Array:
 
 
 def _outside(name: str, samples: SceneSamples) -> str | None:
-    """Finding about a human outside the room."""
+    """Text of the finding that a human is outside the room; None if the human is inside."""
     room, joints = samples.scene.environment.room, samples.joints[name]
     beyond = _beyond(samples, joints)
     if room is None or beyond.max() <= _BEYOND:
@@ -198,9 +198,9 @@ def _in_obstacles(
     samples: SceneSamples,
     obstacles: Sequence[Obstacle],
 ) -> Iterator[Finding]:
-    """Findings about a human inside things, the first time for each thing. Contact with a seat is meant.
-    ``joints``: (N, J, 3). ``outside``: (N,) whether it is outside the room, where it is in the walls as
-    well."""
+    """Yield a finding for each thing that a human is inside of, with the first time. Contact with a seat is
+    allowed. ``joints``: (N, J, 3). ``outside``: (N,) times at which the human is outside the room. They are
+    not tested, since the human would be in the walls."""
     names = samples.joint_names(name)
     pairs = [(names.index(a), names.index(b)) for a, b in _BONES if a in names and b in names]
     inside = np.flatnonzero(~outside)
@@ -226,8 +226,8 @@ def _in_obstacles(
 
 
 def _is_seat(obstacle: Obstacle, joints: Array, names: Sequence[str], times: Array) -> bool:
-    """Whether a human sits on a thing at any time: bent legs, and the thing below the hips only. ``joints``:
-    joints (N, J, 3) in ``map``. ``times``: seconds (N,)."""
+    """Whether a human sits on a thing at any time: the legs are bent, and the thing is below the hips only.
+    ``joints``: joints (N, J, 3) in ``map``. ``times``: seconds (N,)."""
     legs = [name for side in "lr" for name in (f"{side}_hip", f"{side}_knee", f"{side}_ankle")]
     if not set(legs) <= set(names):
         return False
@@ -246,8 +246,8 @@ def _is_seat(obstacle: Obstacle, joints: Array, names: Sequence[str], times: Arr
 
 
 def _is_deep(obstacle: Obstacle, starts: Array, ends: Array, times: Array) -> NDArray[np.bool_]:
-    """Whether a part (N,) of bones from ``starts`` to ``ends`` (N, S, 3) is deeper in a thing than contact. A
-    point is deep if it stays inside when it is moved by ``_CONTACT`` sideways or up."""
+    """(N,) whether any of the bones from ``starts`` to ``ends``, (N, S, 3), is deeper in a thing than contact
+    allows. A point is too deep if it is still inside after a move by ``_CONTACT`` sideways or up."""
     deep = np.zeros(len(times), dtype=bool)
     moves = _CONTACT * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1]])
     for bone in range(starts.shape[1]):
@@ -263,7 +263,7 @@ def _is_deep(obstacle: Obstacle, starts: Array, ends: Array, times: Array) -> ND
 
 
 def _in_each_other(samples: SceneSamples) -> Iterator[Finding]:
-    """Findings about humans in each other, the first time for each pair."""
+    """Yield a finding for each pair of humans that are inside each other, with the first time."""
     names, spines, lengths = [], [], []
     for name, joints in samples.joints.items():
         known = samples.joint_names(name)
@@ -315,7 +315,7 @@ def _pair_findings(
 
 
 def _along(lines: Array, count: int) -> Array:
-    """``count`` points (N, count, 3) on lines of points (N, P, 3), evenly by number."""
+    """Resample polylines (N, P, 3) to ``count`` points, evenly by number of the point: (N, count, 3)."""
     place = np.linspace(0, lines.shape[1] - 1, count)
     before = np.minimum(place.astype(int), lines.shape[1] - 2)
     share = (place - before)[:, None]

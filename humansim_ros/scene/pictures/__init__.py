@@ -1,4 +1,4 @@
-"""Pictures of views, people, rigs and scenes."""
+"""Draw pictures of views, people, camera rigs and scenes."""
 
 from humansim_ros.lazy import lazy_exports
 

@@ -1,4 +1,4 @@
-"""Pictures of objects in notebooks: scenes, frames, views, humans, motions and cameras."""
+"""Pictures that notebooks show of objects: scenes, frames, views, humans, motions and cameras."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ WIDTH = 640
 #: Most tiles of a grid, and pixels between them.
 _MOST, _GAP = 9, 2
 _TITLE = 0.5
-#: Frames of a motion, and views of a human, next to each other.
+#: In a picture: number of frames of a motion, and azimuths of the views of a human, degrees.
 _PHASES, _AZIMUTHS = 5, (0, 45, 180)
 
 
 def notebook_png(item: object) -> bytes:
-    """PNG file of a picture, at most WIDTH pixels wide. Its title is the text of the object."""
+    """Draw an object. Returns a PNG file, at most WIDTH pixels wide, with the text of the object as title."""
     with warnings.catch_warnings():
         # the warnings were shown when the object was made
         warnings.simplefilter("ignore", HumansimWarning)
@@ -107,7 +107,7 @@ def _(frame: Frame) -> Image:
 
 
 def _title(text: str, width: int) -> Image:
-    """Bar with a text. The text is made smaller, and then cut off, until it fits."""
+    """Draw a bar with a title. A title that is too long is made smaller or, as a last resort, cut off."""
     scale = float(np.clip((width - 20) / text_size(text, 1.0)[0], 0.36, _TITLE))
     while text_size(text, scale)[0] > width - 14:
         text = f"{text[:-4]}..."
@@ -115,8 +115,7 @@ def _title(text: str, width: int) -> Image:
 
 
 def _grid(images: Sequence[Image], names: Sequence[str]) -> Image:
-    """Arrange images with their names in a grid, at most WIDTH wide. If there are many, only the first
-    ones."""
+    """Arrange images with their names in a grid, at most WIDTH wide. At most nine images are shown."""
     if not images:
         return np.full((40, WIDTH, 3), PAPER, np.uint8)
     shown = list(images)[:_MOST]
@@ -163,8 +162,8 @@ def channel_image(frame: Frame, camera: str, channel: str) -> Image:
 
 
 def joints_of_camera(frame: Frame, camera: str) -> Iterator[tuple[Skeleton, Array, NDArray[np.uint8]]]:
-    """Skeleton, pixels (J, 2) and visibility (J,) of each human in a camera. In a frame without the channels
-    ``depth``, ``instance`` and ``part``, all joints count as outside, since their visibility is unknown."""
+    """Yield skeleton, pixels (J, 2) and visibility (J,) of each human in a camera's image. In a frame without
+    the channels ``depth``, ``instance`` and ``part``, all joints count as outside."""
     try:
         seen = {name: (view.pixels, view.visible) for name, view in frame.truth[camera].joints.items()}
     except ChannelError:
@@ -221,7 +220,7 @@ def _plot_joints(axes: Axes, frame: Frame, camera: str) -> None:
 
 
 def _figure_class() -> type[Figure]:
-    """Class of figures that notebooks show. Raises HumansimError if matplotlib is missing."""
+    """Return a class of figures that notebooks show. Raises HumansimError if matplotlib is missing."""
     try:
         from matplotlib.figure import Figure
     except ImportError:
@@ -229,7 +228,7 @@ def _figure_class() -> type[Figure]:
         raise HumansimError(text) from None
 
     class FrameFigure(Figure):
-        """Figure without pyplot, which would keep it in memory; shown by notebooks in any case."""
+        """Figure that notebooks show although it is made without pyplot, which would keep it in memory."""
 
         def _repr_png_(self) -> bytes:
             file = io.BytesIO()

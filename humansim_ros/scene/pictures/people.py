@@ -40,8 +40,8 @@ from humansim_ros.render.pictures import (
 from humansim_ros.types import Array, Color, Image, Indices
 
 Viewpoint = Literal["side", "front", "three-quarter"]
-#: Shows the progress of a video. It gets the frames and their number, and yields the frames while they are
-#: drawn.
+#: Function that shows the progress of a video. It takes the frames and their number, and yields the same
+#: frames as they are drawn.
 Progress = Callable[[Iterable[Image], int], AbstractContextManager[Iterable[Image]]]
 SUFFIXES = (".png", ".mp4", ".gif")
 #: Azimuth of the camera, degrees from in front of the person towards its left.
@@ -50,9 +50,9 @@ _SHADOW: Color = (196, 200, 206)
 _FOV = np.radians(30.0)
 #: Most samples of a motion for the path of the camera, and seconds over which the path is smoothed.
 _PATH_SAMPLES, _SMOOTHING = 1000, 0.4
-#: Largest height that the image shows, in heights of the figure. The camera follows larger movements.
+#: Largest height of the image, in heights of the figure. If movements are larger, the camera follows them.
 _LARGEST_SPAN = 1.6
-#: Number of samples that must fit into the image, and share of the image that they may fill.
+#: Number of samples of a motion that must fit into the image, and share of the image that they may fill.
 _FIT_SAMPLES, _FIT_SHARE = 100, 0.94
 #: Most frames per second of a GIF, since it has a resolution of 1/100 s and browsers show no more.
 _GIF_RATE = 20.0
@@ -61,8 +61,8 @@ _GIF_RATE = 20.0
 @dataclass(frozen=True)
 class AnimatedFigure:
     """Points that move, z up. ``points``: function of times (N,) in seconds that returns (N, P, 3).
-    ``height``: height of the standing figure; ``floor``: height of the floor; ``heading``: direction that it
-    faces, radians from +x to +y; ``cell``: distance of the grid lines on the floor."""
+    ``height``: height of the standing figure. ``floor``: height of the floor. ``heading``: direction that the
+    figure faces, radians from +x to +y. ``cell``: distance of the grid lines on the floor."""
 
     points: Callable[[Array], Array]
     seconds: float
@@ -78,7 +78,7 @@ class Artist(Protocol):
 
     @property
     def figure(self) -> AnimatedFigure:
-        """Figure that is drawn."""
+        """The figure that is drawn."""
         ...
 
     def draw(self, time: float) -> Image:
@@ -114,8 +114,8 @@ class _TrackingCamera:
             self._span = min(self._span * max(1.0, extent), largest)
 
     def _extent(self, points: Array, time: float) -> float:
-        """Distance of the outermost point (P, 3) from the image centre. Up to 1, the point is in the
-        image."""
+        """Distance of the outermost point (P, 3) from the image centre, relative to the image: up to 1, all
+        points are in the image."""
         pixels, depth = self.camera(time).project(points)
         half = (np.array(self._size) - 1) / 2
         distance = np.where(depth[:, None] > 0, np.abs(pixels / half - 1), 1.0)
@@ -130,7 +130,7 @@ class _TrackingCamera:
         return _looking(eye, target, self._size, _FOV)
 
     def floor(self, camera: Camera, time: float) -> Image:
-        """Image of the floor: grid lines that are fixed in the world."""
+        """Draw the floor with grid lines that are fixed in the world."""
         image = np.full((self._size[1], self._size[0], 3), PAPER, np.uint8)
         cell = self._figure.cell
         reach = cell * np.ceil(1.05 * self._span / cell)
@@ -171,7 +171,7 @@ def _draw_segment(image: Image, camera: Camera, ends: Array, color: Color, width
 
 
 class StickFigureArtist:
-    """Draws the joints of a motion and the links between them: left blue, right red."""
+    """Draws the joints of a motion and the links between joints: left blue, right red."""
 
     def __init__(
         self,
@@ -181,7 +181,7 @@ class StickFigureArtist:
         size: tuple[int, int],
         viewpoint: Viewpoint,
     ) -> None:
-        """Make an artist; :meth:`of_world` and :meth:`of_file` are simpler. ``parents``: parent of each
+        """Make an artist (:meth:`of_world` and :meth:`of_file` are simpler). ``parents``: parent of each
         joint, (J,); -1 for a root. ``sides``: side of each joint, (J,): 1 left, -1 right, 0 neither."""
         self.figure = figure
         self._parents, self._sides = parents, sides
@@ -211,10 +211,10 @@ class StickFigureArtist:
         viewpoint: Viewpoint = "three-quarter",
         up: str | None = None,
     ) -> StickFigureArtist:
-        """Make an artist for a motion that is not of a person, in the unit and axes of its file.
+        """Make an artist for a motion in the unit and axes of its file. The motion need not be of a person.
 
         Args:
-            motion: Motion as its file has it.
+            motion: Motion as in its file.
             size: Width and height of the images in pixels.
             viewpoint: Direction that the figure is drawn from.
             up: Axis of the file that points up, such as ``-z``. If None, y as in most files, or z if the
@@ -310,7 +310,7 @@ class SkinnedArtist:
 
 
 def _heading(world: WorldMotion) -> float:
-    """Mean heading of a person. If there is no mean, the first heading."""
+    """Mean heading of a person. If headings cancel each other, the first heading."""
     poses = world.sample(np.linspace(0.0, world.duration, 200))
     heading = mean_heading(world.match, poses)
     if heading is not None:
@@ -320,8 +320,8 @@ def _heading(world: WorldMotion) -> float:
 
 
 def _sides(names: Sequence[str], parents: Indices, roles: dict[int, str]) -> Indices:
-    """Side of each joint (J,): 1 left, -1 right, 0 neither. It follows from role or name, or else from the
-    parent."""
+    """Side of each joint (J,): 1 left, -1 right, 0 neither. The side follows from role or name of the joint,
+    or else from its parent."""
     sides = np.zeros(len(names), np.intp)
     for joint, name in enumerate(names):
         word = roles.get(joint, name).lower()
@@ -335,7 +335,7 @@ def _sides(names: Sequence[str], parents: Indices, roles: dict[int, str]) -> Ind
 
 
 def strip(artists: Sequence[Artist], phases: int, title: str) -> Image:
-    """Draw frames of a motion side by side, including the first and the last. Each artist has a row."""
+    """Draw frames of a motion side by side, including the first and the last. Each artist draws one row."""
     figure = artists[0].figure
     last = round(figure.seconds / figure.frame_time)
     frames = np.unique(np.rint(np.linspace(0, last, min(phases, last + 1))).astype(int)).tolist()
@@ -377,13 +377,13 @@ def write_motion_image(
     longest: float = 60.0,
     progress: Progress | None = None,
 ) -> None:
-    """Write a strip of frames (.png) or a video (.mp4, .gif); the file is complete or absent.
+    """Write a strip of frames (.png) or a video (.mp4, .gif), atomically.
 
     Args:
         path: Output file. Its suffix chooses the format.
-        artists: Artists with images that are put together. All draw the same motion.
+        artists: Artists that all draw the same motion. Their images are put together.
         title: Title of a strip.
-        phases: Frames of a strip.
+        phases: Number of frames of a strip.
         rate: Frames per second of a video. If None, the rate of the motion, at most 60.
         longest: Longest video in seconds.
         progress: Shows the progress while a video is drawn.
@@ -468,7 +468,7 @@ class HumanArtist:
 
 
 def bone_colors(count: int) -> Array:
-    """A colour for each bone, (B, 3), 0 to 255."""
+    """Colours (B, 3) for the bones, 0 to 255."""
     number = np.arange(count)
     saturation, value = np.where(number % 2, 230, 150), np.where(number % 3, 240, 190)
     return hsv_colors(distinct_hues(count), saturation, value).astype(float)
@@ -500,7 +500,7 @@ def human_sheet(human: Human) -> Image:
 
 
 def titled_rows(title: str, rows: Sequence[Image]) -> Image:
-    """Rows of images below each other, under a title. Short rows are filled with the colour of paper."""
+    """Put rows of images below each other, under a title. Gaps have the background colour."""
     width = max(each.shape[1] for each in rows)
     wide = [np.full((each.shape[0], width, 3), PAPER, np.uint8) for each in rows]
     for whole, each in zip(wide, rows, strict=True):
@@ -509,7 +509,7 @@ def titled_rows(title: str, rows: Sequence[Image]) -> Image:
 
 
 def row(images: Sequence[Image], labels: Sequence[str]) -> Image:
-    """Images side by side, each with a label in its corner."""
+    """Put images side by side, each with a label in its corner."""
     for image, label in zip(images, labels, strict=True):
         draw_text(image, label, (8, 18), 0.42)
     return np.concatenate(list(images), axis=1)

@@ -1,4 +1,4 @@
-"""Images of camera rigs for people: the cameras from above and from the side, and their coverage."""
+"""Draw camera rigs: the cameras from above and from the side, and how many cameras see each place."""
 
 from __future__ import annotations
 
@@ -34,19 +34,19 @@ from humansim_ros.scene.pictures.top_view import (
 )
 from humansim_ros.types import Array, Color, Image
 
-#: Colours of the x, y and z axis of map.
+#: Colours of the x, y and z axis of ``map``.
 _AXES: tuple[Color, ...] = ((206, 52, 60), (46, 150, 70), (44, 96, 208))
 #: Side of a panel, margin for the numbers along its axes, and height of the heading above it; pixels.
 _SIDE, _MARGIN, _HEADING = 620, 44, 26
-#: Direction that the cameras are seen from in the drawing in space.
+#: Direction that the cameras are seen from in the drawing from the side, and its field of view.
 _AZIMUTH, _ELEVATION, _FOV = np.radians(-65.0), np.radians(28.0), np.radians(34.0)
-#: Length of a drawn view, as a fraction of the rig's extent, and its opacity.
+#: Length of the drawn pyramid of a view, as a fraction of the size of the rig, and opacity of the pyramid.
 _REACH, _OPACITY = 0.16, 0.22
 #: Distance to the assumed target of cameras with optical axes that do not meet, metres.
 _AHEAD = 4.0
 #: A larger distance than this, metres, means a wrong unit.
 _FARTHEST = 1e5
-#: Pixels per position of a coverage.
+#: Pixels between two tested positions of a coverage image.
 _STEP = 2
 #: Distance in pixels below which cameras share a label.
 _SHARED_LABEL = 14
@@ -108,7 +108,7 @@ def coverage_image(
 
 @dataclass(frozen=True)
 class _Rig:
-    """Cameras with the borders (B, 3) of their views in ``map``, their colours, and the bounds of the
+    """What is drawn of cameras: borders (B, 3) of their views in ``map``, colours, and bounds of the
     drawing."""
 
     cameras: Mapping[str, Camera]
@@ -197,7 +197,7 @@ def _draw_map_axes(image: Image, plan: Plan, rig: _Rig) -> None:
 
 
 def _from_side(rig: _Rig, points: Array) -> tuple[Image, float]:
-    """Draw the cameras from the side. Returns also the size of a square of the floor in metres."""
+    """Draw the cameras from the side. Returns the image, and the size of a square of the floor in metres."""
     image = _panel()
     cell = round_cell(float((rig.high - rig.low)[:2].max()))
     start, stop = np.floor(rig.low[:2] / cell), np.ceil(rig.high[:2] / cell)
@@ -260,7 +260,7 @@ def _focus(cameras: Sequence[Camera], centers: Array) -> Array:
 
 
 def _eye(points: Array) -> Camera:
-    """Nearest camera that sees all points (N, 3) obliquely from above."""
+    """Place the camera of the drawing obliquely above, as near as possible with all points (N, 3) in view."""
     middle = (points.min(0) + points.max(0)) / 2
     ahead = np.array([np.cos(_AZIMUTH), np.sin(_AZIMUTH)]) * np.cos(_ELEVATION)
     toward = np.array([*ahead, np.sin(_ELEVATION)])

@@ -1,4 +1,4 @@
-"""Snapshot of a scene for people: one sheet with what every camera sees at one time, joints, and a plan."""
+"""Draw a snapshot of a scene: one sheet with the images of all cameras at one time, joints, and a plan."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from humansim_ros.types import Image
 MAX_SIDE = 8192
 #: Least and greatest width that callers may ask for.
 WIDTHS = (160, MAX_SIDE)
-#: Cameras with fewer pixels than this are enlarged, so that their joints are visible.
+#: Images of cameras with fewer pixels than this are enlarged, so that joints are visible.
 _SMALL = 320
 _BACKGROUND, _TITLE_COLOR = 28, (235, 235, 235)
 _GAP, _HEAD = 4, 36
-#: Pixels that are rendered for one pixel of the sheet, along each axis.
+#: Number of pixels that are rendered per pixel of the sheet, along each axis.
 _OVERSAMPLING = 2
 #: Channels that may be interpolated between pixels.
 _SMOOTH = {"rgb", "alpha", "shadow"}
@@ -72,7 +72,7 @@ def snapshot(
     Args:
         scene: The scene.
         seconds: Scene time of the picture. The nearest frame is drawn.
-        channels: Channels to draw, a row each (docs/ground_truth.md).
+        channels: Channels to draw (docs/ground_truth.md). Each channel is a row.
         width: Greatest width of the sheet in pixels, 160 to 8192. The height follows, up to 8192.
         joints: Whether joints are drawn over rgb. Green discs are visible joints, orange circles hidden
             joints.
@@ -120,7 +120,7 @@ def _middle(sizes: Sequence[tuple[int, int]]) -> tuple[int, int]:
 def _from_above(
     scene: Scene, cameras: Mapping[str, Camera], seconds: float, tile: tuple[int, int], rows: int
 ) -> list[Image]:
-    """Picture of the scene from above, as a column of tiles. ``cameras``: its cameras at their poses.
+    """Draw the scene from above, as a column of tiles. ``cameras``: cameras of the scene at their poses.
     ``tile``: width and height of a tile. ``rows``: number of tiles."""
     width, height = tile
     whole = rows * (height + _GAP) - _GAP
@@ -133,8 +133,8 @@ def _from_above(
 
 
 def _reduced(camera: SceneCamera, tile: tuple[int, int]) -> SceneCamera:
-    """A camera with twice the pixels of its tile along each axis. If it has no more pixels, the camera
-    itself."""
+    """Return the camera with a smaller image: twice the pixels of its tile along each axis. A camera with an
+    image that is not larger is returned unchanged."""
     width, height = camera.camera.size
     scale = _OVERSAMPLING * min(tile[0] / width, tile[1] / height)
     if scale >= 1:
@@ -167,7 +167,7 @@ def _tiles(
 
 
 def _fitted(image: Image, size: tuple[int, int], smooth: bool) -> tuple[Image, float]:
-    """Scale an image into a size. Returns also the scale."""
+    """Scale an image so that it fits into a size. Returns the image and the scale."""
     scale = min(size[0] / image.shape[1], size[1] / image.shape[0])
     inner = tuple(max(1, round(scale * side)) for side in (image.shape[1], image.shape[0]))
     method = cv2.INTER_NEAREST if not smooth else cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR

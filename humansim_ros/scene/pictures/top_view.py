@@ -1,4 +1,4 @@
-"""Plans: a scene from above, with room, objects, people, paths, fields of view and coverage."""
+"""Draw plans: a scene from above, with room, objects, people, paths, fields of view and coverage."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ if TYPE_CHECKING:
     from humansim_ros.scene.core.scene import Scene
 
 
-#: Places are tested at this height, metres: the chest of an adult.
+#: Coverage is tested at this height, metres: the chest of an adult.
 CHEST = 1.2
-#: Length of a person's path that is drawn, and time between its points, seconds.
+#: Duration of the path that is drawn of a person, and time between two points of the path, seconds.
 PATH_SECONDS, _PATH_STEP = 10.0, 0.1
 #: A step longer than this, metres, is a jump: the motion starts again.
 _JUMP = 0.6
@@ -43,7 +43,7 @@ _LEGEND, _MARGIN = 26, 34
 _LEAST = 320
 #: Most positions of the coverage along one axis.
 _POSITIONS = 240
-#: Least extent of the plan and greatest distance of cameras that widen it, metres.
+#: Least extent of the plan, metres; cameras farther away than this distance, metres, do not enlarge the plan.
 _SMALLEST, _FARTHEST = 3.0, 100.0
 #: Length of a drawn field of view, as a fraction of the extent.
 _REACH = 0.14
@@ -85,13 +85,13 @@ def top_view(
 
 
 def _path(actor: Actor, seconds: float) -> Array:
-    """Hips (N, 2) of a person in the seconds after a scene time. The first point is the present place."""
+    """Path of the hips (N, 2) of a person from a scene time on. It begins at the place at that time."""
     times = seconds + np.arange(0.0, PATH_SECONDS, _PATH_STEP)
     return actor.joint_paths(times)[:, 0, :2]
 
 
 def _bounds(scene: Scene, cameras: Mapping[str, Camera], paths: Mapping[str, Array]) -> tuple[Array, Array]:
-    """Least and greatest x and y (2,) of the room, the people and the cameras, metres."""
+    """Least and greatest x and y, (2,) each, of room, people and cameras, metres."""
     points = [path for path in paths.values() if np.abs(path).max() < _FARTHEST]
     if scene.environment.room is not None:
         half = np.array(scene.environment.room.size[:2]) / 2
@@ -125,7 +125,7 @@ def _draw_coverage(
 
 
 def _outlines(scene: Scene, seconds: float) -> Iterator[Array]:
-    """Outlines (N, 2) of furniture and objects."""
+    """Yield outlines (N, 2) of furniture and objects, seen from above."""
     square = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) / 2
     if scene.environment.room is not None:
         for each in scene.environment.furnishing.fixtures.values():
@@ -165,7 +165,7 @@ def _draw_cameras(image: Image, plan: Plan, cameras: Mapping[str, Camera]) -> No
 
 
 def _draw_people(image: Image, plan: Plan, scene: Scene, paths: Mapping[str, Array], seconds: float) -> None:
-    """Draw people: their paths, where they are and face, and their names."""
+    """Draw people: path, place, direction that they face, and name."""
     palette = hsv_colors(distinct_hues(len(paths)), 230, 200)
     radius = float(np.clip(0.2 * plan.scale, 4, 14))
     for (name, path), color in zip(paths.items(), palette.tolist(), strict=True):
@@ -208,7 +208,7 @@ def _draw_legend(image: Image, levels: list[tuple[int, int]], colors: list[Color
         x += wide
 
 
-#: Grid lines through the origin, and lines from cameras down to the floor.
+#: Colour of grid lines through the origin, and of lines from cameras down to the floor.
 SHADE: Color = (168, 172, 180)
 #: Colour of places that no camera sees.
 _UNSEEN: Color = (214, 216, 220)
@@ -220,10 +220,10 @@ _BORDER_POINTS = 16
 
 @dataclass(frozen=True)
 class Plan:
-    """Plan view, x to the right and y up.
+    """A plan: maps x, y of ``map`` to pixels, with x to the right and y up.
 
     Attributes:
-        corner: x, y of its top left corner in ``map``, metres.
+        corner: x, y of the top left corner of the plan in ``map``, metres.
         scale: Pixels per metre.
         size: Width and height of the image in pixels.
         margin: Pixels at the left and the lower edge, for the numbers along the axes.
@@ -236,7 +236,7 @@ class Plan:
 
     @classmethod
     def fitting(cls, low: Array, high: Array, size: tuple[int, int], margin: int) -> Plan:
-        """Plan of an area with a border around it.
+        """Create a plan of an area with a border around the area.
 
         Args:
             low: Least x and y of the area, (2,) metres.
@@ -250,11 +250,11 @@ class Plan:
 
     @property
     def extent(self) -> Array:
-        """Width and height (2,) of what it shows, metres."""
+        """Width and height (2,) of the area that the plan shows, metres."""
         return np.asarray((np.array(self.size, dtype=float) - self.margin) / self.scale)
 
     def pixels(self, points: Array) -> Array:
-        """Pixels (N, 2) of points (N, 2) or (N, 3)."""
+        """Convert points (N, 2) or (N, 3) in ``map`` to pixels (N, 2)."""
         return np.asarray((points[..., :2] - self.corner) * self.scale * [1, -1] + [self.margin, 0])
 
     def has(self, pixel: Array) -> bool:
@@ -272,7 +272,7 @@ class Plan:
 
         Args:
             image: Image that is drawn on.
-            x: Positions along x, (W,), of :meth:`positions`.
+            x: Positions along x, (W,), from :meth:`positions`.
             y: Positions along y, (H,).
             colors: Colours of the squares, (H, W, 3).
             step: Side of a square in pixels.
@@ -318,7 +318,7 @@ def draw_name(image: Image, text: str, center: Array, backward: Array, margin: i
         image: Image that is drawn on.
         text: The name.
         center: Pixel of the camera, (2,).
-        backward: Direction away from its view, (2,) pixels.
+        backward: Direction from the view of the camera to its back, (2,) pixels.
         margin: Pixels at the left edge that stay free.
     """
     width, _ = text_size(text, 0.4)
@@ -345,11 +345,11 @@ def draw_label(
     Args:
         image: Image that is drawn on.
         text: The text.
-        position: x, y of its lower edge in pixels.
+        position: x, y of a point of the lower edge of the text, in pixels.
         scale: Size of the font, as in :func:`~humansim_ros.render.pictures.draw_text`.
         color: Colour of the text.
-        anchor: Which point of its lower edge is at ``position``.
-        boxed: Whether it is drawn on a translucent box.
+        anchor: Which point of the lower edge is at ``position``.
+        boxed: Whether the text is drawn on a translucent box.
     """
     width, _ = text_size(text, scale)
     x, y = position
@@ -363,7 +363,8 @@ def draw_label(
 
 
 def view_border(camera: Camera, reach: float) -> Array:
-    """Border (B, 3) of a camera's view at a distance of ``reach`` metres, without pixels that see no ray."""
+    """Border (B, 3) of a camera's view at a distance of ``reach`` metres. Pixels without a ray are left
+    out."""
     width, height = (n - 0.5 for n in camera.size)
     along = np.linspace(0, 1, _BORDER_POINTS if camera.distorted else 1, endpoint=False)
     corners = np.array([[-0.5, -0.5], [width, -0.5], [width, height], [-0.5, height]])
@@ -387,7 +388,7 @@ def round_cell(extent: float) -> float:
 
 
 def coverage_colors(most: int) -> tuple[list[tuple[int, int]], list[Color], NDArray[np.uint8]]:
-    """Colours of the number of cameras that see a place.
+    """Colours that show how many cameras see a place.
 
     ``most``: the greatest number, at least 1.
 

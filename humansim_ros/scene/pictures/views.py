@@ -1,4 +1,4 @@
-"""Images of views for people: colours for depth and labels, joints drawn over images, contact sheets."""
+"""Make views visible: colours for depth and labels, joints drawn over images, contact sheets."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _VISIBLE_COLOR: Color = (60, 230, 90)
 _HIDDEN_COLOR: Color = (255, 150, 40)
 #: Bright colours of left, right and trunk, for photographs.
 _SIDE_COLORS: dict[int, Color] = {1: (80, 170, 255), -1: (255, 110, 150), 0: (250, 220, 90)}
-#: Size of fingers, toes, jaw and eyes next to the other joints, as a share.
+#: Size of the discs of fingers, toes, jaw and eyes, relative to the discs of other joints.
 _DETAIL_SIZE = 0.5
 #: Grey of the title row and of the gaps of a contact sheet.
 _SHEET = 28
@@ -50,7 +50,7 @@ def color_labels(labels: NDArray[np.integer]) -> Image:
 
 
 def color_image(image: NDArray[np.uint8], encoding: str = "rgb8") -> Image:
-    """RGB image (H, W, 3) of the output of a sensor: rgb8, bgr8, mono8, bayer_rggb8."""
+    """Convert the output of a sensor (rgb8, bgr8, mono8 or bayer_rggb8) to an RGB image (H, W, 3)."""
     if encoding == "bgr8":
         return np.ascontiguousarray(image[..., ::-1])
     if encoding == "bayer_rggb8":
@@ -62,23 +62,24 @@ def color_image(image: NDArray[np.uint8], encoding: str = "rgb8") -> Image:
 def color_channel(name: str, values: Any) -> Image:
     """Image (H, W, 3) of a channel of a view, for people.
 
-    Depth: near is red, far is blue. Labels: a colour each. Normals: x, y, z as red, green, blue. Texture
-    coordinates: u, v as red, green. Flow: direction as hue, length as brightness. Masks: a colour for each
-    human or object. Shadow: white where the light is blocked.
+    Depth: near is red, far is blue. Labels: one colour per label. Normals: x, y, z as red, green, blue.
+    Texture coordinates: u, v as red, green. Flow: direction as hue, length as brightness. Masks: a colour for
+    each human or object. Shadow: white where the light is blocked.
 
-    ``values``: the channel, as :class:`~humansim_ros.render.View` has it.
+    ``values``: the channel, as in :class:`~humansim_ros.render.View`.
     """
     return _PICTURES[name](values)
 
 
 def channel_picture(view: View, channel: str, encoding: str) -> Image:
-    """Image (H, W, 3) of a channel of a view, for people. ``encoding``: encoding of its colours."""
+    """Image (H, W, 3) that shows a channel of a view. ``encoding``: ROS encoding of the channel ``rgb``."""
     values = getattr(view, channel)
     return color_image(values, encoding) if channel == "rgb" else color_channel(channel, values)
 
 
 def _color_masks(masks: Mapping[int, NDArray[Any]]) -> Image:
-    """Colour coverage images (bool, or 0 to 255) by label. The strongest coverage at each pixel counts."""
+    """Colour masks or coverage images (bool, or 0 to 255) by label. Where masks overlap, the larger value of
+    each colour component is taken."""
     colors = color_labels(np.array([list(masks)], np.intp))[0].astype(float)
     shape = next(iter(masks.values()), np.zeros((1, 1))).shape
     out = np.zeros((*shape, 3))
@@ -171,7 +172,7 @@ def joint_colors(names: Sequence[str]) -> tuple[list[Color], Color, Color]:
 
 
 def contact_sheet(rows: Sequence[Sequence[Image]], titles: Sequence[str], labels: Sequence[str]) -> Image:
-    """Arrange images (H, W, 3) in a grid. ``titles`` are those of the columns, ``labels`` those of the
+    """Arrange images (H, W, 3) in a grid. ``titles``: titles of the columns. ``labels``: labels of the
     rows."""
     lines = []
     for row in rows:

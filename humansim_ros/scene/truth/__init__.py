@@ -1,4 +1,4 @@
-"""Ground truth that follows from a view and the scene."""
+"""Compute ground truth (joints, keypoints, boxes, visibility) from a rendered view and the scene."""
 
 from humansim_ros.lazy import lazy_exports
 

@@ -32,9 +32,9 @@ class JointView:
         pixels: Projections (J, 2). NaN behind the camera and outside the field of view of the lens.
         visible: OUTSIDE, OCCLUDED or VISIBLE, (J,).
         occluder: SELF, PERSON or THING of an occluded joint, else NOTHING, (J,).
-        by: Instance label of the occluder (J,); for SELF, that of the human. 0 if there is no occluder, or if
-            it has no label.
-        behind: Metres along z from the first surface at the joint's pixel to the joint, (J,). -inf if the
+        by: Instance label of the occluder (J,). For SELF, the label of the human. 0 if there is no occluder,
+            or the occluder has no label.
+        behind: Depth of the joint minus depth of the surface that its pixel shows, metres, (J,). -inf if the
             pixel shows no surface, NaN outside the image.
     """
 
@@ -60,9 +60,9 @@ def view_joints(
 ) -> JointView:
     """Compute visibility and occluders of the joints of a human.
 
-    A joint lies inside the body. It is visible if the first surface at its pixel is skin around that joint.
-    It is also visible if no surface is in front of it, since the end of a limb may project next to the pixels
-    of its skin.
+    A joint lies inside the body. A joint is visible if its pixel shows skin around that joint. It is also
+    visible if no surface is in front of it, since the end of a limb may project next to the pixels of its
+    skin.
 
     Args:
         camera: Camera of the view.
@@ -101,7 +101,8 @@ def nearest_pixels(
     """Find the nearest pixels of points (N, 2) in an image. ``size``: (width, height).
 
     Returns:
-        Mask (N,) of the points inside the image, and row and column (N,) of their pixels. Both are 0 outside.
+        Mask (N,) of the points inside the image, and row and column (N,) of their pixels. Outside, these are
+        0.
     """
     inside = np.all((pixels > -0.5) & (pixels < np.array(size) - 0.5), axis=-1)  # false for NaN
     column, row = np.where(inside[:, None], np.rint(np.nan_to_num(pixels)), 0).astype(np.intp).T
@@ -115,11 +116,10 @@ class BodyBox:
     Attributes:
         visible: Box around the areas of the visible pixels. The box of a single pixel (x, y) is x - 0.5, y -
             0.5, x + 0.5, y + 0.5. NaN if no pixel is visible.
-        whole: Box of the projection of the whole body, including what is outside the image or occluded. NaN
-            if nothing of the body is in front of the camera.
-        truncation: Share of the area of the whole box that is outside the image, 0 to 1. It is 1 if there is
-            no whole box.
-        visible_fraction: Visible pixels as a share of the amodal mask. NaN if the mask is empty.
+        whole: Box of the projection of the whole body, including parts that are outside the image or
+            occluded. NaN if no part of the body is in front of the camera.
+        truncation: Share of the area of ``whole`` that is outside the image, 0 to 1. 1 if ``whole`` is NaN.
+        visible_fraction: Share of the pixels of the amodal mask that are visible. NaN if the mask is empty.
         pixels: Number of visible pixels.
         kind: Human or object.
     """
@@ -176,8 +176,8 @@ def truncation(whole: Array, size: tuple[int, int]) -> float:
 
 
 def _box_of(mask: NDArray[np.bool_]) -> tuple[Array, int]:
-    """Box (4,) around the pixels of a mask (H, W), and their number. The box is NaN if there are no
-    pixels."""
+    """Box (4,) around the pixels of a mask (H, W), and number of the pixels. The box is NaN for an empty
+    mask."""
     image = mask.view(np.uint8)
     pixels = cv2.countNonZero(image)
     if not pixels:
@@ -194,9 +194,9 @@ def _crossings(points: Array, triangles: NDArray[np.integer], plane: float) -> A
     return np.asarray(a + share[:, None] * (b - a), dtype=float)
 
 
-#: A vertex is hidden if it is this far (metres) behind all surfaces around its pixel.
+#: A vertex is hidden if it is farther than this, metres, behind all surfaces around its pixel.
 _HIDDEN_BEHIND_ALL = 0.05
-#: A vertex is hidden if it is this far (metres) behind the room or an unlabelled object at its pixel.
+#: A vertex is hidden if it is farther than this, metres, behind the room or an unlabelled object.
 _HIDDEN_BEHIND_SCENE = 0.01
 #: A triangle hides a vertex only if it is nearer by this share of the vertex's distance.
 _MIN_GAP = 1e-5
@@ -206,8 +206,8 @@ def visible_vertices(camera: Camera, bodies: Sequence[Body], view: View) -> dict
     """Compute masks (V,) of the visible vertices of all labelled bodies, by instance label.
 
     A vertex is visible if three conditions hold. It is inside the image and beyond the near plane (5 cm along
-    the axis, 5 mm for wide fisheyes). No triangle of a labelled body intersects the ray to the vertex.
-    Neither the room nor an unlabelled object is in front of the vertex at its pixel. ``view`` must have the
+    the axis, 5 mm for wide fisheyes). No triangle of a labelled body intersects the ray to the vertex. At its
+    pixel, neither the room nor an unlabelled object is in front of the vertex. ``view`` must have the
     channels depth and instance.
     """
     bodies = [body for body in bodies if body.instance]
@@ -225,7 +225,7 @@ def visible_vertices(camera: Camera, bodies: Sequence[Body], view: View) -> dict
 def visible_points(camera: Camera, bodies: Sequence[Body], points: Array, view: View) -> NDArray[np.bool_]:
     """Compute a mask (N,) of the visible points (N, 3) of ``map``, with the rule of :func:`visible_vertices`.
 
-    A triangle that the point lies on does not hide it.
+    A triangle does not hide the points that lie on the triangle.
 
     Args:
         camera: Camera of the view.
@@ -271,9 +271,9 @@ def _candidates(
 
 
 def _occluding_triangles(body: Body, points: Array, near: float) -> Indices:
-    """Triangles (N, 3) of a body that can hide a vertex. ``points``: its vertices (V, 3) in the optical
-    frame. Triangles within ``near`` are left out. So are back faces of a closed surface that is seen from
-    outside, since a front face hides the same vertices."""
+    """Triangles (N, 3) of a body that can hide a vertex. Triangles nearer than ``near`` are left out. If a
+    closed surface is seen from outside, its back faces are left out too, since a front face hides the same
+    vertices. ``points``: vertices (V, 3) of the body in the optical frame."""
     triangles = body.mesh.triangles.astype(np.intp)
     if not body.mesh.closed or points[:, 2].min() < 2 * NEAR:
         far = points[:, 2] >= near
@@ -283,7 +283,7 @@ def _occluding_triangles(body: Body, points: Array, near: float) -> Indices:
 
 
 def _unoccluded(points: Array, candidates: Indices, triangles: Indices, near: float) -> Indices:
-    """Candidates (indices of points) that no triangle hides from the origin."""
+    """Return those candidates (indices of points) that no triangle hides from the camera at the origin."""
     point, triangle = _overlapping(points, candidates, triangles, near)
     rays, corners = points[point], triangles[triangle].T
     a, b, c = points[corners]
@@ -302,8 +302,8 @@ def _unoccluded(points: Array, candidates: Indices, triangles: Indices, near: fl
 def _overlapping(
     points: Array, candidates: Indices, triangles: Indices, near: float
 ) -> tuple[Indices, Indices]:
-    """Pairs (K,), (K,) of candidates (indices of points) and triangles with the candidate within their
-    bounds."""
+    """Find pairs of a candidate (an index of ``points``) and a triangle with the candidate within its bounds
+    in the image. Returns both (K,)."""
     plane = points[:, :2] / np.maximum(points[:, 2:], near)
     corners = plane.T[:, triangles.T]
     low, high = corners.min(axis=1), corners.max(axis=1)
@@ -336,7 +336,7 @@ def _overlapping(
 
 
 def _ranges(start: Indices, end: Indices) -> tuple[Indices, Indices]:
-    """All numbers from start to end - 1 of each range, with the index of the range."""
+    """List the numbers from start to end - 1 of all ranges. Returns for each its range, and the number."""
     lengths = np.maximum(end - start, 0)
     which = np.repeat(np.arange(len(start)), lengths)
     firsts = np.cumsum(lengths) - lengths
@@ -344,8 +344,8 @@ def _ranges(start: Indices, end: Indices) -> tuple[Indices, Indices]:
 
 
 def part_u_v(view: View) -> Float32Array:
-    """Part label and texture coordinates (H, W, 3), v up, of each pixel; 0, NaN, NaN for no body. ``view``
-    must have the channels part and uv."""
+    """Part label and texture coordinates (v up) of each pixel, (H, W, 3). Pixels without a labelled body have
+    0, NaN, NaN. ``view`` must have the channels part and uv."""
     return np.dstack([view.part.astype(np.float32), view.uv])
 
 
@@ -377,7 +377,7 @@ REQUIRED_CHANNELS = {
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CameraTruth:
-    """Ground truth of one camera at one stamp, by name of a human or labelled object.
+    """Ground truth of one camera at one stamp. Properties are dicts by name of a human or labelled object.
 
     Each property is computed from the view on first access, then cached.
 
@@ -426,7 +426,7 @@ class CameraTruth:
         }
 
     def keypoints(self, set_name: str) -> dict[str, KeypointView]:
-        """Keypoints of a set by human, with the same rule as :attr:`joints`.
+        """Keypoints of a set by human, with the rule of :func:`view_keypoints`.
 
         Raises:
             ChannelError: The view lacks the channels depth, instance or part.
@@ -521,8 +521,8 @@ def view_keypoints(
 def _on_skin(
     view: JointView, label: int, mask: NDArray[np.bool_], seen: NDArray[np.bool_]
 ) -> dict[str, NDArray[np.generic]]:
-    """Fields of a view for the keypoints of ``mask`` (K,), which are on the skin. ``seen``: which of them are
-    visible."""
+    """Compute new fields of a view, for the keypoints of ``mask`` (K,), which are on the skin. ``seen``: (M,)
+    whether each of these M keypoints is visible."""
     visible, occluder, by = view.visible.copy(), view.occluder.copy(), view.by.copy()
     inside = mask & (visible != OUTSIDE)
     visible[inside] = np.where(seen[inside[mask]], VISIBLE, OCCLUDED)

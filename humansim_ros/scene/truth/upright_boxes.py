@@ -37,9 +37,9 @@ class UprightBox:
 
 
 def upright_box(vertices: Array | Float32Array, joint_names: Sequence[str], positions: Array) -> UprightBox:
-    """Smallest upright box of a body, aligned with the direction that the hips face. ``vertices``: (V, 3) in
-    ``map``, metres. ``joint_names``: names of J joints. They include ``l_hip`` and ``r_hip``. ``positions``:
-    (J, 3) of the joints in ``map``, metres."""
+    """Compute the smallest upright box of a body that is aligned with the direction that the hips face.
+    ``vertices``: (V, 3) in ``map``, metres. ``joint_names``: names of J joints, with ``l_hip`` and ``r_hip``.
+    ``positions``: (J, 3) of the joints in ``map``, metres."""
     left, right = (positions[joint_names.index(name)] for name in ("l_hip", "r_hip"))
     yaw = heading_of_hips(left - right)
     turn = np.array([[np.cos(yaw), np.sin(yaw), 0], [-np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])

@@ -23,7 +23,7 @@ _MAX_BYTES = 16 << 20
 
 @dataclass(frozen=True)
 class CaseResult:
-    """Result of one case. Lengths are metres, shares 0 to 1. A value is None if it cannot be measured.
+    """Result of one case. Lengths are metres, shares 0 to 1. A value that cannot be measured is None.
 
     Attributes:
         axis: Name of the difficulty. ``baseline`` for no difficulty.

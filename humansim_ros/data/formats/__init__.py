@@ -1,4 +1,4 @@
-"""Formats of exports."""
+"""Writers of all export formats, such as COCO, and readers of some of these formats."""
 
 from humansim_ros.lazy import lazy_exports
 

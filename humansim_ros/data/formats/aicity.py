@@ -1,7 +1,7 @@
 """Upright boxes of people over all cameras, in the format of track 1 of the AI City Challenge [Tang 2025].
 
-The layout is that of ``MTMC_Tracking_2025``; ``ground_truth.txt`` has the lines of a result file. Their
-pixels are measured from the corner of the image, like the matrices of the cameras here.
+The layout is that of ``MTMC_Tracking_2025``; ``ground_truth.txt`` has the lines of a result file. Pixels are
+measured from the corner of the image, and the camera matrices fit such pixels.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ COLUMNS = (
 )
 #: Ground truth in the lines of a result file.
 TRUTH_FILE = "ground_truth.txt"
-#: Parts of a 3D box in a line.
+#: Keys of the 3D box in ``ground_truth.json``, in the order of the columns of a line.
 _NUMBERS = ("location", "bounding box scale", "bounding box rotation")
 #: Number of the scene in an export. An export has one scene.
 _SCENE = 0
 
 
 class AiCityWriter(FormatWriter):
-    """``ground_truth.json``, ``calibration.json`` and ``ground_truth.txt``.
+    """Writes ``ground_truth.json``, ``calibration.json`` and ``ground_truth.txt``.
 
     Width is the size along the x axis of the box and length the size along its y axis, as the challenge
     defines them; x is the direction that the hips face.
@@ -59,7 +59,7 @@ class AiCityWriter(FormatWriter):
             raise ExportError(text, key="--format")
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
-        """Boxes of the people: entries of ``ground_truth.json``."""
+        """Return the boxes of the people as entries of ``ground_truth.json``."""
         return [
             {
                 "object type": CLASSES[0],
@@ -78,7 +78,7 @@ class AiCityWriter(FormatWriter):
         ]
 
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
-        """Write the files."""
+        """Write the three files from the boxes of all frames."""
         cameras = self.settings.scene.cameras
         frames = dict(records)
         lenses = {name: known.camera for name, known in cameras.items()}

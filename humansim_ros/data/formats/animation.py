@@ -1,5 +1,4 @@
-"""A scene over time, in a form that programs for animation and simulation need: skin, skeleton, and all
-poses."""
+"""A scene over time in the form that animation programs and simulators need: skin, skeleton, all poses."""
 
 from __future__ import annotations
 
@@ -30,11 +29,11 @@ from humansim_ros.people.humans import Human
 from humansim_ros.scene.core import CameraPose, Scene
 from humansim_ros.types import Array
 
-#: Sizes that differ by less than this are equal up to rounding.
+#: Sizes that differ by less than this count as equal, since they are rounded.
 SAME_SIZE = 1e-6
 #: Half a turn about x, xyzw.
 _HALF_TURN = np.array([1.0, 0.0, 0.0, 0.0])
-#: Beginning of the names of surfaces.
+#: Prefix of the names of surfaces of the room, which no other name has.
 _SURFACE = "surface_"
 
 
@@ -45,7 +44,7 @@ class AnimatedHuman:
     Attributes:
         human: Mesh, skeleton, weights and outfit.
         bones: Posed bone frames (F, B, 4, 4) in ``map``, as in ``HumanState.joints[:B]``.
-        sizes: Scale of the body (F,) by keyframes, as ``HumanState.size``.
+        sizes: Scale (F,) of the body in each frame, which keyframes may change, as ``HumanState.size``.
     """
 
     human: Human
@@ -54,13 +53,13 @@ class AnimatedHuman:
 
     @property
     def grows(self) -> bool:
-        """Whether keyframes change the size of the person."""
+        """Whether the size of the person changes between frames."""
         return bool(np.ptp(self.sizes) > SAME_SIZE)
 
     @property
     def rest(self) -> tuple[Array, Array]:
-        """Vertices (V, 3) and bones (B, 4, 4) in the rest pose, in the axes of ``map``, with the first
-        size."""
+        """Vertices (V, 3) and bones (B, 4, 4) in the rest pose, in the axes of ``map``, scaled by the size in
+        the first frame."""
         size, bones = float(self.sizes[0]), np.array(self.human.skeleton.rest)
         bones[:, :3] = WORLD_FROM_BODY @ bones[:, :3]
         bones[:, :3, 3] *= size
@@ -69,12 +68,12 @@ class AnimatedHuman:
 
 @dataclass(frozen=True)
 class PoseTrack:
-    """Poses of a thing in F frames: a point x of it is at ``position + rotation (size * x)``.
+    """Poses of an object in F frames: a point x of the object is at ``position + rotation (size * x)``.
 
     Attributes:
         positions: (F, 3) in ``map``, metres.
-        rotations: (F, 4) quaternions xyzw. They change sign nowhere, as interpolation of their numbers needs.
-        sizes: (F, 3) factors along the axes of the thing.
+        rotations: (F, 4) quaternions xyzw without sign changes, so that their numbers can be interpolated.
+        sizes: (F, 3) scale factors along the axes of the object.
     """
 
     positions: Array
@@ -83,17 +82,17 @@ class PoseTrack:
 
     @property
     def moves(self) -> bool:
-        """Whether a position or rotation differs from the first."""
+        """Whether a position or rotation differs from that in the first frame."""
         return bool(np.ptp(self.positions, axis=0).any() or np.ptp(self.rotations, axis=0).any())
 
     @property
     def grows(self) -> bool:
-        """Whether the size of the thing changes."""
+        """Whether the size of the object changes."""
         return bool(np.ptp(self.sizes, axis=0).max() > SAME_SIZE)
 
     @property
     def backward(self) -> PoseTrack:
-        """Convert poses of optical frames (z ahead, y down) to those of a camera that looks along -z with y
+        """Convert poses of optical frames (z ahead, y down) to those of cameras that look along -z with y
         up."""
         return replace(self, rotations=multiply_quaternions(self.rotations, _HALF_TURN))
 
@@ -107,7 +106,8 @@ class AnimatedScene:
         rate: Frames per second.
         people: People by name.
         objects: Meshes and poses of all objects by name.
-        cameras: Cameras of ``image_raw`` and poses of their optical frames by name.
+        cameras: By name: camera with the lens of ``image_raw`` (not rectified), and poses of its optical
+            frame.
     """
 
     frames: range
@@ -118,23 +118,23 @@ class AnimatedScene:
 
 
 class AnimationWriter(FormatWriter):
-    """Base of writers that need the poses of all frames. The source is a scene, never a bag."""
+    """Base class of writers that need the poses of all frames. The source must be a scene, not a bag."""
 
     @property
     def simulated(self) -> Scene:
-        """The scene itself."""
+        """The scene that is exported."""
         assert self.settings.scene.simulated is not None  # formats that need bodies refuse bags
         return self.settings.scene.simulated
 
     @property
     def surfaces(self) -> dict[str, Mesh]:
-        """Meshes of the room and of mesh files in ``map``, by a name. The names begin as no other names
-        do."""
+        """Meshes of the room and of mesh files in ``map``, by names with the prefix ``surface_``."""
         meshes = enumerate(self.simulated.static_parts[0])
         return {f"{_SURFACE}{number:03d}": mesh for number, mesh in meshes}
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
-        """Heads and rotations of the bones of people, with their size, and poses of objects and cameras."""
+        """Return the record of a frame: heads and rotations of bones, sizes of people, poses of objects and
+        cameras."""
         people, shown = {}, frame.frame
         for name, state in shown.humans.items():
             bones = len(self.settings.scene.humans[name].skeleton)
@@ -148,7 +148,7 @@ class AnimationWriter(FormatWriter):
         return {"people": people, "objects": objects, "cameras": cameras}
 
     def animated(self, records: Iterable[tuple[int, Record]]) -> AnimatedScene:
-        """The scene in all frames. ``records``: results of :meth:`frame`."""
+        """Build the scene over all frames from ``records``, the results of :meth:`frame`."""
         tracks = _tracks(records)
         people = {}
         for name, (heads, rotations, sizes) in tracks.get("people", {}).items():
@@ -171,7 +171,7 @@ class AnimationWriter(FormatWriter):
 
 
 def _tracks(records: Iterable[tuple[int, Record]]) -> dict[str, dict[str, list[Array]]]:
-    """Arrays (F, ...) of each thing by kind and name."""
+    """Stack the arrays of all frames. Returns arrays (F, ...) by kind (people, objects, cameras) and name."""
     frames: dict[str, dict[str, list[list[Array]]]] = {}
     for _, record in records:
         for kind, things in record.items():
@@ -191,7 +191,7 @@ def _track(positions: Array, rotations: Array, sizes: Array) -> PoseTrack:
 
 
 def without_sign_changes(quaternions: Array) -> Array:
-    """The same rotations (F, ..., 4) over time. Each has the sign that is nearest to the previous frame."""
+    """Change signs of quaternions (F, ..., 4) so that each is nearest to that of the previous frame."""
     flips = np.sum(quaternions[1:] * quaternions[:-1], axis=-1, keepdims=True) < 0
     out = np.array(quaternions)
     out[1:] *= np.where(np.cumsum(flips, axis=0) % 2 == 1, -1.0, 1.0)
@@ -201,11 +201,12 @@ def without_sign_changes(quaternions: Array) -> Array:
 def local_transforms(person: AnimatedHuman, axes: Array = WORLD_FROM_BODY) -> tuple[Array, Array, Array]:
     """Translations (F, B, 3), rotations (F, B, 4) xyzw and scales (F, B, 3) of the bones in their parents.
 
-    The rotations of a bone change sign nowhere, as programs that interpolate their numbers need.
+    The quaternions of a bone have no sign changes, so that programs can interpolate their numbers.
 
     Args:
         person: The person.
-        axes: (3, 3) axes of the file in ``map``, in which roots are; of glTF, y up, by default.
+        axes: (3, 3) axes of the file in ``map``. Root bones are in these axes. By default those of glTF, y
+            up.
     """
     parents = person.human.skeleton.parents
     rotations = axes.T @ person.bones[..., :3, :3]
@@ -221,13 +222,13 @@ def local_transforms(person: AnimatedHuman, axes: Array = WORLD_FROM_BODY) -> tu
     return translations, quaternions, scales
 
 
-#: glTF has sets of four bones and weights per vertex.
+#: Bones per vertex in a set of bones and weights of glTF.
 BONES_OF_SET = 4
 
 
 def influences(human: Human) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-    """Bones (V, N) and weights (V, N), the largest weights first. Unused ones are zero. N is a multiple of
-    4."""
+    """Bones (V, N) and weights (V, N) of each vertex, the largest weight first; unused entries are zero. N is
+    a multiple of 4."""
     weights = human.weights.tocsr()
     counts = np.diff(weights.indptr)
     rows = np.repeat(np.arange(len(counts)), counts)
@@ -241,13 +242,13 @@ def influences(human: Human) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
 
 
 def rest_normals(mesh: Mesh) -> Array:
-    """Normals (V, 3) in the rest pose. They have unit length also at vertices without triangles."""
+    """Normals (V, 3) in the rest pose, all of unit length, also at vertices without triangles."""
     normals = SurfaceNormals(mesh.triangles, len(mesh.vertices))(mesh.vertices)
     return np.asarray(np.where(normals.any(axis=-1, keepdims=True), normals, (0.0, 1.0, 0.0)), dtype=float)
 
 
 def texture_of(human: Human) -> bytes | None:
-    """Texture of a human as a PNG or JPEG file; None for no texture."""
+    """Content of a PNG or JPEG file with the texture of a human; None if the human has no texture."""
     if human.mesh.texture is None:
         return None
     look = human.looks.get(human.outfit)
@@ -255,7 +256,8 @@ def texture_of(human: Human) -> bytes | None:
 
 
 def warn_of_curved_skinning(people: Mapping[str, AnimatedHuman], program: str) -> None:
-    """Warn (HumansimWarning) of humans with dual quaternion skinning, which ``program`` does not have."""
+    """Warn (HumansimWarning) of humans with dual quaternion skinning, since ``program`` does not support
+    this."""
     if curved := [name for name, person in people.items() if person.human.skinning != "linear"]:
         warn_about(
             program,
@@ -264,10 +266,10 @@ def warn_of_curved_skinning(people: Mapping[str, AnimatedHuman], program: str) -
 
 
 def identifiers(names: Iterable[str], longest: int = 64) -> dict[str, str]:
-    """Names that every program accepts: ASCII letters, digits and underscores, beginning with a letter, all
-    different.
+    """Convert names to different names that every program accepts: ASCII letters, digits and underscores,
+    beginning with a letter.
 
-    ``longest``: most letters of a name.
+    ``longest``: greatest length of a name.
 
     Example:
         >>> identifiers(["anna", "mixamorig:Hips", "mixamorig Hips", "7"])
@@ -288,12 +290,12 @@ def identifiers(names: Iterable[str], longest: int = 64) -> dict[str, str]:
     return found
 
 
-#: Most colours in a texture of vertex colours, and side of the square of each colour in pixels.
+#: Most colours in a texture made from vertex colours, and side of the square of a colour, pixels.
 _PALETTE, _SQUARE = 256, 4
 
 
 class TextureFiles:
-    """Writes images to a folder of an export. Equal images are written once. ``folder``: the folder."""
+    """Writes textures to a folder of an export. Equal images are written only once."""
 
     def __init__(self, folder: ExportFolder) -> None:
         self._folder = folder
@@ -302,7 +304,7 @@ class TextureFiles:
         self._seen: dict[int, tuple[NDArray[np.uint8], str]] = {}
 
     def of(self, mesh: Mesh) -> str | None:
-        """Name of the file of a mesh's texture, as PNG; None for no texture."""
+        """Write the texture of a mesh as PNG. Returns the name of the file; None without texture."""
         if mesh.texture is None:
             return None
         if id(mesh.texture) not in self._seen:
@@ -310,7 +312,7 @@ class TextureFiles:
         return self._seen[id(mesh.texture)][1]
 
     def write(self, content: bytes) -> str:
-        """Name of the file of a PNG or JPEG image."""
+        """Write the content of a PNG or JPEG file. Returns the name of the file."""
         key = hashlib.sha256(content).hexdigest()
         if key not in self._names:
             suffix = "jpg" if content[:2] == b"\xff\xd8" else "png"
@@ -320,9 +322,9 @@ class TextureFiles:
 
 
 def painted(mesh: Mesh) -> Mesh:
-    """The mesh, with a texture of its vertex colours for programs that do not draw them. A mesh with a
-    texture is unchanged. Each colour is a square of the texture. Where the corners of a triangle differ,
-    colours between them are wrong; a mesh of more than 256 colours has their mean."""
+    """Convert the vertex colours of a mesh to a texture, for programs that do not draw vertex colours. A mesh
+    with a texture is unchanged. Each colour is a square in the texture. Triangles with corners of different
+    colours are drawn wrong. A mesh of more than 256 colours gets their mean."""
     if mesh.colors is None or mesh.texture is not None:
         return mesh
     colors, number = np.unique(mesh.colors, axis=0, return_inverse=True)
@@ -336,7 +338,7 @@ def painted(mesh: Mesh) -> Mesh:
 
 
 def obj_text(mesh: Mesh) -> str:
-    """A mesh as an OBJ file in its own axes, with texture coordinates but without material."""
+    """Text of an OBJ file of a mesh in its own axes, with texture coordinates but no material."""
     lines = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in mesh.vertices.tolist()]
     corners = (mesh.triangles + 1).tolist()
     if mesh.uv is None or mesh.uv_triangles is None:
@@ -351,8 +353,9 @@ def obj_text(mesh: Mesh) -> str:
 def add_tag(
     parent: ElementTree.Element, path: str, text: str | None = None, **attributes: str
 ) -> ElementTree.Element:
-    """Add XML elements, each inside the previous one. Returns the last one, which gets text and attributes.
-    ``path``: their tags, such as ``link/sensor``."""
+    """Add nested XML elements. ``path``: their tags from the outermost to the innermost, such as
+    ``link/sensor``. Returns the innermost element, which gets text and attributes.
+    """
     *above, last = path.split("/")
     for tag in above:
         parent = ElementTree.SubElement(parent, tag)
@@ -362,13 +365,14 @@ def add_tag(
 
 
 def add_texts(parent: ElementTree.Element, path: str, **texts: str) -> None:
-    """Add elements like :func:`add_tag`. In the last one, add an element for each text."""
+    """Add nested elements like :func:`add_tag`. In the innermost one, add an element for each text."""
     element = add_tag(parent, path)
     for tag, text in texts.items():
         add_tag(element, tag, text)
 
 
 def joined(values: NDArray[Any]) -> str:
-    """Numbers with spaces between. Whole numbers are unchanged, other numbers have nine digits."""
+    """Text of numbers, separated by spaces. Integers are unchanged; other numbers are rounded to nine
+    digits."""
     form = "d" if np.issubdtype(values.dtype, np.integer) else ".9g"
     return " ".join(f"{value:{form}}" for value in np.ravel(values).tolist())

@@ -1,7 +1,7 @@
-"""A bag as source of an export. The frames are read from its topics. Nothing is rendered or computed again.
+"""Export from a bag: the frames are read from the topics of the bag. Nothing is rendered or computed again.
 
-Each stamp with a message on all topics that the formats need is a frame. Frames are numbered from 0 in the
-order of their stamps.
+A stamp is a frame if all topics that the formats need have a message with this stamp. Frames are numbered
+from 0 in the order of their stamps.
 """
 
 from __future__ import annotations
@@ -54,15 +54,15 @@ _MAX_MESSAGE = 1 << 31
 _PARTS = {"part", "body_part"}
 _LABELLED = {"instance", *_PARTS, BOXES, KEYPOINTS}
 _SCENE_TIME = "/scene_time"
-#: Topics that are needed to understand every format.
+#: Topics that every format needs.
 _ALWAYS = ("/scene_time", "*/camera_info", "*/extrinsics", "*/joints/legend", "*/part/legend")
 _KINDS = {number: kind for kind, number in messages.BODY_KINDS.items()}
-#: Most topics that a message lists.
+#: Most topics that a warning or error lists.
 _MAX_LISTED = 4
 
 
 class _Place(NamedTuple):
-    """A frame in the bag: its stamp, and the log times of its first and last message, nanoseconds."""
+    """Where a frame is in the bag: stamp, and log times of the first and last message, all in nanoseconds."""
 
     stamp: int
     first: int
@@ -71,14 +71,14 @@ class _Place(NamedTuple):
 
 @dataclass(frozen=True)
 class _Needed:
-    """Topics that have a message for each complete frame, by what they contain.
+    """Names of the topics that must have a message in each complete frame, by kind of content.
 
     Attributes:
-        channels: Topic by camera and channel.
-        boxes: Topic by camera.
-        keypoints: Topic by camera.
-        positions: Topic by set of keypoints and person.
-        extrinsics: Topic by camera that moves.
+        channels: Topics of images by camera and channel.
+        boxes: Topics of boxes by camera.
+        keypoints: Topics of 2D keypoints by camera.
+        positions: Topics of 3D keypoints by set of keypoints and person.
+        extrinsics: Topics of poses by camera, for moving cameras.
     """
 
     channels: Mapping[tuple[str, str], str]
@@ -89,12 +89,12 @@ class _Needed:
 
     @property
     def topics(self) -> list[str]:
-        """All topics, each once."""
+        """Names of all topics, without repetitions."""
         return list(dict.fromkeys([*self.positions.values(), *self.cameras]))
 
     @property
     def cameras(self) -> dict[str, str]:
-        """Camera by topic, of topics of cameras."""
+        """Name of the camera by topic, for the topics that belong to a camera."""
         owned = {topic: camera for (camera, _), topic in self.channels.items()}
         for topics in (self.boxes, self.keypoints, self.extrinsics):
             owned |= {topic: camera for camera, topic in topics.items()}
@@ -107,13 +107,13 @@ class BagSource:
 
     Attributes:
         path: The bag.
-        formats: Rows of the formats.
+        formats: The formats to be exported.
         keypoints: Name of the keypoint set.
-        scene: What the writers of formats know about the scene.
-        hash: Hash of topics, sizes, and times of the bag.
-        custom: Texts that the writer of the bag has left.
+        scene: Description of the scene for the writers of formats.
+        hash: Hash of the topics, sizes and times of the bag.
+        custom: Texts in ``custom_data`` of the bag.
         needed: Topics that are read.
-        frames: Places of the frames.
+        frames: Stamp and log times of each complete frame.
     """
 
     path: Path
@@ -128,11 +128,11 @@ class BagSource:
 
     @classmethod
     def read(cls, path: Path, formats: Sequence[ExportFormat], keypoints: str = "coco17") -> BagSource:
-        """Find out what a bag contains. Its messages are read once, to find the frames.
+        """Find out what a bag contains. All messages are read once, to find the complete frames.
 
         Args:
             path: The bag.
-            formats: Rows of the formats.
+            formats: The formats to be exported.
             keypoints: Name of the keypoint set.
 
         Raises:
@@ -148,15 +148,16 @@ class BagSource:
         return len(self.frames)
 
     def device(self) -> str:
-        """Empty, since nothing is rendered."""
+        """Name of the device that renders: empty, since nothing is rendered."""
         return ""
 
     def open(self) -> BagFrames:
-        """Open the bag."""
+        """Open the bag and return a reader of its frames."""
         return BagFrames(self)
 
     def provenance(self, frames: range) -> dict[str, Any]:
-        """The bag, what its writer has stored about its scene, and the stamps of the frames."""
+        """Describe where the data come from: the bag, the plan of the recording in it, and the stamps of the
+        frames."""
         return {
             "bag": self.path.name,
             "bag_hash": self.hash,
@@ -167,7 +168,7 @@ class BagSource:
 
 
 def _rate(stamps: Sequence[int]) -> float:
-    """Frames per second of stamps in nanoseconds; 1 for a single one."""
+    """Estimate the frames per second from stamps in nanoseconds. The result is 1 for a single stamp."""
     steps = np.diff(stamps)
     return round(1e9 / float(np.median(steps)), 4) if len(steps) else 1.0
 
@@ -191,7 +192,7 @@ class _Survey:
         self._content = frozenset[str]().union(*(row.content for row in formats))
 
     def source(self) -> BagSource:
-        """The source of the export."""
+        """Build the source of the export."""
         for row in self._formats:
             if BODIES in row.content:
                 self._refuse(row, "needs bodies with their skeleton, which no topic has: export the scene")
@@ -222,7 +223,8 @@ class _Survey:
         raise ExportError(f"the format {row.name} {text}", path=self._reader.path, key="--format")
 
     def _camera_names(self) -> list[str]:
-        """Cameras: names in front of topics that only cameras have, since scanners have extrinsics, too."""
+        """Names of the cameras, found by topics that only cameras have. (Scanners have ``extrinsics``,
+        too.)"""
         ends = ("camera_info", "image_raw", "joints/legend", "boxes")
         split = (topic.removeprefix("/").partition("/") for topic in self._topics)
         names = dict.fromkeys(name for name, _, rest in split if rest.startswith(ends))
@@ -236,12 +238,12 @@ class _Survey:
         return cameras
 
     def _people(self) -> list[str]:
-        """People that have topics."""
+        """Names of the people that have topics."""
         parts = (topic.split("/") for topic in self._topics)
         return list(dict.fromkeys(each[2] for each in parts if each[1] == "humans" and len(each) > 3))
 
     def _needed(self, cameras: Sequence[str]) -> _Needed:
-        """Topics of the frames. Raises ExportError if one is missing."""
+        """Topics that each frame needs. Raises ExportError if the bag lacks one."""
         channels: dict[tuple[str, str], str] = {}
         boxes, keypoints, extrinsics = {}, {}, {}
         positions: dict[tuple[str, str], str] = {}
@@ -282,7 +284,8 @@ class _Survey:
         return _Needed(channels, boxes, keypoints, positions, extrinsics)
 
     def _require(self, row: ExportFormat, topic: str) -> str:
-        """The topic, if the bag has it. Otherwise ExportError names the command that records all topics."""
+        """Return ``topic`` if the bag has this topic. Otherwise raises ExportError, which names the command
+        that records all topics."""
         if topic not in self._topics:
             self._refuse(
                 row,
@@ -301,8 +304,8 @@ class _Survey:
         return next(self._messages(topic, kind))
 
     def _labels(self, cameras: Sequence[str]) -> tuple[dict[str, int], dict[str, str], dict[str, str], str]:
-        """Instance labels by name, kinds of objects, licences of people, and licence of data sets, from the
-        legend of a camera. If there is no legend, people from topics."""
+        """Read from the legend of a camera: instance labels by name, kinds of objects, licences of people,
+        licence of data sets. Without a legend, the labels are those of people with topics."""
         for camera in cameras:
             topic = f"/{camera}/joints/legend"
             if topic in self._topics:
@@ -317,7 +320,7 @@ class _Survey:
         return {name: number for number, name in enumerate(self._people(), 1)}, {}, {}, ""
 
     def _parts(self, cameras: Sequence[str]) -> tuple[str, ...]:
-        """Names of the values of body parts from 1, the same for all people."""
+        """Names of the body parts with label 1, 2 and so on. They must be the same for all people."""
         for camera in cameras:
             topic = f"/{camera}/part/legend"
             if topic in self._topics:
@@ -332,7 +335,8 @@ class _Survey:
     def _camera(
         self, name: str, moves: bool, needed: _Needed, frames: Sequence[_Place], pictured: Sequence[int]
     ) -> ExportCamera:
-        """Camera of the images, at its first pose. ``pictured``: numbers of the frames with its images."""
+        """Calibration of the images of a camera, at its first pose. ``pictured``: numbers of the frames with
+        images of this camera."""
         topic = f"/{name}/camera_info"
         with _reading(self._reader.path, topic):
             info = self._first(topic, CameraInfo)
@@ -351,8 +355,9 @@ class _Survey:
         )
 
     def _frames(self, needed: _Needed, cameras: Sequence[str]) -> tuple[list[_Place], dict[str, list[int]]]:
-        """Stamps with a message on all topics that are due at them; and the frames of each camera. Cameras
-        may have their own rates. Warns of stamps that lack a message."""
+        """Find the complete frames: stamps at which every topic that is due has a message. Cameras may have
+        their own rates. Returns the frames, and the numbers of the frames of each camera. Warns of incomplete
+        stamps."""
         topics = needed.topics or [f"/{cameras[0]}/camera_info"]
         names = [topic.name for topic in self._reader.topics]
         found: Frames[int] = Frames(topics)
@@ -382,7 +387,7 @@ class _Survey:
         return places, numbers
 
     def _hash(self) -> str:
-        """Hash of the topics, numbers of messages, sizes and times of the bag."""
+        """Hash of the bag: topics, numbers of messages, sizes and times."""
         info = self._reader.info
         topics = sorted(
             (topic.name, topic.type, info.counts.get(n, 0)) for n, topic in enumerate(self._reader.topics)
@@ -392,7 +397,8 @@ class _Survey:
 
 
 def recorded_patterns(formats: Iterable[ExportFormat], keypoints: str) -> list[str]:
-    """Topics for ``humansim record --topics`` with which a bag can be exported to some formats."""
+    """Topics that a bag needs to be exported to some formats, as arguments of ``humansim record
+    --topics``."""
     patterns = dict.fromkeys(_ALWAYS)
     for row in formats:
         for name in sorted(row.content):
@@ -406,7 +412,7 @@ def recorded_patterns(formats: Iterable[ExportFormat], keypoints: str) -> list[s
 
 
 class BagFrames:
-    """Frames of a bag, in any order. ``source``: the bag. It is opened."""
+    """Reads frames of a bag in any order. ``source``: the bag, which is opened."""
 
     def __init__(self, source: BagSource) -> None:
         self._source = source
@@ -418,7 +424,7 @@ class BagFrames:
         self._reader.close()
 
     def frame(self, index: int) -> BagFrame:
-        """A frame with what the formats need.
+        """Read a frame, with the data that the formats need.
 
         Raises:
             ExportError: A message of the frame is damaged.
@@ -489,8 +495,8 @@ class BagFrames:
         )
 
     def _data(self, place: _Place, index: int) -> dict[str, bytes]:
-        """Messages of a frame by topic. If several have its stamp, the first one. ``index``: number of the
-        frame."""
+        """Read the messages of a frame by topic. If a topic has several messages with its stamp, the first
+        one is taken. ``index``: number of the frame."""
         needed, known = self._source.needed, self._source.scene.cameras
         owners = needed.cameras
         due = [each for each in needed.topics if each not in owners or index in known[owners[each]].frames]
@@ -578,7 +584,7 @@ class BagCameraTruth(CameraTruth):
 
 
 def _no_joints(name: str) -> Array:
-    """Joints of a person. No format reads them from here."""
+    """Used in place of the joints of a person, which are not read from bags. Always raises ExportError."""
     raise ExportError(f"the joints of {name} are not read")
 
 
@@ -602,7 +608,7 @@ def _read_points(message: PointCloud2) -> NDArray[Any]:
 
 
 def _reader_of(channel: str) -> Callable[[Any], NDArray[Any]]:
-    """Function that reads the images of a channel. It raises ExportError for labels that are not exact."""
+    """Function that reads the images of a channel from messages. ExportError for lossy labels."""
     row = CHANNEL_TABLE[channel]
 
     def pixels(message: Any) -> NDArray[Any]:
@@ -621,7 +627,7 @@ def _image_type(topic: str) -> type[Any]:
 
 
 def _simple(camera: Camera) -> Camera:
-    """The camera without its rectification, if this follows from the other values."""
+    """Remove the rectification of a camera if its matrices follow from the other values."""
     simple = replace(camera, rectification=None, rectified=None)
     same = np.allclose(simple.rectification_matrix, camera.rectification_matrix, atol=1e-12)
     same &= np.allclose(simple.rectified_projection, camera.rectified_projection, atol=1e-9)

@@ -1,10 +1,10 @@
 """COCO: people with keypoints, boxes and masks, and objects as categories [Lin 2014].
 
-``person_keypoints.json`` has the people, ``instances.json`` people and objects. Names of images start from
-the folder ``images`` of the export. Boxes and areas come from the visible pixels. A body without visible
+``person_keypoints.json`` has the people, ``instances.json`` people and objects. Names of images are relative
+to the folder ``images`` of the export. Boxes and areas come from the visible pixels. A body without visible
 pixels has no annotation. Boxes are measured from the corner of the image, keypoints from the centre of its
 first pixel, as detectors expect them from COCO. Keypoints of ``wholebody133`` have the fields of
-COCO-WholeBody [Jin 2020]: ``keypoints`` are the body, and feet, face and hands have fields of their own.
+COCO-WholeBody [Jin 2020]: ``keypoints`` for the body, and separate fields for feet, face and hands.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ from humansim_ros.people.keypoints import KeypointSet, keypoint_set
 from humansim_ros.scene.truth import OUTSIDE, REQUIRED_CHANNELS, BodyBox, KeypointView
 
 _PERSON = "person"
-#: Set with the fields of COCO-WholeBody: field and keypoints of each part, and whether it has a box.
+#: Keypoint set of COCO-WholeBody. For each part of the body: name of its field, its keypoints, and whether
+#: the part has a box.
 _WHOLE_BODY_SET = "wholebody133"
 _WHOLE_BODY = {
     "body": ("keypoints", range(17), False),
@@ -33,15 +34,15 @@ _WHOLE_BODY = {
     "lefthand": ("lefthand_kpts", range(91, 112), True),
     "righthand": ("righthand_kpts", range(112, 133), True),
 }
-#: Channels that annotations need.
+#: Image channels that are rendered for annotations.
 CHANNELS = tuple(sorted({*REQUIRED_CHANNELS["joints"], *REQUIRED_CHANNELS["boxes"]}))
 
 
 class CocoWriter(FormatWriter):
-    """Annotations of COCO."""
+    """Writes annotations of COCO."""
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
-        """Images and annotations of a frame. Their numbers are set at the end."""
+        """Return images and annotations of a frame, still without ids."""
         scene = self.settings.scene
         images = []
         for camera, truth in frame.frame.truth.items():
@@ -69,7 +70,7 @@ class CocoWriter(FormatWriter):
         return images
 
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
-        """Write both files of annotations."""
+        """Number the annotations, and write both files."""
         scene, listed_records = self.settings.scene, list(records)
         category_of, categories = scene_categories(scene, keypoint_set(self.settings.keypoints))
         for file, names, listed in (
@@ -87,7 +88,8 @@ class CocoWriter(FormatWriter):
 def scene_categories(
     scene: ExportScene, keypoints: KeypointSet
 ) -> tuple[dict[str, int], list[dict[str, Any]]]:
-    """Number of the category by body, and the categories of a scene: people first, then kinds of objects."""
+    """Return the category id of each body by name, and the list of categories: people first, then kinds of
+    objects."""
     kinds = dict.fromkeys(kind for kind in scene.objects.values() if kind != _PERSON)
     ids = {_PERSON: 1} | {kind: number for number, kind in enumerate(kinds, 2)}
     categories = [person_category(keypoints)] + [
@@ -103,12 +105,12 @@ def coco_document(
     first: int = 1,
     licenses: Mapping[str, str] = MappingProxyType({}),
 ) -> dict[str, Any]:
-    """Content of a file of annotations.
+    """Build the content of a file of annotations.
 
     Args:
-        records: Results of :meth:`CocoWriter.frame` with the numbers of the frames.
-        category_of: Number of the category by body. Others are left out.
-        categories: Categories of COCO.
+        records: Number of each frame, and its result of :meth:`CocoWriter.frame`.
+        category_of: Category id by body. Other bodies are left out.
+        categories: Categories as COCO has them.
         first: Number of the first image. Annotations are numbered from 1.
         licenses: Licences of the data set and of its people, with the addresses of their texts.
     """
@@ -138,7 +140,7 @@ def _images(records: Iterable[tuple[int, Record]]) -> Iterator[dict[str, Any]]:
 
 
 def person_category(keypoints: KeypointSet) -> dict[str, Any]:
-    """The category of people. Lines between keypoints count from 1."""
+    """Category of people. Its ``skeleton`` has pairs of keypoint numbers from 1."""
     count = len(_WHOLE_BODY["body"][1]) if keypoints.name == _WHOLE_BODY_SET else len(keypoints)
     return {
         "id": 1,
@@ -157,7 +159,8 @@ def person_keypoints(view: KeypointView) -> dict[str, Any]:
 
 
 def divided_keypoints(record: Record, set_name: str) -> Record:
-    """Keypoints of a set, divided into the fields of COCO-WholeBody if the set is ``wholebody133``."""
+    """Divide the keypoints of an annotation into the fields of COCO-WholeBody if the set is
+    ``wholebody133``."""
     if set_name != _WHOLE_BODY_SET:
         return record
     points = np.reshape(record["keypoints"], (-1, 3))
@@ -177,8 +180,8 @@ def divided_keypoints(record: Record, set_name: str) -> Record:
 
 
 def joined_keypoints(record: Record, set_name: str) -> Record:
-    """Annotation or detection with the keypoints of all fields of COCO-WholeBody in ``keypoints``. This is
-    the inverse of :func:`divided_keypoints`. A record without these fields is returned as it is."""
+    """Put the keypoints from all fields of COCO-WholeBody into ``keypoints``, the inverse of
+    :func:`divided_keypoints`. An annotation or detection without these fields is returned unchanged."""
     keys = [key for key, *_ in _WHOLE_BODY.values()]
     if set_name != _WHOLE_BODY_SET or not all(isinstance(record.get(key), list) for key in keys):
         return record
@@ -187,7 +190,7 @@ def joined_keypoints(record: Record, set_name: str) -> Record:
 
 
 def encoded_mask(mask: NDArray[np.bool_]) -> dict[str, Any]:
-    """Compressed RLE of a mask (H, W)."""
+    """Encode a mask (H, W) as compressed RLE (run lengths), as COCO does."""
     from pycocotools.mask import encode
 
     run_lengths = encode(np.asfortranarray(mask, dtype=np.uint8))
@@ -195,7 +198,7 @@ def encoded_mask(mask: NDArray[np.bool_]) -> dict[str, Any]:
 
 
 def _region(mask: NDArray[np.bool_], box: BodyBox) -> dict[str, Any]:
-    """Mask, area and box of the visible pixels of a body."""
+    """Fields of an annotation: mask, area and box of the visible pixels of a body."""
     left, top, right, bottom = (box.visible + 0.5).tolist()
     return {
         "segmentation": encoded_mask(mask),

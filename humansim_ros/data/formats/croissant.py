@@ -14,18 +14,19 @@ from humansim_ros.scene.config import AboutConfig
 
 #: Name of the card, in the root of the export.
 CARD = "croissant.json"
-#: The context, as the specification prints it; media types by suffix; and kinds of splits by usual names.
+#: Constants: the JSON-LD context of the specification, media types by file suffix, and kinds of splits by
+#: usual names.
 _WORDS = read_table("croissant")
 _CONTEXT, _MEDIA_TYPES, _SPLITS = (_WORDS[name] for name in ("context", "media_types", "splits"))
 
 
 class CroissantWriter(FormatWriter):
-    """A card that describes the other formats of the export."""
+    """Writes the card, which describes the files of the other formats of the export."""
 
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
-        """Write the card into the root of the export, since paths in a card start from its folder. It lists
-        the files of the whole export with their hashes, and the images by camera. The writers of the other
-        formats must have finished."""
+        """Write the card into the root of the export, since paths in a card are relative to its folder. The
+        card lists all files of the export with their hashes, and the images by camera. So the writers of the
+        other formats must have finished."""
         files = [
             {
                 "@type": "cr:FileObject",
@@ -75,7 +76,7 @@ class CroissantWriter(FormatWriter):
 
 
 def _image_records(camera: str) -> dict[str, Any]:
-    """Records of the images of a camera: number of the frame, and image."""
+    """Definition of the records of a camera: each has the number of the frame and the image."""
     name, files = f"frames-{camera}", f"images-{camera}"
     fields = [
         _field(f"{name}/frame", "sc:Text", files, {"fileProperty": "filename"}, r"^(\d+)\."),
@@ -85,12 +86,12 @@ def _image_records(camera: str) -> dict[str, Any]:
 
 
 def card_header(about: AboutConfig, name: str, made: str, licenses: Mapping[str, str]) -> dict[str, Any]:
-    """Properties of a data set that its card begins with.
+    """Properties of a data set at the beginning of its card.
 
     Args:
         about: What the author of the data set says about it.
         name: Name of the data set.
-        made: What it contains, and how it was made: a sentence or more.
+        made: What the data set contains and how it was made: a sentence or more.
         licenses: Licences by name, with the addresses of their texts. An empty address is unknown.
     """
     authors = ", ".join(about.creators) or "humansim_ros"
@@ -112,13 +113,13 @@ def card_header(about: AboutConfig, name: str, made: str, licenses: Mapping[str,
 def data_set_card(
     header: Mapping[str, Any], splits: Collection[str], image_suffix: str, metadata: str
 ) -> dict[str, Any]:
-    """Content of the card of many scenes.
+    """Content of the card of a data set of many scenes.
 
     Args:
         header: Properties of the data set, such as ``name`` and ``license``.
-        splits: Names of the splits, with folders that have the folders of the scenes.
+        splits: Names of the splits. The folder of a split contains the folders of its scenes.
         image_suffix: Suffix of the images.
-        metadata: Name of the file of a scene with a line of JSON for each image.
+        metadata: Name of the file that each scene has, with a line of JSON for each image.
     """
     kinds = {"images": _MEDIA_TYPES[image_suffix], "metadata": "application/jsonlines"}
     patterns = {"images": f"images/*/*{image_suffix}", "metadata": metadata}
@@ -172,7 +173,7 @@ def data_set_card(
 def _field(
     identifier: str, kind: str, file_set: str, extract: Mapping[str, str], regex: str = ""
 ) -> dict[str, Any]:
-    """A field of records. Its values come from the files of a set."""
+    """Definition of a field of records. The values of the field come from the files of a file set."""
     source = {"fileSet": {"@id": file_set}, "extract": dict(extract)}
     return {
         "@type": "cr:Field",

@@ -1,4 +1,5 @@
-"""Builders and readers of all messages, the table of topics. They need no ROS."""
+"""Functions that build and read all messages, and the list of all topics of a scene. They work without
+ROS."""
 
 from humansim_ros.lazy import lazy_exports
 

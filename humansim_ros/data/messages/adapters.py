@@ -1,8 +1,8 @@
-"""Ground truth as messages of other people stacks: the table of adapters (docs/people_messages.md).
+"""Adapters: they send ground truth as messages of other people stacks (docs/people_messages.md).
 
-A row of the table states what an adapter needs, which topics it has, and how their messages are built from a
-frame. A simulation makes such frames. Node ``bridge`` puts them together from the topics of the other nodes.
-Both give the same messages.
+The table :data:`ADAPTERS` has a row for each adapter. The row states what the adapter needs, which topics the
+adapter has, and how messages are built from a frame. A simulation makes such frames. Node ``bridge`` puts
+frames together from the topics of the other nodes. The messages are the same in both cases.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ from humansim_ros.scene.features import ROBOT
 from humansim_ros.scene.truth import OUTSIDE, REQUIRED_CHANNELS, VISIBLE, BodyBox, CameraTruth, JointView
 from humansim_ros.types import Array
 
-#: Class of all detections: name, and number in a LabelInfo.
+#: Class of all detections: its name, and its number in the LabelInfo message.
 PERSON, PERSON_CLASS = "person", 0
 #: Variance of an unknown number: in spencer_tracking_msgs, a variance above 99999 means unknown.
 UNSET = 100_000.0
@@ -77,17 +77,16 @@ VISION_MSGS, PEOPLE_MSGS, SPENCER_MSGS = (
 
 @dataclass(frozen=True)
 class AdapterTopic(Topic[Frame]):
-    """A topic of an adapter, which sends the truth as messages of another people stack. The messages of the
-    topic are built from a frame.
+    """Topic of an adapter: messages of another people stack, built from the ground truth of a frame.
 
     Attributes:
-        package: Package of its messages.
+        package: Package of the messages.
         people: Whether the topic needs joints and vertices of the humans.
-        inputs: Other topics of its camera that the topic needs, as names of :data:`CAMERA_INPUTS`.
-        posed: Name of a camera. The topic needs its pose. Empty if the topic needs none.
+        inputs: Other topics of the same camera that this topic is built from: keys of :data:`CAMERA_INPUTS`.
+        posed: Name of the camera with the pose that the topic needs. Empty if the topic needs no pose.
         repeated: Whether messages are sent again while there are no frames, since subscribers are volatile.
-        on_demand: Whether its inputs are received only while the topic has subscribers.
-        row: Name of the adapter, which is one row of the table of adapters.
+        on_demand: Whether ``inputs`` are received only while this topic has subscribers.
+        row: Name of the adapter, a key of :data:`ADAPTERS`.
     """
 
     package: MessagePackage = VISION_MSGS
@@ -110,11 +109,11 @@ class AdapterTopic(Topic[Frame]):
         """Create a topic.
 
         Args:
-            package: Package of its messages.
+            package: Package of the messages.
             message: Name of the message in the package.
             name: Relative name.
             build: Builds the message from a frame and a stamp in nanoseconds.
-            settings: Other attributes.
+            settings: Other attributes of the topic.
 
         Raises:
             RosError: See :meth:`MessagePackage.message`.
@@ -123,7 +122,7 @@ class AdapterTopic(Topic[Frame]):
         return cls(name, kind, build, lambda frame: frame, package=package, shown=True, **settings)
 
     def messages(self, frame: Frame, stamp: int) -> list[Any]:
-        """Build the messages of a frame. Most topics have one; some have a list of any length."""
+        """Build the messages of a frame. Most topics have one message per frame; some have any number."""
         built = self.build(frame, stamp)
         return built if isinstance(built, list) else [built]
 
@@ -141,7 +140,7 @@ class Placed:
     Attributes:
         frame_id: Name of the frame.
         pose: Position (3,) and quaternion (4,) xyzw in ``map`` at a frame of the scene; None for ``map``.
-        camera: Camera, if this is its optical frame. Empty for other frames.
+        camera: Name of the camera if this frame is an optical frame. Empty for other frames.
     """
 
     frame_id: str
@@ -149,66 +148,67 @@ class Placed:
     camera: str = ""
 
     def at(self, frame: Frame) -> FrameAxes:
-        """Position and axes at a frame of the scene."""
+        """Pose of this tf frame at the time of a frame of the scene."""
         return FrameAxes() if self.pose is None else FrameAxes(*self.pose(frame))
 
 
 @dataclass(frozen=True)
 class FrameAxes:
-    """Pose of a frame in ``map``. Its methods convert what is given in ``map`` to this frame. Velocities stay
-    velocities over the ground. They are only expressed in the axes of the frame. The motion of the frame is
-    not subtracted, since receivers only rotate velocities (docs/people_messages.md)."""
+    """Pose of a tf frame in ``map``. The methods convert from ``map`` to the tf frame. Velocities stay
+    relative to the ground and are only rotated: the motion of the tf frame is not subtracted, since receivers
+    only rotate velocities, too (docs/people_messages.md)."""
 
     position: Array = field(default_factory=lambda: np.zeros(3))
     rotation: Array = field(default_factory=lambda: np.array([0.0, 0.0, 0.0, 1.0]))
 
     def point(self, point: Array) -> Point:
-        """Convert a point (3,) of ``map`` to a message."""
+        """Convert a point (3,) of ``map`` to a message in this frame."""
         x, y, z = (quaternion_to_matrix(self.rotation).T @ (point - self.position)).tolist()
         return Point(x=x, y=y, z=z)
 
     def vector(self, vector: Array) -> Vector3:
-        """Convert a vector (3,) in the axes of ``map`` to a message."""
+        """Convert a vector (3,) in the axes of ``map`` to a message in the axes of this frame."""
         x, y, z = (quaternion_to_matrix(self.rotation).T @ vector).tolist()
         return Vector3(x=x, y=y, z=z)
 
     def pose(self, position: Array, rotation: Array) -> Pose:
-        """Convert a pose in ``map`` (position (3,) and quaternion (4,) xyzw) to a message."""
+        """Convert a pose in ``map`` (position (3,), quaternion (4,) xyzw) to a message in this frame."""
         turned = multiply_quaternions(self.rotation * (-1, -1, -1, 1), rotation)
         x, y, z, w = turned.tolist()
         return Pose(position=self.point(position), orientation=Quaternion(x=x, y=y, z=z, w=w))
 
 
 def section_of(adapter: str) -> str:
-    """Section of a scene with the settings of an adapter. ROS4HRI has its own section."""
+    """Name of the section of a scene file that has the settings of an adapter. ROS4HRI has its own
+    section."""
     return adapter if adapter == "hri" else f"adapters.{adapter}"
 
 
 class AdapterScene:
-    """Names and frames of a scene, checked, for the rows of the table.
+    """Looks up cameras and tf frames of a scene for an adapter. An unknown name is an error.
 
     Args:
         scene: The scene.
-        adapter: Name of the row.
-        frame_prefix: Text before the frames of cameras and scanners.
+        adapter: Name of the adapter.
+        frame_prefix: Text before the names of the frames of cameras and scanners.
     """
 
     def __init__(self, scene: Scene, adapter: str, frame_prefix: str = "") -> None:
         self.scene, self._prefix, self._key = scene, frame_prefix, section_of(adapter)
 
     def error(self, text: str, key: str) -> SceneError:
-        """Make an error about a key of the row."""
+        """Make an error about a key in the settings of the adapter."""
         return SceneError(text, key=f"{self._key}.{key}")
 
     def camera(self, name: str, key: str) -> str:
-        """Check the name of a camera and return it. Raises SceneError, which names the key, if there is
-        none."""
+        """Return the name of a camera if the scene has this camera. Otherwise raises SceneError, which names
+        ``key``."""
         if name not in self.scene.scene_cameras:
             raise self.error(unknown("camera", name, self.scene.scene_cameras, "the scene"), key)
         return name
 
     def optical(self, camera: str) -> str:
-        """Optical frame of a camera."""
+        """Name of the optical frame of a camera."""
         return f"{self._prefix}{optical_frame(camera)}"
 
     def placed(self, frame_id: str) -> Placed:
@@ -219,7 +219,7 @@ class AdapterScene:
         return frames[frame_id]
 
     def _frames(self) -> dict[str, Placed]:
-        """Frames by the name that scenes give them, without prefix."""
+        """All tf frames of the scene by their name in scene files, which is without prefix."""
         scene, prefix = self.scene, self._prefix
         frames = {WORLD_FRAME: Placed(WORLD_FRAME)}
         if (robot := scene.robot) is not None:
@@ -239,7 +239,7 @@ class AdapterScene:
 
 
 def _base_pose(scene: Scene, frame: Frame) -> tuple[Array, Array]:
-    """Pose of ``base_link``. It does not vibrate, unlike the body of the robot."""
+    """Pose of ``base_link`` in ``map``: unlike the body of the robot, ``base_link`` does not vibrate."""
     robot, seconds = scene.robot, frame.scene_time * 1e-9
     assert robot is not None
     base = robot.base_of(frame.objects.get(ROBOT) or robot.body_at(seconds), seconds)
@@ -247,7 +247,7 @@ def _base_pose(scene: Scene, frame: Frame) -> tuple[Array, Array]:
 
 
 def _camera_pose(scene: Scene, name: str, frame: Frame) -> tuple[Array, Array]:
-    """True pose of an optical frame, even if the calibration is wrong."""
+    """True pose of the optical frame of a camera in ``map``, even if the calibration states a wrong pose."""
     camera = scene.scene_cameras[name]
     calibrated = frame.camera_poses.get(name) or CameraPose.of(camera.camera)
     pose = camera.true_pose(calibrated, frame.scene_time * 1e-9)
@@ -263,7 +263,7 @@ def _scanner_pose(scene: Scene, name: str, frame: Frame) -> tuple[Array, Array]:
 
 
 def _hypothesis(pose: Pose | None = None) -> Any:
-    """The only hypothesis of a detection: it is a person, with certainty."""
+    """Message with the only hypothesis of a detection: the object is a person, with score 1."""
     certain = VISION_MSGS.message("ObjectHypothesis")(class_id=PERSON, score=1.0)
     found = VISION_MSGS.message("ObjectHypothesisWithPose")(hypothesis=certain)
     found.pose.pose = Pose(orientation=Quaternion(w=1.0)) if pose is None else pose
@@ -273,12 +273,12 @@ def _hypothesis(pose: Pose | None = None) -> Any:
 def detections_2d_message(boxes: Mapping[str, BodyBox], whole: bool, stamp: int, frame_id: str) -> Any:
     """Build a vision_msgs/Detection2DArray.
 
-    A person without visible pixels is left out. With whole boxes, a person outside the image is left out.
-    Numbers have the precision of ``<camera>/boxes``.
+    A person without visible pixels is left out; with whole boxes, a person outside the image. Numbers are
+    rounded to float32, so that they equal those of ``<camera>/boxes``.
 
     Args:
         boxes: Boxes by person.
-        whole: Whether boxes are those of the whole bodies, not those of the visible pixels.
+        whole: If true, a box encloses the whole body. If false, only the visible pixels.
         stamp: Nanoseconds.
         frame_id: Optical frame of the camera.
     """
@@ -317,7 +317,7 @@ def detections_3d_message(frame: Frame, placed: Placed, stamp: int) -> Any:
 
 
 def label_info_message(frame_id: str) -> Any:
-    """Build a vision_msgs/LabelInfo: the classes of the detections."""
+    """Build a vision_msgs/LabelInfo, which lists the classes of detections: only ``person``."""
     person = VISION_MSGS.message("VisionClass")(class_id=PERSON_CLASS, class_name=PERSON)
     return VISION_MSGS.message("LabelInfo")(header=header(0, frame_id), class_map=[person])
 
@@ -325,12 +325,12 @@ def label_info_message(frame_id: str) -> Any:
 def people_message(frame: Frame, placed: Placed, labels: Mapping[str, int], stamp: int) -> Any:
     """Build a people_msgs/People: the point on the floor below the hips of each person.
 
-    An unknown velocity is 0, with a tag ``velocity`` that says so.
+    An unknown velocity is 0, and the tag ``velocity`` of the person says that it is unknown.
 
     Args:
         frame: Frame of the scene.
         placed: Frame of the coordinates.
-        labels: Instance label of each person, which becomes a tag.
+        labels: Instance label of each person, which becomes a tag in the message.
         stamp: Nanoseconds.
     """
     message = PEOPLE_MSGS.message("People")(header=header(stamp, placed.frame_id))
@@ -351,14 +351,14 @@ def people_message(frame: Frame, placed: Placed, labels: Mapping[str, int], stam
 def tracked_persons_message(
     frame: Frame, placed: Placed, labels: Mapping[str, int], camera: str | None, stamp: int
 ) -> Any:
-    """Build a spencer_tracking_msgs/TrackedPersons: position on the floor, heading and velocity, exact.
+    """Build a spencer_tracking_msgs/TrackedPersons: true positions on the floor, headings and velocities.
 
     Args:
         frame: Frame of the scene.
         placed: Frame of the coordinates.
         labels: Instance label of each person, which becomes the id of the track.
-        camera: Camera that sees the people. A person without visible pixels is occluded. If None, all are
-            seen.
+        camera: Camera that sees the people. A person without visible pixels in its image is marked as
+            occluded. If None, nobody is.
         stamp: Nanoseconds.
     """
     message = SPENCER_MSGS.message("TrackedPersons")(header=header(stamp, placed.frame_id))
@@ -391,16 +391,17 @@ def _variances(variance: float) -> Array:
 
 @dataclass(frozen=True)
 class ReceivedTruth:
-    """Ground truth of a camera, received from topics. Names are those of
+    """Ground truth of a camera, received from topics. It can replace
     :class:`~humansim_ros.scene.CameraTruth`. ``boxes``: boxes by human or labelled object. ``openpose``:
-    keypoints of :data:`HRI_KEYPOINTS` by human. ``image``: pixels and encoding of its colours."""
+    keypoints of the set :data:`HRI_KEYPOINTS` by human. ``image``: pixels and encoding of the colour
+    image."""
 
     boxes: Mapping[str, BodyBox] = field(default_factory=dict)
     openpose: Mapping[str, JointView] = field(default_factory=dict)
     image: tuple[NDArray[Any], str] | None = None
 
     def keypoints(self, set_name: str) -> Mapping[str, JointView]:
-        """Keypoints by human. Raises KeypointError for another set than :data:`HRI_KEYPOINTS`."""
+        """Keypoints by human. Raises KeypointError if the set is not :data:`HRI_KEYPOINTS`."""
         if set_name != HRI_KEYPOINTS:
             raise KeypointError(f"the keypoints of {set_name} are not received")
         return self.openpose
@@ -411,8 +412,8 @@ class CameraInput(NamedTuple):
 
     Attributes:
         type: Message class.
-        read: Reads the content of a message. RosError if it does not fit the scene.
-        field: Attribute of :class:`ReceivedTruth` for the content.
+        read: Function that returns the content of a message. RosError if it does not fit the scene.
+        field: Name of the attribute of :class:`ReceivedTruth` that holds the content.
     """
 
     type: Any
@@ -421,7 +422,7 @@ class CameraInput(NamedTuple):
 
 
 def _read_body_boxes(message: PointCloud2, scene: Scene) -> dict[str, BodyBox]:
-    """Boxes of ``<camera>/boxes`` by name. Raises RosError unless each label of the scene has one box."""
+    """Boxes of ``<camera>/boxes`` by human or object. Raises RosError unless each label has one box."""
     names = {label: name for name, label in scene.labels.items()}
     kinds = {number: kind for kind, number in BODY_KINDS.items()}
     boxes: dict[str, BodyBox] = {}
@@ -467,14 +468,14 @@ def _read_openpose(message: PointCloud2, scene: Scene) -> dict[str, JointView]:
 
 
 def _read_colours(message: Image, _: Scene) -> tuple[NDArray[Any], str]:
-    """Pixels and encoding of ``<camera>/image_raw``. Raises RosError if the image has no colours."""
+    """Pixels and encoding of ``<camera>/image_raw``. Raises RosError if this is no colour image."""
     pixels = read_image(message)
     if pixels.dtype != np.uint8:
         raise RosError(f"images of encoding {message.encoding!r} have no colours")
     return pixels, message.encoding
 
 
-#: Topics of a camera that node ``bridge`` receives.
+#: #: Topics of a camera that node ``bridge`` receives, by name below the camera.
 CAMERA_INPUTS: dict[str, CameraInput] = {
     "boxes": CameraInput(PointCloud2, _read_body_boxes, "boxes"),
     f"keypoints/{HRI_KEYPOINTS}": CameraInput(PointCloud2, _read_openpose, "openpose"),
@@ -485,11 +486,11 @@ CAMERA_INPUTS: dict[str, CameraInput] = {
 def received_frame(
     stamp: int, state: SceneState | None, cameras: Mapping[str, Mapping[str, Any]], scene: Scene
 ) -> Frame:
-    """Make a frame from messages, as far as adapters need it.
+    """Make a frame from received messages, with only the data that adapters need.
 
     Args:
         stamp: Nanoseconds.
-        state: Bodies and objects. None if no topic needs them.
+        state: Bodies and objects of the scene. None if no topic needs bodies or objects.
         cameras: Contents of :data:`CAMERA_INPUTS` by camera and topic.
         scene: The scene.
 
@@ -525,15 +526,15 @@ def received_frame(
 
 @dataclass(frozen=True)
 class Adapter:
-    """A row of the table.
+    """An adapter: sends ground truth as messages of another people stack.
 
     Attributes:
-        name: Key of section ``adapters`` of a scene.
-        package: Package of its messages.
-        message: Its message.
-        topic: Usual topic. ``<camera>`` stands for the name of a camera.
-        needs: What its messages are made from, in words.
-        topics: Function that returns its topics in a scene.
+        name: Name of the adapter, a key in section ``adapters`` of a scene file.
+        package: Package of the messages.
+        message: Name of the message in the package.
+        topic: Name of the topic if the scene sets no other. ``<camera>`` stands for the name of a camera.
+        needs: What the messages are made from, in words for the documentation.
+        topics: Function that returns the topics of the adapter in a scene.
     """
 
     name: str
@@ -555,7 +556,7 @@ class Adapter:
 
 
 def _name(config: FramedConfig, usual: str) -> str:
-    """Relative name of a topic."""
+    """Name of a topic without leading slash: the one in the settings, or else ``usual``."""
     return usual if config.topic is None else config.topic.lstrip("/")
 
 
@@ -643,7 +644,7 @@ def _hri(scene: AdapterScene, config: HriConfig, _: str) -> Iterator[AdapterTopi
     newest: list[tuple[Frame, HriFrame]] = []
 
     def described(frame: Frame) -> HriFrame:
-        """Describe the people of a frame. It is done once for all topics."""
+        """Describe the people of a frame. The last result is cached, since all topics use it."""
         if not newest or newest[0][0] is not frame:
             axes = placed.at(frame)
             to_camera = invert_rigid(transform(quaternion_to_matrix(axes.rotation), axes.position))
@@ -697,7 +698,7 @@ def _hri(scene: AdapterScene, config: HriConfig, _: str) -> Iterator[AdapterTopi
         )
 
 
-#: All adapters by name.
+#: The table of all adapters by name.
 ADAPTERS = {
     row.name: row
     for row in (
@@ -737,13 +738,13 @@ def adapter_topics(
     adapters: Mapping[str, Section] | None = None,
     installed: bool = False,
 ) -> list[AdapterTopic]:
-    """Topics of adapters.
+    """Create the topics of the adapters of a scene.
 
     Args:
         scene: The scene.
-        frame_prefix: Text before the frames of cameras and scanners.
+        frame_prefix: Text before the names of the frames of cameras and scanners.
         adapters: Settings of the adapters by name. If None, those of the scene.
-        installed: Whether the message packages must be installed, as nodes need them.
+        installed: Whether it is an error if a message package is not installed. Nodes need them installed.
 
     Raises:
         SceneError: A setting names no camera or frame of the scene. The error names file, line and key.

@@ -25,7 +25,7 @@ from humansim_ros.scene.pictures import joint_colors
 from humansim_ros.scene.truth import OUTSIDE, VISIBLE, BodyBox, JointView
 from humansim_ros.types import Array, Color
 
-#: One point of ``<camera>/joints``. It is padded to a multiple of four bytes.
+#: Fields of one point of ``<camera>/joints``, padded to a multiple of four bytes.
 JOINT_POINT = np.dtype(
     {
         "names": ["x", "y", "z", "u", "v", "visible", "occluder", "human", "joint", "by", "behind"],
@@ -34,7 +34,7 @@ JOINT_POINT = np.dtype(
         "itemsize": 32,
     }
 )
-#: One point of ``<camera>/boxes``: left, top, right and bottom of the visible pixels and of the whole body.
+#: One point of ``<camera>/boxes``: left, top, right, bottom of two boxes (visible pixels, whole body).
 BOX_POINT = np.dtype(
     [(name, "<f4") for name in ("left", "top", "right", "bottom")]
     + [(name, "<f4") for name in ("whole_left", "whole_top", "whole_right", "whole_bottom")]
@@ -44,12 +44,12 @@ BOX_POINT = np.dtype(
 )
 #: Values of field ``kind`` of :data:`BOX_POINT`.
 BODY_KINDS = {"human": 1, "object": 2}
-#: One point of ``<camera>/visible_vertices``: ``vertex`` in the order of ``humans/<id>/vertices``.
+#: One point of ``<camera>/visible_vertices``. ``vertex``: index into ``humans/<id>/vertices``.
 VISIBLE_VERTEX = np.dtype([("vertex", "<u4"), ("instance", "<u2")], align=True)
 
 
 def joint_view_message(views: Sequence[tuple[int, JointView]], stamp: int, frame: str) -> PointCloud2:
-    """Build ``<camera>/joints`` from pairs of instance label and joints."""
+    """Build ``<camera>/joints``. ``views``: pairs of an instance label and the joints of that human."""
     points = np.zeros(sum(len(view.visible) for _, view in views), dtype=JOINT_POINT)
     start = 0
     for instance, view in views:
@@ -67,12 +67,13 @@ def joint_view_message(views: Sequence[tuple[int, JointView]], stamp: int, frame
 
 def read_joint_view(message: PointCloud2) -> NDArray[Any]:
     """Read a ``<camera>/joints`` message as a structured array (N,) of :data:`JOINT_POINT`. Recordings of
-    earlier versions lack some fields. Raises RosError for another layout."""
+    earlier versions of the package lack some fields. Raises RosError for another layout."""
     return read_points(message, ("x", "y", "z", "u", "v", "visible", "human", "joint"))
 
 
 def joint_places(points: NDArray[Any]) -> tuple[Array, Array]:
-    """Pixels (N, 2), and positions (N, 3) in the optical frame, of points (N,) of :data:`JOINT_POINT`."""
+    """Return two columns of points (N,) of :data:`JOINT_POINT`: pixels (N, 2), and positions (N, 3) in the
+    optical frame, metres."""
     with np.errstate(invalid="ignore"):  # signalling NaN
         pixels, optical = (
             np.stack([points[axis] for axis in axes], axis=1).astype(float) for axes in ("uv", "xyz")
@@ -81,7 +82,8 @@ def joint_places(points: NDArray[Any]) -> tuple[Array, Array]:
 
 
 def overlay_message(views: Sequence[JointView], radius: float, stamp: int, frame: str) -> ImageMarker:
-    """Build ``<camera>/overlay``: the joints inside the image as points. Hidden joints have another colour.
+    """Build ``<camera>/overlay``: points that viewers draw over the image, one for each joint inside the
+    image. Hidden joints have another colour.
 
     Args:
         views: Joints of the humans.
@@ -108,7 +110,7 @@ def _color(color: Color) -> ColorRGBA:
 
 
 def boxes_message(boxes: Sequence[tuple[int, BodyBox]], stamp: int, frame: str) -> PointCloud2:
-    """Build ``<camera>/boxes`` from pairs of instance label and box."""
+    """Build ``<camera>/boxes``. ``boxes``: pairs of an instance label and the box of that body."""
     points = np.zeros(len(boxes), dtype=BOX_POINT)
     for point, (instance, box) in zip(points, boxes, strict=True):
         shares = (box.truncation, box.visible_fraction, box.pixels)
@@ -127,7 +129,7 @@ def read_boxes(message: PointCloud2) -> NDArray[Any]:
 
 
 def body_box(point: Any, kind: Kind) -> BodyBox:
-    """Box of a point of :data:`BOX_POINT`. ``kind``: kind of the body."""
+    """Convert a point of type :data:`BOX_POINT` to a box. ``kind``: kind of the body."""
     with np.errstate(invalid="ignore"):  # signalling NaN
         visible, whole = (
             np.array([point[f"{part}{side}"] for side in ("left", "top", "right", "bottom")], dtype=float)
@@ -140,8 +142,8 @@ def body_box(point: Any, kind: Kind) -> BodyBox:
 def visible_vertices_message(
     masks: Sequence[tuple[int, NDArray[np.bool_]]], stamp: int, frame: str
 ) -> PointCloud2:
-    """Build ``<camera>/visible_vertices``, with one point per visible vertex. ``masks``: pairs of instance
-    label and mask (V,) of a body's vertices."""
+    """Build ``<camera>/visible_vertices``, with one point per visible vertex. ``masks``: pairs of an instance
+    label and a mask (V,) that is true for the visible vertices of that body."""
     indices = [np.flatnonzero(mask) for _, mask in masks]
     points = np.zeros(sum(map(len, indices)), dtype=VISIBLE_VERTEX)
     if len(points):
@@ -157,11 +159,11 @@ def read_visible_vertices(message: PointCloud2) -> NDArray[Any]:
 
 
 def faults_message(faults: FrameFaults, stamp: int, frame: str) -> DiagnosticArray:
-    """Build ``<camera>/faults``: one status, with values, for each fault of a frame.
+    """Build ``<camera>/faults``: for each fault of a frame, a status with its values.
 
     Args:
         faults: Faults of the frame.
-        stamp: Stamp of the frame, nanoseconds. The stamp of its image may be wrong.
+        stamp: Stamp of the frame, nanoseconds. The image may have a wrong stamp, if that is the fault.
         frame: Optical frame of the camera.
     """
     message = DiagnosticArray(header=header(stamp, frame))
@@ -173,7 +175,7 @@ def faults_message(faults: FrameFaults, stamp: int, frame: str) -> DiagnosticArr
 
 
 def read_faults(message: DiagnosticArray) -> dict[str, dict[str, float]]:
-    """Read the values of the faults of a frame, by kind of fault."""
+    """Read ``<camera>/faults``. Returns the values of each fault by kind of fault."""
     return {
         status.name: {value.key: float(value.value) for value in status.values} for status in message.status
     }

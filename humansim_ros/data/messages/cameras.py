@@ -38,11 +38,11 @@ _MAX_DISTORTION, _MAX_NAME = 14, 64
 def camera_info_message(camera: Camera, stamp: int, frame: str, region: Region = _WHOLE_SENSOR) -> CameraInfo:
     """Build ``<camera>/camera_info``.
 
-    Size, K, D, R and P belong to the whole sensor, as drivers publish them. K contains the skew, which OpenCV
-    and image_geometry ignore. P has no skew.
+    Size, K, D, R and P are those of the whole sensor, even if the images show only a region. Drivers publish
+    them so. K contains the skew, which OpenCV and image_geometry ignore. P has no skew.
 
     Args:
-        camera: Camera of the whole sensor.
+        camera: Calibration of the whole sensor.
         stamp: Nanoseconds.
         frame: Optical frame of the camera.
         region: Binning and region of interest of the images.
@@ -61,7 +61,8 @@ def camera_info_message(camera: Camera, stamp: int, frame: str, region: Region =
 
 
 def read_camera_info(message: CameraInfo) -> Camera:
-    """Read the camera of a CameraInfo, at the origin. Raises CameraError if it is not a valid camera."""
+    """Read a camera from a CameraInfo. Its pose is the origin. Raises CameraError if the values are not
+    valid."""
     if len(message.d) > _MAX_DISTORTION or len(message.distortion_model) > _MAX_NAME:
         raise CameraError(f"a lens with more than {_MAX_DISTORTION} coefficients, or of no known model")
     if not within_bounds([*message.k, *message.d, *message.r, *message.p]):
@@ -107,8 +108,8 @@ def read_pose(message: PoseStamped) -> CameraPose:
 
 
 def rigid_pose(pose: Pose, what: str) -> tuple[Array, Array]:
-    """Position (3,) and rotation (4,) xyzw of a message. Raises RosError with the text ``what`` for the
-    pose."""
+    """Position (3,) and rotation (4,) xyzw of a Pose message. Raises RosError if a number is not finite or
+    the rotation is not valid; ``what`` names the pose in the text of the error."""
     p, q = pose.position, pose.orientation
     position, rotation = np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w])
     if not within_bounds([*position, *rotation]) or not abs(np.linalg.norm(rotation) - 1) < 1e-3:
@@ -120,10 +121,10 @@ def extrinsics_message(camera: Camera, stamp: int, frame: str, parent: str = WOR
     """Build ``<camera>/extrinsics``: pose of the optical frame in its parent frame, as tf expects it.
 
     Args:
-        camera: Camera. Its world is the parent frame.
+        camera: Camera with its pose in the parent frame.
         stamp: Nanoseconds.
         frame: Optical frame of the camera.
-        parent: The parent frame.
+        parent: Name of the parent frame.
     """
     return transform_message(camera.center, matrix_to_quaternion(camera.R.T), stamp, parent, frame)
 
@@ -131,14 +132,14 @@ def extrinsics_message(camera: Camera, stamp: int, frame: str, parent: str = WOR
 def transform_message(
     position: Array, rotation: Array, stamp: int, frame: str, child: str
 ) -> TransformStamped:
-    """Build a transform, as tf expects it.
+    """Build a transform between two frames, as tf expects it.
 
     Args:
-        position: Position (3,) of the child frame in the frame, metres.
-        rotation: Rotation (4,) xyzw of the child frame.
+        position: Position (3,) of the child frame in the parent frame, metres.
+        rotation: Rotation (4,) xyzw of the child frame in the parent frame.
         stamp: Nanoseconds.
-        frame: The frame.
-        child: The child frame.
+        frame: Name of the parent frame.
+        child: Name of the child frame.
     """
     message = TransformStamped(header=header(stamp, frame), child_frame_id=child)
     x, y, z = position.tolist()
@@ -149,7 +150,7 @@ def transform_message(
 
 
 def read_extrinsics(message: TransformStamped) -> CameraPose:
-    """Read an ``<camera>/extrinsics`` message. Raises RosError in the cases of :func:`read_pose`."""
+    """Read an ``<camera>/extrinsics`` message. Raises RosError in the same cases as :func:`read_pose`."""
     p, q = message.transform.translation, message.transform.rotation
     position = Point(x=p.x, y=p.y, z=p.z)
     return read_pose(PoseStamped(header=message.header, pose=Pose(position=position, orientation=q)))
@@ -196,12 +197,13 @@ def object_message(scene_object: SceneObject, pose: ObjectPose, stamp: int) -> M
 
 @lru_cache
 def _furniture(name: str) -> list[Point]:
-    """Corners of the triangles of a built-in piece of furniture, three for each."""
+    """Corners of the triangles of a built-in piece of furniture: three points for each triangle."""
     return _triangle_points(FURNITURE[name].mesh())
 
 
 def _triangle_points(mesh: Mesh) -> list[Point]:
-    """Corners of the triangles of a mesh, three for each. If there are many, corners of its convex hull."""
+    """Corners of the triangles of a mesh: three points for each triangle. A mesh with many triangles is
+    replaced by its convex hull."""
     triangles = mesh.triangles
     if len(triangles) > _MOST_TRIANGLES:
         triangles = scipy.spatial.ConvexHull(mesh.vertices).simplices
@@ -209,7 +211,8 @@ def _triangle_points(mesh: Mesh) -> list[Point]:
 
 
 def read_object(message: Marker) -> ObjectPose:
-    """Read the object pose of a ``marker`` message. Raises RosError if it is not finite or has no size."""
+    """Read the object pose of a ``marker`` message. Raises RosError if a number is not finite or a size is
+    zero."""
     p, q, s = message.pose.position, message.pose.orientation, message.scale
     pose = ObjectPose(np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w]), np.array([s.x, s.y, s.z]))
     if not within_bounds([*pose.position, *pose.rotation, *pose.size]):

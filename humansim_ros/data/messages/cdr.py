@@ -1,7 +1,7 @@
-"""Serialised messages: written as bytes that depend only on the content, and read within limits.
+"""Write and read serialised messages (CDR). Equal messages give equal bytes; too large ones are not read.
 
-rclpy leaves the padding between fields undefined, so that two messages with the same content may differ in
-some bytes. The serialiser of rosbags writes zeros, and does not copy images twice.
+The serialiser of rosbags is used, not that of rclpy: rclpy leaves the padding between fields undefined, so
+that equal messages may differ in some bytes. rosbags writes zeros there, and does not copy images twice.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from humansim_ros.data.bags.topics import is_defined, message_types
 from humansim_ros.data.messages.types import is_made, name_of, set_unchecked
 from humansim_ros.errors import RosError
 
-#: Most fields of a point cloud.
+#: Most fields of a point cloud that is read.
 MAX_FIELDS = 64
-#: Longest serialised message that is read, bytes, by type, and for all other types. rclpy needs up to 0.6 s
+#: Longest serialised message that is read, bytes: by type, then for all other types. rclpy needs up to 0.6 s
 #: for a megabyte of small structures, but only a millisecond for a megabyte of points or text.
 _MAX_BYTES = {
     "sensor_msgs/msg/MultiDOFJointState": 192 << 10,
@@ -34,8 +34,8 @@ _MAX_OTHER = 64 << 10
 def serialised(message: Any, type_name: str) -> memoryview:
     """Serialise a message as little-endian CDR, ready for a bag.
 
-    Sequences of numbers in the message become NumPy arrays. Single bytes become numbers. ``type_name``: such
-    as ``sensor_msgs/msg/Image``.
+    This changes the message: sequences of numbers become NumPy arrays, and single bytes become numbers.
+    ``type_name``: for example ``sensor_msgs/msg/Image``.
 
     Raises:
         BagError: rosbags is not installed.
@@ -52,9 +52,9 @@ def serialised(message: Any, type_name: str) -> memoryview:
 
 @cache
 def _numbers(name: str) -> list[tuple[tuple[str, ...], str | None]]:
-    """Fields of a type that are sequences of numbers or a single byte: their paths, and the type of the
-    numbers. A path consists of attribute names, starting at the message. A single byte has no type of
-    numbers."""
+    """Find the fields of a message type that are sequences of numbers or single bytes. Returns pairs of path
+    and type of the numbers; the type is None for a single byte. A path is the attribute names from the
+    message down to the field."""
     from rosbags.interfaces import Nodetype
 
     is_defined(name)  # this adds it to the known types
@@ -74,7 +74,8 @@ def _numbers(name: str) -> list[tuple[tuple[str, ...], str | None]]:
 
 
 def _parts(message: Any, path: Sequence[str]) -> Iterator[Any]:
-    """Messages at a path of attributes. A list on the path stands for all messages in it."""
+    """Follow a path of attributes and yield the messages at its end. Where an attribute is a list, all its
+    messages are followed."""
     if isinstance(message, list):
         for each in message:
             yield from _parts(each, path)
@@ -90,10 +91,10 @@ def deserialised(data: bytes, kind: Any, max_bytes: int | None = None) -> Any:
     Args:
         data: Serialised message.
         kind: Message class.
-        max_bytes: Greatest length, the same as in :func:`check_serialised`.
+        max_bytes: Greatest length, bytes. If None, the limit of the type.
 
     Raises:
-        RosError: There are too many bytes, or they are no such message.
+        RosError: The message is too long, or the bytes are no message of this class.
     """
     check_serialised(data, kind, max_bytes)
     # rosbags documents no exceptions for damaged messages
@@ -113,12 +114,12 @@ def _read(data: bytes, kind: Any) -> Any:
 
 
 def check_serialised(data: bytes, kind: Any, max_bytes: int | None = None) -> None:
-    """Raise RosError if a serialised message is too long, or has too many parts, to be read.
+    """Check that a serialised message is not too long to be read, and does not have too many fields.
 
-    ``max_bytes``: greatest length. If None, the limit of the type.
+    ``max_bytes``: greatest length, bytes. If None, the limit of the type.
 
     Raises:
-        RosError: The message is refused.
+        RosError: The message is beyond a limit.
     """
     name = name_of(kind)
     limit = _MAX_BYTES.get(name, _MAX_OTHER) if max_bytes is None else max_bytes
@@ -129,10 +130,10 @@ def check_serialised(data: bytes, kind: Any, max_bytes: int | None = None) -> No
 
 
 def unpack(form: str, data: bytes, offset: int) -> tuple[Any, ...]:
-    """Read numbers of a serialised message in its byte order, as ``struct.unpack_from``.
+    """Read numbers of a serialised message, like ``struct.unpack_from``, in the byte order of the message.
 
     Args:
-        form: Format of :mod:`struct` without the byte order.
+        form: Format string of :mod:`struct` without the byte order.
         data: Serialised message. Its second byte gives the byte order; contents begin at byte 4.
         offset: Position in ``data``.
 
@@ -146,7 +147,7 @@ def unpack(form: str, data: bytes, offset: int) -> tuple[Any, ...]:
 
 
 def _field_count(data: bytes) -> int:
-    """Number of fields of a serialised PointCloud2. It stands after header, height and width."""
+    """Read the number of fields of a serialised PointCloud2, which follows header, height and width."""
     (frame_length,) = unpack("I", data, 12)
     end = -(-(16 + frame_length) // 4) * 4
     (count,) = unpack("I", data, end + 8)

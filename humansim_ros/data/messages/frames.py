@@ -1,10 +1,10 @@
-"""Frames from messages: this module decides which frames are whole (complete).
+"""Collect messages into frames, and find out which frames are whole, that is complete.
 
-A frame is the set of messages with one stamp. :class:`Frames` collects messages. It says which frames are
-whole, which topics a frame lacks, and which messages belong to a stamp. :class:`PacedFrames` gives the frames
-of a running graph to a node, one after the other. :class:`RecordedFrames` keeps account of the frames of a
-recording in lockstep. It holds no messages. Stamps are nanoseconds; arrival times are seconds of a monotonic
-clock of the caller.
+A frame is all messages with the same stamp. :class:`Frames` collects messages and tells which frames are
+whole, which topics are missing, and which messages belong to a stamp. :class:`PacedFrames` gives the frames
+of a running graph to a node, one after the other. :class:`RecordedFrames` tells when a recording in lockstep
+has all messages of a frame. Messages are not stored there. Stamps are nanoseconds. Arrival times are seconds
+of a monotonic clock of the caller.
 """
 
 from __future__ import annotations
@@ -21,27 +21,27 @@ from typing import Any, Generic, TypeVar
 
 Content = TypeVar("Content")
 
-#: Stands for the stamp of a message without stamp.
+#: Used as the stamp of a message that has no stamp.
 _NO_STAMP = -1
-#: An image or people message older than this (nanoseconds) belongs to no frame, even if no newer one replaces
-#: it.
+#: A message that is older than a frame by more than this (nanoseconds) does not belong to the frame, even if
+#: there is no newer message.
 _OLDEST = 10**9
-#: After this time without a message, seconds, frames do not wait for a topic.
+#: Frames no longer wait for a topic that has had no message for this time, seconds.
 _SILENT = 1.0
 
 
 def place_at(stamps: Sequence[int], stamp: int, half: int, lasts: bool, oldest: int = _OLDEST) -> int | None:
     """Find the message that belongs to a frame. Returns its index, or None for no message.
 
-    It is the message with the stamp of the frame; or else the nearest one within half a period; or else the
-    last one before the frame, unless that one is old. If messages last, it is the last one up to the stamp,
-    or else the first one.
+    The message with the stamp of the frame is taken. If there is none, the nearest message within half a
+    period is taken, or else the last message before the frame, unless it is too old. If ``lasts``: the last
+    message up to the stamp, or else the first message.
 
     Args:
         stamps: Stamps of the messages in ascending order.
         stamp: Stamp of the frame.
         half: Half a period of the frames, nanoseconds.
-        lasts: Whether a message holds until the next one, however long that takes.
+        lasts: Whether a message is valid until the next one, however late that comes.
         oldest: Nanoseconds after which a message before the frame is old.
     """
     after = bisect_right(stamps, stamp)
@@ -56,14 +56,15 @@ def place_at(stamps: Sequence[int], stamp: int, half: int, lasts: bool, oldest: 
 
 
 def due_stamps(stamps: Sequence[int], own: Sequence[int]) -> set[int]:
-    """Find the stamps of those frames that a camera with its own steady rate captures.
+    """Return the stamps of the frames that a camera captures, for a camera with its own steady rate.
 
-    Frames with a lost picture are included: there the gap is a multiple of the median interval. With fewer
-    than two pictures the rate is unknown. Then the camera is assumed to capture each frame.
+    Frames with a lost picture are included. They are found where the gap between two pictures is a multiple
+    of the median interval. With fewer than two pictures the rate is unknown, and the camera is assumed to
+    capture each frame.
 
     Args:
         stamps: Stamps of all frames in ascending order.
-        own: Stamps of the pictures of the camera in ascending order.
+        own: Stamps of the pictures that have arrived from the camera, in ascending order.
     """
     if len(own) < 2 or len(stamps) < 2:
         return set(stamps)
@@ -83,22 +84,22 @@ def due_stamps(stamps: Sequence[int], own: Sequence[int]) -> set[int]:
 class Frames(Generic[Content]):
     """Messages by stamp and topic. A frame is whole when each required topic has a message.
 
-    If a limit is exceeded, the frame that has had no new message for the longest time is forgotten first.
-    Threads may add and read at the same time.
+    If a limit is exceeded, frames are removed, first the one that has had no new message for the longest
+    time. Several threads may add and read messages at the same time.
 
     Args:
-        required: Topics that have a message in a whole frame.
-        max_frames: Most frames that are held. If None, any number.
-        max_of_topic: Most messages of a topic that are held. Those with the smallest stamps are removed. If
-            None, any number.
-        max_size: Greatest sum of sizes that is held. If None, any sum.
-        size_of: Size of a content.
+        required: Topics that must have a message before a frame is whole.
+        max_frames: Most frames that are stored. If None, any number.
+        max_of_topic: Most messages of a topic that are stored. Messages with the smallest stamps are removed
+            first. If None, any number.
+        max_size: Greatest sum of the sizes of stored contents. If None, any sum.
+        size_of: Function that returns the size of a content.
         new_run: If a stamp of a topic goes back by more than this (nanoseconds), a new run has begun, and all
-            frames are forgotten. If None, stamps may go back.
+            frames are removed. If None, stamps may go back.
 
     Attributes:
         size: Sum of the sizes of all contents.
-        forgotten: Number of frames that were forgotten because of a limit.
+        forgotten: Number of frames that were removed because of a limit.
     """
 
     def __init__(
@@ -112,14 +113,15 @@ class Frames(Generic[Content]):
         new_run: int | None = None,
     ) -> None:
         self._required = dict.fromkeys(required)
-        #: For topics that are not in all frames: the stamps of the frames that need them.
+        #: For topics that only some frames need: the stamps of these frames.
         self._due: dict[str, set[int]] = {}
         self._max_frames, self._max_of_topic, self._max_size = max_frames, max_of_topic, max_size
         self._size_of, self._new_run = size_of, new_run
         self._lock = RLock()
-        #: Messages by stamp and topic. The frame with the newest message comes last.
+        #: Messages by stamp and topic. The frame that got a message last is at the end.
         self._frames: dict[int, dict[str, Content]] = {}
-        #: Messages that last, by topic and stamp. Alone they make no frame, and their size has no limit.
+        #: Messages of :meth:`keep`, by topic and stamp. A stamp with only such messages is no frame, and
+        #: their size has no limit.
         self._lasting: dict[str, dict[int, Content]] = {}
         #: Stamps of the messages of each topic in ascending order.
         self._stamps: dict[str, list[int]] = {}
@@ -139,9 +141,9 @@ class Frames(Generic[Content]):
                 self._required.pop(topic, None)
 
     def require_when_due(self, topics: Collection[str]) -> set[int]:
-        """Require the topics of a camera only in the frames that it captures.
+        """Require the topics of a camera only in the frames that the camera captures.
 
-        The messages that are held show which frames these are (:func:`due_stamps`).
+        These frames are estimated from the stamps of the stored messages (:func:`due_stamps`).
 
         Returns:
             The stamps of these frames.
@@ -154,7 +156,7 @@ class Frames(Generic[Content]):
     # --- messages
 
     def add(self, topic: str, stamp: int, content: Content, arrival: float = 0.0) -> bool:
-        """Add a message. If several have the same topic and stamp, the last one is held.
+        """Add a message. It replaces an earlier message with the same topic and stamp.
 
         Args:
             topic: Topic of the message, required or not.
@@ -183,11 +185,11 @@ class Frames(Generic[Content]):
             return self.is_whole(stamp)
 
     def keep(self, topic: str, stamp: int | None, content: Content, arrival: float = 0.0) -> None:
-        """Add a message that lasts until the next one of its topic, however long that takes.
+        """Add a message that is valid until the next one of its topic, however late that comes.
 
         Args:
-            topic: Topic of the message. All its messages last.
-            stamp: Stamp of the message. If None, the message has no stamp and replaces the last one.
+            topic: Topic of the message. All messages of this topic must be added with this method.
+            stamp: Stamp of the message. If None, the message has no stamp and replaces the previous message.
             content: Content of the message.
             arrival: Time of its arrival.
         """
@@ -214,7 +216,7 @@ class Frames(Generic[Content]):
             self.forgotten += 1
 
     def _remove(self, topic: str, stamp: int) -> None:
-        """Remove a message, and its frame if nothing else is in it."""
+        """Remove a message. Remove its frame, too, if the frame has no other message."""
         stamps = self._stamps[topic]
         del stamps[bisect_left(stamps, stamp)]
         if topic in self._lasting:
@@ -242,7 +244,7 @@ class Frames(Generic[Content]):
             self._lasting.pop(topic, None)
 
     def clear(self) -> None:
-        """Remove all frames. Messages that last are kept."""
+        """Remove all frames, but not the messages of :meth:`keep`."""
         with self._lock:
             for stamp in list(self._frames):
                 self.pop(stamp)
@@ -250,14 +252,14 @@ class Frames(Generic[Content]):
     # --- frames
 
     def frame(self, stamp: int) -> dict[str, Content]:
-        """Return the messages of a stamp by topic, in the order of their arrival. Empty if there is no
-        frame."""
+        """Return the messages with a stamp by topic, in the order of their arrival; empty if there are
+        none."""
         with self._lock:
             return dict(self._frames.get(stamp, {}))
 
     def stamps(self, topics: Collection[str] | None = None) -> list[int]:
-        """Return the stamps of frames in ascending order. If topics are given, only of frames with their
-        messages."""
+        """Return the stamps of frames in ascending order. If ``topics`` are given, only frames with messages
+        of these topics count."""
         with self._lock:
             if topics is None:
                 return sorted(self._frames)
@@ -277,7 +279,7 @@ class Frames(Generic[Content]):
             return sorted(filter(self.is_whole, self._frames))
 
     def lacking(self) -> dict[str, int]:
-        """Return the required topics that some frames lack, each with the number of these frames."""
+        """Return the required topics that some frames lack, and for each topic the number of these frames."""
         with self._lock:
             counts = {
                 topic: len(self._due.get(topic, self._frames)) - len(self._stamps.get(topic, ()))
@@ -286,26 +288,26 @@ class Frames(Generic[Content]):
         return {topic: count for topic, count in counts.items() if count}
 
     def behind(self, stamp: int) -> list[str]:
-        """Return the required topics with a newest message that is older than a stamp."""
+        """Return the required topics that have no message from ``stamp`` on: even their newest message is
+        older."""
         return [topic for topic in self._required if (self._stamps.get(topic) or [_NO_STAMP])[-1] < stamp]
 
     def newest_whole(
         self, clock: Collection[str], needed: Collection[str], patience: int, now: float
     ) -> int | None:
-        """Return the stamp of the newest frame that has a message of each needed topic. Silent topics are
-        ignored.
+        """Return the stamp of the newest frame that has a message of each needed topic. Topics without a
+        message for one second are ignored.
 
-        A topic with a lower steady rate is needed only in its own frames.
+        A topic with a lower steady rate than the frames is needed only in some of the frames.
 
         Args:
-            clock: Topics. Each of their stamps is a frame.
+            clock: Topics that define the frames: each stamp of their messages is a frame.
             needed: Topics that a whole frame must have.
-            patience: Nanoseconds that a whole frame may be older than the newest frame.
-            now: Present time, as the arrival of messages.
+            patience: A whole frame may be older than the newest frame by at most this time, nanoseconds.
+            now: Present time, on the same clock as ``arrival``.
 
         Returns:
-            The stamp. If no frame is whole and new enough, that of the newest frame. None if there are no
-            frames.
+            The stamp. If no frame is whole and new enough, that of the newest frame. None without frames.
         """
         with self._lock:
             stamps = self.stamps(clock)
@@ -365,26 +367,27 @@ class Frames(Generic[Content]):
 
 # --- of a running graph
 
-#: Most incomplete frames that are held.
+#: Most incomplete frames that are stored.
 _MAX_INCOMPLETE = 8
-#: Number of intervals between frames that the period is estimated from.
+#: Number of intervals between frames from which the period is estimated.
 _INTERVALS = 5
 #: A frame that is this many periods behind the newest frame is late.
 _MAX_PERIODS_LATE = 1.5
-#: A stamp comes from another clock if it is this far from the present, in nanoseconds and in periods.
+#: A stamp is taken to be from another clock if it is farther from the present than both this number of
+#: nanoseconds and this number of periods.
 _FAR, _FAR_PERIODS = 1_000_000_000, 4
-#: Seconds for which the last frame, and the last message of a topic, show the present time.
+#: For this time, seconds, the last frame (or the last message of a topic) tells the present time.
 _RECENT = 1.0
 
 
 @dataclass(frozen=True)
 class WholeFrame:
-    """Frame with the messages of all topics.
+    """A complete frame: it has the messages of all topics.
 
     Attributes:
         stamp: Nanoseconds.
         contents: Content by topic.
-        skipped: Number of earlier frames that are given up for this frame.
+        skipped: Number of earlier frames that are dropped in favour of this frame.
     """
 
     stamp: int
@@ -394,11 +397,11 @@ class WholeFrame:
 
 @dataclass(frozen=True)
 class GivenUpFrame:
-    """An incomplete frame that is given up, since too many frames are incomplete.
+    """An incomplete frame that is dropped, since too many frames are incomplete.
 
     Attributes:
         missing: Topics without a message in this frame.
-        offsets: By topic with stamps of another clock: seconds by which these are ahead of the other topics.
+        offsets: By topic with stamps of another clock: seconds by which they are ahead of the other topics.
     """
 
     missing: list[str]
@@ -408,21 +411,22 @@ class GivenUpFrame:
 class PacedFrames(Frames[Any]):
     """Frames that a node takes one after the other.
 
-    At most eight incomplete frames are held. Frames far from the present are given up first, since they have
-    stamps of another clock, such as that of a host ahead of time, and would never be whole. The present is
-    the stamp of a frame that has just been whole. If there is none, it is the time of the node's clock, if a
-    held frame agrees with it. Otherwise (while a recording is played) it is the median of the newest stamps
-    of the topics.
+    At most eight incomplete frames are stored. Frames far from the present are dropped first: their stamps
+    come from another clock, such as the wrong clock of another host, so they would never be whole. The
+    present is estimated from the stamp of the last whole frame if that was taken within a second. Otherwise
+    it is the time of the node's clock, if a stored frame has a stamp near it. Otherwise (while a recording is
+    played) it is the median of the newest stamps of the topics.
 
-    A whole frame far before the last one means that the clock was set back, since a recording is played
-    again. A single message does not mean that, so that one old stamp does not remove the present frames. The
-    last frame may be whole again, since lockstep sends it again for nodes that have joined.
+    A whole frame far before the last one means that the clock was set back, for example because a recording
+    starts again. A single message is not enough for this, so that one old stamp does not remove the present
+    frames. The last frame may become whole a second time, since lockstep sends it again for nodes that have
+    joined.
 
-    ``now`` is the time of the node's clock in nanoseconds.
+    ``now``: time of the node's clock, nanoseconds. ``steady``: time of a monotonic clock, seconds.
     """
 
     def __init__(self, topics: Collection[str], period: float) -> None:
-        """``topics``: required topics. ``period``: expected nanoseconds between frames."""
+        """``topics``: required topics. ``period``: expected time between frames, nanoseconds."""
         super().__init__(topics)
         self._newest_whole = 0
         # nanoseconds between whole frames, since the player's rate may differ from the scene's
@@ -432,7 +436,7 @@ class PacedFrames(Frames[Any]):
 
     @property
     def has_whole(self) -> bool:
-        """Whether a whole frame can be taken."""
+        """Whether a whole frame is ready for :meth:`take`."""
         return bool(self.whole())
 
     @property
@@ -456,8 +460,8 @@ class PacedFrames(Frames[Any]):
         return True
 
     def take(self, newest_if_late: bool, now: int, steady: float) -> WholeFrame | None:
-        """Remove and return the oldest whole frame, if there is one. ``newest_if_late``: return the oldest
-        frame that is not late, or the newest one if all are late."""
+        """Remove and return the oldest whole frame; None if no frame is whole. ``newest_if_late``: skip late
+        frames, and return the oldest frame that is not late, or the newest one if all are late."""
         whole = self.whole()
         if not whole:
             return None
@@ -474,8 +478,9 @@ class PacedFrames(Frames[Any]):
         return WholeFrame(stamp, contents, len(past) - repeated)
 
     def give_up(self, now: int, steady: float) -> GivenUpFrame | None:
-        """Remove and return an incomplete frame if there are too many. It is the frame that has waited
-        longest for a message. If frames are far from the present, only these count."""
+        """Remove and return an incomplete frame if there are too many; else None. The frame that got no
+        message for the longest time is removed. If some frames are far from the present, one of these is
+        removed."""
         incomplete = [stamp for stamp in self._frames if not self.is_whole(stamp)]
         if len(incomplete) <= _MAX_INCOMPLETE:
             return None
@@ -494,7 +499,7 @@ class PacedFrames(Frames[Any]):
         return GivenUpFrame(missing, offsets)
 
     def _present(self, now: int, steady: float) -> int:
-        """Stamp of a frame that is sent now."""
+        """Estimate the stamp that a frame has if it is sent now."""
         if self._last is not None:
             stamp, then, taken = self._last
             if steady - taken <= _RECENT:
@@ -507,24 +512,27 @@ class PacedFrames(Frames[Any]):
 
 # --- of a recording in lockstep
 
-#: Number of bytes of the digest of a message.
+#: Length of the digest of a message, bytes.
 _DIGEST = 16
 
 
 class RecordedFrames:
-    """Account of the frames of a recording in lockstep. Their stamps never go back. It holds no messages.
+    """Tells which frames of a recording in lockstep are whole, and which messages are repetitions. Stamps
+    never go back. Only digests of messages are stored.
 
     The player sends a frame again for nodes that have joined, so messages come twice. A frame is whole when
     every awaited topic has delivered the stamp of the frame or a newer one. If a topic was missing in a frame
-    and the player has gone on, the node of the topic is gone. It is not awaited until it delivers again.
+    and the player has gone on, its node is taken to have ended. The topic is not awaited until it delivers
+    again.
 
     Args:
-        per_frame: Topics of the scene with one message for each stamp.
-        awaited: Other topics that have to deliver each stamp.
-        copies: Returns how many times a message of another topic is sent for a stamp.
+        per_frame: Topics of the scene that have one message for each frame.
+        awaited: Other topics that must deliver a message for each frame.
+        copies: Function that returns how many times a message is sent, for a topic that is not in
+            ``per_frame`` and a stamp.
 
     Attributes:
-        awaited: Topics that have to deliver each stamp.
+        awaited: Topics that must deliver a message for each frame.
         newest: Stamp of the newest frame; 0 before the first.
     """
 
@@ -536,7 +544,7 @@ class RecordedFrames:
     ) -> None:
         self._per_frame, self.awaited = frozenset(per_frame), frozenset([*per_frame, *awaited])
         self._copies = copies
-        #: By topic: digests of the messages with the newest stamp, and how many there are of each.
+        #: By topic: digests of the messages with the newest stamp, and how many times each digest has come.
         self._messages: Frames[Counter[bytes]] = Frames(self.awaited, max_of_topic=1)
         self.newest = 0
         self._resting: Collection[str] = ()
@@ -548,7 +556,8 @@ class RecordedFrames:
         return sorted(set(self._messages.behind(self.newest)).difference(self._resting))
 
     def begin(self, stamp: int, resting: Collection[str] = ()) -> None:
-        """Note that the player has sent a frame. ``resting``: awaited topics that have no message in it."""
+        """Note that the player has sent a frame. ``resting``: awaited topics that have no message in this
+        frame."""
         if stamp == self.newest and resting:
             self._resting = resting
         if stamp > self.newest:
@@ -563,10 +572,10 @@ class RecordedFrames:
         return self._is_whole and stamp == self.newest
 
     def add(self, topic: str, stamp: int, data: bytes) -> bool:
-        """Note a message. Returns whether the message is new.
+        """Note that a message has arrived. Returns whether the message is new, not a repetition.
 
-        A message of a topic per frame is a repetition if its stamp has come before. A message of another
-        topic is a repetition if the same bytes have come as many times as they are sent.
+        A message of a topic in ``per_frame`` is a repetition if its stamp has come before. A message of
+        another topic is a repetition if the same bytes have already come as many times as ``copies`` says.
 
         Args:
             topic: Topic of the message.

@@ -1,4 +1,4 @@
-"""Stamps, frames and headers."""
+"""Stamps, names of coordinate frames, and headers of messages."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from humansim_ros.data.messages.types import Header, Time, TimeReference
 from humansim_ros.errors import RosError
 
 WORLD_FRAME = "map"
-#: Topic of transforms that hold for a stamp, and topic of those that hold for all times.
+#: Topic of transforms that change over time, and topic of transforms that never change.
 TF_TOPIC, TF_STATIC_TOPIC = "tf", "tf_static"
 _SECOND = 1_000_000_000
 _FRAME_NUMBER = re.compile(r"frame ([0-9]{1,15})")
 
 
 def optical_frame(camera: str) -> str:
-    """Default optical frame of a camera: z forward, x right, y down (REP-103)."""
+    """Default name of the optical frame of a camera: z forward, x right, y down (REP-103)."""
     return f"{camera}_optical_frame"
 
 
 def depth_optical_frame(optical: str) -> str:
-    """Optical frame of the depth sensor. ``optical``: optical frame of its camera."""
+    """Name of the optical frame of a depth sensor. ``optical``: name of the optical frame of its camera."""
     return f"{optical.removesuffix('_optical_frame')}_depth_optical_frame"
 
 
@@ -32,7 +32,8 @@ def to_time(nanoseconds: int) -> Time:
 
 
 def to_nanoseconds(stamp: Time) -> int:
-    """Stamp of a message. Raises RosError if it is before 1970, or has a second or more of nanoseconds."""
+    """Convert the stamp of a message to nanoseconds. Raises RosError if the stamp is before 1970, or its
+    field ``nanosec`` is a second or more."""
     return _nanoseconds(stamp.sec, stamp.nanosec)
 
 
@@ -52,13 +53,13 @@ def _nanoseconds(seconds: int, nanoseconds: int) -> int:
 
 
 def header(stamp: int, frame: str) -> Header:
-    """Header with a stamp in nanoseconds."""
+    """Build the header of a message. ``stamp``: nanoseconds. ``frame``: name of the coordinate frame."""
     return Header(stamp=to_time(stamp), frame_id=frame)
 
 
 def scene_time_message(scene_time: int, stamp: int, index: int | None = None) -> TimeReference:
-    """Build ``scene_time``: the scene time of the frame with a stamp, both in nanoseconds. ``index``: number
-    of the frame, or None."""
+    """Build ``scene_time``: the scene time of a frame. ``scene_time`` and ``stamp``: nanoseconds. ``index``:
+    number of the frame; None if unknown."""
     source = "scene" if index is None else f"frame {index}"
     return TimeReference(header=header(stamp, WORLD_FRAME), time_ref=to_time(scene_time), source=source)
 

@@ -1,7 +1,7 @@
 """Messages of ROS4HRI (REP-155, draft; package hri_msgs 2.3): people as one camera sees them.
 
 The id of a person is the name of the human. The body has the id ``b_<name>``, the face ``f_<name>``. All
-numbers are ground truth. docs/ros4hri.md explains them.
+numbers are ground truth. docs/ros4hri.md explains the messages.
 """
 
 from __future__ import annotations
@@ -52,29 +52,30 @@ _SKELETON = (
     *("Nose", "Neck", "RShoulder", "RElbow", "RWrist", "LShoulder", "LElbow", "LWrist"),
     *("RHip", "RKnee", "RAnkle", "LHip", "LKnee", "LAnkle", "LEye", "REye", "LEar", "REar"),
 )
-#: Points that face detectors find: pupils, tip of the nose, corners of the mouth. A face is seen if three are
-#: visible.
+#: Number of visible points for which a face counts as seen, and the points: those that face detectors find
+#: (pupils, tip of the nose, corners of the mouth).
 _FACE_SEEN, _FACE_POINTS = 3, ("face-68", "face-69", "face-30", "face-48", "face-54")
 _SELLION = "face-27"
-#: Confidence of a point by visibility. The place of an occluded point is known, but it is not seen.
+#: Confidence of a point by visibility. An occluded point is not seen, but its true position is known.
 _CONFIDENCE = {VISIBLE: 1.0, OCCLUDED: 0.5}
 #: Size of the crop of a face, pixels (REP-155, /humans/faces/width and height).
 FACE_SIZE = 128
 
 
 def body_id(person: str) -> str:
-    """Id of the body of a person."""
+    """Id of the body of a person, ``b_<name>``."""
     return f"b_{person}"
 
 
 def face_id(person: str) -> str:
-    """Id of the face of a person."""
+    """Id of the face of a person, ``f_<name>``."""
     return f"f_{person}"
 
 
 @dataclass(frozen=True, eq=False)
 class HriPerson:
-    """A person as a camera sees it at one stamp. Coordinates of images are shares of width and height.
+    """A person as a camera sees it at one stamp. Image coordinates are from 0 to 1, as shares of width and
+    height.
 
     Attributes:
         name: Name of the human.
@@ -84,7 +85,7 @@ class HriPerson:
         face_roi: Box (4,) of the landmarks inside the image. None if there are none.
         links: True poses (4, 4) of the links in ``map`` by name. Empty if the skeleton lacks bones that
             ROS4HRI needs.
-        angles: Joint angles (20,) of the model of ROS4HRI that come nearest to the true pose, radians.
+        angles: Joint angles (20,) with which the model of ROS4HRI comes nearest to the true pose, radians.
         urdf: Function that takes the id of a body in ROS4HRI, and returns the URDF of the person.
         linear: Velocity (3,) of the body in its own axes, m/s. None if unknown.
         angular: Angular velocity (3,) of the body, rad/s.
@@ -171,7 +172,7 @@ def hri_person(
 
 
 def _shares(pixels: Array, visible: NDArray[np.uint8], size: tuple[int, int]) -> Array:
-    """Points (K, 3): x and y of pixels (K, 2) as shares of the image, 0 to 1, and confidence."""
+    """Convert pixels (K, 2) to points (K, 3): x and y as shares of the image size, 0 to 1, and confidence."""
     confidence = np.zeros(len(visible))
     for state, value in _CONFIDENCE.items():
         confidence[visible == state] = value
@@ -180,12 +181,13 @@ def _shares(pixels: Array, visible: NDArray[np.uint8], size: tuple[int, int]) ->
 
 
 def _clipped(box: Array, size: tuple[int, int]) -> Array:
-    """Box (4,) in pixels as shares of the image."""
+    """Convert a box (4,) in pixels to shares of the image size, cut at the border of the image."""
     return np.asarray(np.clip((np.asarray(box, float) + 0.5) / np.array([*size, *size]), 0.0, 1.0))
 
 
 def _bounds(pixels: Array, size: tuple[int, int]) -> Array | None:
-    """Box (4,) of points (N, 2) as shares of the image; None if its area in the image is zero."""
+    """Box (4,) around points (N, 2), as shares of the image size. None if the box has no area inside the
+    image."""
     finite = pixels[np.isfinite(pixels).all(axis=1)]
     if not len(finite):
         return None
@@ -215,12 +217,12 @@ class HriTopic:
     Attributes:
         name: Name without the leading slash.
         type: Message class.
-        build: Function that returns the messages of a frame with a stamp in nanoseconds. There may be none.
+        build: Function of a frame and a stamp in nanoseconds that returns a list of messages.
         latched: Whether late subscribers get the last message.
-        has_image: Whether it needs the image of the camera.
-        repeated: Whether it is sent again while there are no frames, since subscribers of ROS4HRI are
-            volatile.
-        sparse: Whether a frame may have no message of it, or several.
+        has_image: Whether the topic needs the image of the camera.
+        repeated: Whether the last message is sent again while there are no frames, since subscribers of
+            ROS4HRI are volatile.
+        sparse: Whether a frame may have no message of this topic, or several.
     """
 
     name: str
@@ -233,8 +235,8 @@ class HriTopic:
 
 
 def check_ids(people: Sequence[str]) -> None:
-    """Raise SceneError if the id of a body or face is the name of another person, since all ids must be
-    unique."""
+    """Check that all ids are unique. Raises SceneError if the id of a body or face is the name of another
+    person."""
     for name in people:
         for own in (body_id(name), face_id(name)):
             if own in people:
@@ -245,7 +247,7 @@ def check_ids(people: Sequence[str]) -> None:
 
 
 def hri_topics(people: Sequence[str], frame_id: str, image_size: tuple[int, int]) -> Iterator[HriTopic]:
-    """Topics of ROS4HRI for some people as a camera sees them.
+    """Create the topics of ROS4HRI for some people, as a camera sees them.
 
     Args:
         people: Names of the humans.
@@ -284,12 +286,13 @@ def _lists(people: Sequence[str], frame_id: str) -> Iterator[HriTopic]:
         yield HriTopic(f"humans/{path}", kind, partial(build, id_of), repeated=True, sparse=False)
 
 
-#: Function that returns the message of a person in a frame; None for no message.
+#: Function that builds the message of a person in a frame, or returns None for no message.
 _Build = Callable[[HriPerson, HriFrame, Header], Any]
 
 
 def _seen_topics(name: str, frame_id: str, image_size: tuple[int, int]) -> Iterator[HriTopic]:
-    """Topics of the body and face of a person. They have messages while the camera sees the person."""
+    """Create the topics of the body and face of a person. They have messages only while the camera sees the
+    person."""
     (width, height), own = image_size, body_id(name)
     skeleton, landmarks = (HRI_MESSAGES.message(kind) for kind in ("Skeleton2D", "FacialLandmarks"))
     body, face = f"humans/bodies/{own}", f"humans/faces/{face_id(name)}"
@@ -344,8 +347,9 @@ def _seen_topics(name: str, frame_id: str, image_size: tuple[int, int]) -> Itera
 
 
 def _person_topics(name: str) -> Iterator[HriTopic]:
-    """Topics of a person. An empty id means that there is no body or face now. All are latched except
-    ``location_confidence``, since libhri subscribes to it as volatile."""
+    """Create the topics of a person. An empty id in a message means that the camera sees no body or face now.
+    All topics are latched except ``location_confidence``, since libhri subscribes to this topic as
+    volatile."""
     contents: dict[str, tuple[type[Any], Callable[[HriPerson], Any]]] = {
         "anonymous": (Bool, lambda _: False),
         "face_id": (String, lambda person: face_id(name) if person.has_face else ""),
@@ -372,7 +376,7 @@ def _points(rows: Array | None) -> list[Any]:
 def crop_message(
     image: NDArray[np.uint8], encoding: str, roi: Array, head: Header, size: int | None = None
 ) -> Image:
-    """Build ``cropped``: the pixels of an image in a region.
+    """Build ``cropped``: the part of an image within a region.
 
     Args:
         image: Pixels (H, W) or (H, W, 3).
@@ -394,7 +398,7 @@ def crop_message(
 
 
 def _fitted(pixels: NDArray[np.uint8], size: int) -> NDArray[np.uint8]:
-    """Pixels scaled into a black square."""
+    """Scale pixels to fit into a black square with a side of ``size`` pixels."""
     height, width = pixels.shape[:2]
     scale = size / max(height, width)
     new = max(1, round(width * scale)), max(1, round(height * scale))
@@ -413,7 +417,7 @@ def _joint_states_message(person: HriPerson, _: HriFrame, head: Header) -> Joint
 
 
 def _position_message(person: HriPerson, frame: HriFrame, head: Header) -> PointStamped | None:
-    """Origin of the body in the optical frame."""
+    """Build the message with the origin of the body in the optical frame."""
     if not person.links:
         return None
     x, y, z = (frame.to_camera @ person.links["body"])[:3, 3].tolist()
@@ -421,7 +425,7 @@ def _position_message(person: HriPerson, frame: HriFrame, head: Header) -> Point
 
 
 def _velocity_message(person: HriPerson, _: HriFrame, head: Header) -> TwistStamped | None:
-    """Velocity of the body over the ground, in its own axes."""
+    """Build the message with the velocity of the body relative to the ground, in the axes of the body."""
     if person.linear is None or person.angular is None:
         return None
     head.frame_id = f"body_{body_id(person.name)}"
@@ -432,7 +436,8 @@ def _velocity_message(person: HriPerson, _: HriFrame, head: Header) -> TwistStam
 
 
 def _matches(frame: HriFrame, _: int) -> list[Any]:
-    """Messages on ``candidate_matches``: body and face of each visible person, with certainty."""
+    """Build the messages of ``candidate_matches``: they match body and face of each visible person with
+    confidence 1."""
     kind = HRI_MESSAGES.message("IdsMatch")
     out = []
     for person in frame.people.values():
@@ -448,8 +453,8 @@ def _matches(frame: HriFrame, _: int) -> list[Any]:
 
 
 def _transforms(frame: HriFrame, stamp: int, frame_id: str) -> list[TransformStamped]:
-    """Transforms of the visible people. Body and face are in the optical frame of the camera, links in the
-    body, the gaze in the face, and the person in ``map``."""
+    """Build the transforms of the visible people. The parent frame of body and face is the optical frame of
+    the camera, that of links is the body, that of the gaze is the face, and that of the person is ``map``."""
     out = []
 
     def add(parent: str, child: str, pose: Array) -> None:

@@ -1,4 +1,4 @@
-"""Messages below ``humans/<id>``: motion, joints, vertices, mesh and markers."""
+"""Messages of topics ``humans/<id>/…``: motion, joints, vertices, mesh and markers."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from humansim_ros.types import Array, Float32Array, Indices
 
 #: Most joints of a motion, and most characters of the name of a joint.
 MAX_JOINTS, MAX_NAME = 1024, 256
-#: Longest message of a mesh that is read, bytes.
+#: Length of the longest message of a mesh that is read, bytes.
 _MAX_MESH = 32 << 20
 _VERTEX_POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
 
@@ -124,12 +124,12 @@ def read_joints(message: MultiDOFJointState) -> JointPoses:
 def human_state(
     poses: JointPoses, vertices: Float32Array, features: Mapping[str, Rated] = MappingProxyType({})
 ) -> HumanState:
-    """State of a human from the poses (N = 1) of a ``joints`` message, and from other messages.
+    """Make the state of a human from the poses (N = 1) of a ``joints`` message and from other messages.
 
     Args:
         poses: Poses of its joints.
         vertices: Vertices (V, 3).
-        features: Other values that are no joints, by name of their topic.
+        features: Values that are no joints, such as ``face``, by the name of their topic.
     """
     (rotations,), joints = poses.rotations, transform(quaternion_to_matrix(poses.rotations), poses.positions)
     linear, angular = (None if each is None else each[0] for each in (poses.linear, poses.angular))
@@ -139,7 +139,8 @@ def human_state(
 
 
 def rated_message(rated: Rated, stamp: int) -> JointState:
-    """Build a topic of values that are no joints, such as ``humans/<id>/face``: each value with its rate."""
+    """Build a message of values that are no joints, such as ``humans/<id>/face``: each value with its rate of
+    change."""
     message = JointState(header=header(stamp, WORLD_FRAME), name=list(rated.labels))
     message.position, message.velocity = rated.values.ravel().tolist(), rated.rates.ravel().tolist()
     return message
@@ -150,10 +151,10 @@ def read_rated(message: JointState, rest: Rated) -> Rated:
 
     Args:
         message: The message.
-        rest: Values at rest. The message must have the same labels.
+        rest: Values at rest, with the labels that the message must have.
 
     Raises:
-        RosError: Other labels, or a value that is not within the limits.
+        RosError: The message has other labels, or a value is beyond the limits.
     """
     labels, (low, high) = rest.labels, rest.limits
     if tuple(message.name) != labels or not len(message.position) == len(message.velocity) == len(labels):
@@ -180,7 +181,7 @@ def read_vertices(message: PointCloud2) -> Float32Array:
     """Read the vertices (V, 3) of a ``vertices`` message.
 
     Raises:
-        RosError: Another layout, or a vertex is not finite.
+        RosError: The message has another layout, or a vertex is not finite.
     """
     layout = [(f.name, f.offset, f.datatype) for f in message.fields[:3]]
     expected = [(name, 4 * i, PointField.FLOAT32) for i, name in enumerate("xyz")]
@@ -197,7 +198,8 @@ def read_vertices(message: PointCloud2) -> Float32Array:
 
 
 def mesh_message(mesh: Mesh) -> MeshMessage:
-    """Build ``humans/<id>/mesh``: the surface in the rest pose, in body space (y up, facing +z)."""
+    """Build ``humans/<id>/mesh``: the surface of the body in the rest pose, in body space (y up, facing
+    +z)."""
     message = MeshMessage()
     message.vertices = [Point(x=x, y=y, z=z) for x, y, z in mesh.vertices.tolist()]
     message.triangles = [
@@ -207,7 +209,7 @@ def mesh_message(mesh: Mesh) -> MeshMessage:
 
 
 def read_mesh(data: bytes) -> Mesh:
-    """Read a serialised ``mesh`` message. For a human, rclpy would need a second.
+    """Read a serialised ``mesh`` message without rclpy, which would need a second for the mesh of a human.
 
     Raises:
         RosError: The message is too long, ends too early, or has another length than it states.
@@ -231,8 +233,8 @@ def read_mesh(data: bytes) -> Mesh:
 
 class MarkerBuilder:
     """Builds ``humans/<id>/markers``: bones, joints and a coarse skin for RViz and Foxglove. The skin is
-    simplified once, since viewers are slow with 26,000 triangles: vertices of the rest pose are merged in
-    cells of ``cell`` metres."""
+    simplified once, since viewers are slow with 26,000 triangles: vertices of the rest pose that lie in the
+    same cube with a side of ``cell`` metres are merged."""
 
     def __init__(self, human: Human, cell: float = 0.035) -> None:
         self._skeleton = human.skeleton
@@ -273,7 +275,8 @@ class MarkerBuilder:
 
 
 def _coarse_triangles(mesh: Mesh, cell: float) -> Indices:
-    """Triangles (N, 3), as vertex indices, after all vertices of a cell are replaced by one of them."""
+    """Merge all vertices of a cell to one of them. Returns the remaining triangles (N, 3) as vertex
+    indices."""
     cells = np.floor(mesh.vertices / cell).astype(np.int64)
     _, first, inverse = np.unique(cells, axis=0, return_index=True, return_inverse=True)
     merged = first[inverse.ravel()][mesh.triangles]

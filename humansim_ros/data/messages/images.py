@@ -16,7 +16,7 @@ from humansim_ros.data.messages.types import CompressedImage, Image, set_uncheck
 from humansim_ros.errors import RosError
 from humansim_ros.files.reading import MAX_PIXELS, declared_size
 
-#: Element type and number of channels, by encoding.
+#: Element type and number of channels of an image, by encoding.
 _PIXELS = {
     **dict.fromkeys(("rgb8", "bgr8"), ("u1", 3)),
     **dict.fromkeys(("mono8", "8UC1", "bayer_rggb8"), ("u1", 1)),
@@ -28,17 +28,18 @@ _PIXELS = {
 }
 #: Colour encodings. OpenCV encodes them as bgr8. Other images are encoded unchanged.
 _COLOR_ENCODINGS = ("rgb8", "bgr8")
-#: ``INV_DEPTH`` of the plugin, and its header: format, then the two coefficients of the inverse depth.
+#: Value ``INV_DEPTH`` of the plugin ``compressedDepth``. The header of its images is the format, then the two
+#: coefficients of the inverse depth.
 _INVERSE_DEPTH = 0
 _CONFIG_HEADER = struct.Struct("<iff")
 _MAX_LEVEL = 65535
-#: The size of an image is searched in this number of bytes at its start.
+#: The size of a compressed image is searched in this number of bytes at its start.
 _MAX_HEAD = 1 << 20
 
 
 @dataclass(frozen=True)
 class ImageCompression:
-    """Settings of compressed images, with the names and defaults of the plugin.
+    """Settings of compressed images, with the names and defaults of image_transport's plugin ``compressed``.
 
     Attributes:
         format: ``jpeg`` or ``png``.
@@ -53,11 +54,12 @@ class ImageCompression:
 
 @dataclass(frozen=True)
 class DepthCompression:
-    """Settings of compressed depth, with the names and defaults of the plugin.
+    """Settings of compressed depth, with the names and defaults of image_transport's plugin
+    ``compressedDepth``.
 
     Attributes:
         depth_max: Largest depth that is encoded, metres.
-        depth_quantization: Depth with a resolution of one metre, metres.
+        depth_quantization: Depth at which the resolution is one metre; nearer depths are finer. Metres.
         png_level: Compression level, 0 to 9; lossless.
     """
 
@@ -104,7 +106,8 @@ def read_image(message: Image) -> NDArray[Any]:
 
 
 def mask_pixels(mask: NDArray[Any]) -> NDArray[np.uint8]:
-    """Pixels (H, W) of the mask of one body. A boolean mask becomes 0 and 255. Coverage is unchanged."""
+    """Convert the mask of one body to pixels (H, W). False and true become 0 and 255. A mask of coverage
+    (uint8) is unchanged."""
     return mask if mask.dtype == np.uint8 else mask.astype(np.uint8) * np.uint8(255)
 
 
@@ -162,10 +165,11 @@ def compressed_depth_message(
 
 
 def read_compressed_image(message: CompressedImage) -> tuple[NDArray[Any], str]:
-    """Pixels (H, W) or (H, W, 3) of a JPEG or PNG, and their encoding. Pixels of mono16 have 16 bits.
+    """Decode a JPEG or PNG. Returns the pixels (H, W) or (H, W, 3), and their encoding. In mono16 they have
+    16 bits.
 
     Raises:
-        RosError: The image is damaged, or of another kind.
+        RosError: The image is damaged, or neither JPEG nor PNG.
     """
     pixels = _decode(np.frombuffer(message.data, dtype=np.uint8))
     encoding = message.format.partition(";")[0].strip()
@@ -181,8 +185,8 @@ def read_compressed_image(message: CompressedImage) -> tuple[NDArray[Any], str]:
 
 
 def read_pixels(message: Image | CompressedImage) -> tuple[NDArray[Any], str]:
-    """Pixels and encoding of a raw or compressed image, or of compressed depth. Raises RosError if the
-    message is damaged, or has an unknown encoding."""
+    """Return pixels and encoding of a message: a raw or compressed image, or compressed depth. Raises
+    RosError if the message is damaged, or has an unknown encoding."""
     if hasattr(message, "encoding"):
         return read_image(message), str(message.encoding)
     if "compressedDepth" in message.format:
@@ -191,7 +195,7 @@ def read_pixels(message: Image | CompressedImage) -> tuple[NDArray[Any], str]:
 
 
 def read_compressed_depth(message: CompressedImage) -> NDArray[np.float32]:
-    """Depth (H, W) in metres from the format of :func:`compressed_depth_message`; inf for no depth.
+    """Decode a message of :func:`compressed_depth_message` to depth (H, W) in metres; inf is no depth.
 
     Raises:
         RosError: The message is damaged, or of another format.

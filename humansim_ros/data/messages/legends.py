@@ -1,4 +1,4 @@
-"""Legends: latched JSON messages that give the meaning of a topic's numbers and names."""
+"""Legends: latched JSON messages that explain the numbers and names in the messages of another topic."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ from humansim_ros.scene.truth import NOTHING, OCCLUDED, OUTSIDE, PERSON, SELF, T
 
 
 def motion_legend(source: JointSource) -> String:
-    """Build ``humans/<id>/motion/legend``: the retargeting from the joints of the motion to the skeleton."""
+    """Build ``humans/<id>/motion/legend``: how the joints of the motion are mapped to the bones of the
+    skeleton (retargeting)."""
     return _legend(source.to_dict())
 
 
@@ -36,17 +37,18 @@ def read_legend(message: String) -> dict[str, Any]:
 
 
 def instance_legend(labels: Mapping[str, int]) -> String:
-    """Build ``<camera>/instance/legend``: human or object of each pixel value."""
+    """Build ``<camera>/instance/legend``: the name of the human or object for each pixel value."""
     return _legend({"0": "background"} | _by_label(labels))
 
 
 def part_legend(skeleton: Skeleton) -> String:
-    """Build ``<camera>/part/legend``: bone of each pixel value."""
+    """Build ``<camera>/part/legend``: the name of the bone for each pixel value."""
     return _legend({"0": "background"} | {str(i): name for i, name in enumerate(skeleton.names, 1)})
 
 
 def material_legend() -> String:
-    """Build ``<camera>/material/legend``: skin, hair, garment or worn thing of each pixel value."""
+    """Build ``<camera>/material/legend``: the kind of surface (skin, hair, a garment, a worn thing) for each
+    pixel value."""
     return _legend({"0": "background"} | _by_label(MATERIAL_LABELS))
 
 
@@ -56,16 +58,16 @@ def joints_legend(
     licenses: Mapping[str, str] = MappingProxyType({}),
     data_license: str = "",
 ) -> String:
-    """Build ``<camera>/joints/legend``: names of the values of ``human``, ``joint``, ``visible`` and
-    ``occluder``.
+    """Build ``<camera>/joints/legend``: the meaning of the numbers in the fields ``human``, ``joint``,
+    ``visible`` and ``occluder``.
 
-    The names of ``by`` are those of ``human`` and ``object``.
+    Numbers in the field ``by`` are instance labels, like those of ``human`` and ``object``.
 
     Args:
         humans: Instance label and joint names by human.
         objects: Instance label by object.
-        licenses: Licence of the body by human, if known.
-        data_license: Licence for data sets of the scene, if the scene states one.
+        licenses: Licence of the body by human, for humans with a known licence.
+        data_license: Licence for data sets of the scene. Empty if the scene states none.
     """
     named: dict[str, Any] = {"joint": {name: list(joints) for name, (_, joints) in humans.items()}}
     if licenses:
@@ -78,9 +80,9 @@ def joints_legend(
 def keypoints_legend(
     humans: Mapping[str, tuple[int, bool]], objects: Mapping[str, int] = MappingProxyType({})
 ) -> String:
-    """Build ``<camera>/keypoints/legend``: names of the values of the fields of ``<camera>/keypoints/<set>``.
-    ``humans``: by human, the instance label, and whether points of the skin are known exactly, not fitted.
-    ``objects``: instance label by object."""
+    """Build ``<camera>/keypoints/legend``: the meaning of the numbers in the fields of
+    ``<camera>/keypoints/<set>``. ``humans``: by human, the instance label, and whether points on the skin are
+    exact (not fitted). ``objects``: instance label by object."""
     named = {
         "joint": {name: list(keypoints.names) for name, keypoints in KEYPOINT_SETS.items()},
         "skin": {name: "exact" if exact else "fitted" for name, (_, exact) in humans.items()},
@@ -94,7 +96,7 @@ def faults_legend(schedule: FaultSchedule) -> String:
 
 
 def _view_legend(humans: Mapping[str, int], objects: Mapping[str, int], named: Mapping[str, Any]) -> String:
-    """Legend of points in the view of a camera. ``named``: further names that it contains."""
+    """Build a legend for points in the view of a camera. ``named``: further entries of the legend."""
     return _legend(
         {
             "human": _by_label(humans),

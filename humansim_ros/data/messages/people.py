@@ -1,4 +1,5 @@
-"""Read the poses of people from messages of any tracker, from a bag or from a live graph."""
+"""Read the poses of people from messages of trackers; the messages may come from a bag or from running
+nodes."""
 
 from __future__ import annotations
 
@@ -14,32 +15,32 @@ from humansim_ros.data.messages.points import point_rows
 from humansim_ros.errors import MAX_COORDINATE, EvaluationError, printable, within_bounds
 from humansim_ros.types import Array
 
-#: visualization_msgs/Marker: types with a list of points, the type of a single point, and actions that add
-#: nothing.
+#: Numbers of visualization_msgs/Marker: types with a list of points, the type of a single point (a sphere),
+#: and actions that add no marker.
 _LISTS, _SPHERE, _DELETE = (7, 8), 2, (2, 3)
 #: Fields of a point cloud with the number of the person, and fields with a confidence.
 _PERSON_FIELDS, _SCORE_FIELDS = ("person", "id", "instance", "label"), ("score", "confidence")
 #: Most people of a message. More people are no plausible estimate of a room.
 MAX_PEOPLE = 1000
-#: Greatest coordinate. It allows for millimetres.
+#: Greatest coordinate that is accepted. The unit may be millimetres, so it is 1000 times that of metres.
 MAX_POSITION = MAX_COORDINATE * 1000
 
-#: Name of the only point of people without joints. It counts as the point on the floor below the hips.
+#: Name of the only point of people without joints. The true point is on the floor below the hips.
 GROUND = "ground"
-#: Classes of detections that are people, in lower case: names, and the number in YOLO's models.
+#: Classes of detections that are people, in lower case: names, and "0" in YOLO's models.
 PERSON_CLASSES = frozenset({"person", "people", "pedestrian", "human", "0"})
 #: Type of the messages with boxes in images.
 DETECTIONS_2D = "vision_msgs/msg/Detection2DArray"
 #: In spencer_tracking_msgs, a variance above this means that a number is unknown.
 _UNSET = 99_999
 
-#: Names of points in their order. None if nobody has given names.
+#: Names of points in their order; None if no names are known.
 PointNames = tuple[str, ...] | None
 
 
 class Pose(NamedTuple):
-    """A person of a message. ``person``: its name; None if the message has no name for it. ``positions``: (K,
-    3)."""
+    """The pose of one person in a message. ``person``: name in the message; None if there is none. ``names``:
+    K names of points. ``positions``: (K, 3)."""
 
     person: str | None
     names: tuple[str, ...]
@@ -62,10 +63,10 @@ class PoseFrame:
     people: Sequence[Pose]
 
     def moved(self, matrix: Array, frame_id: str) -> PoseFrame:
-        """The people in another frame.
+        """Convert the people to another coordinate frame.
 
         Args:
-            matrix: (4, 4) pose of the frame of the message in the other one.
+            matrix: (4, 4) pose of the present frame in the other frame.
             frame_id: Name of the other frame.
         """
         turn, shift = matrix[:3, :3], matrix[:3, 3]
@@ -78,11 +79,11 @@ def read_people(kind: str, message: Any, names: PointNames) -> PoseFrame:
 
     Args:
         kind: Type of the message, one of :data:`MESSAGE_TYPES`.
-        message: A message of rclpy, or of another library with the same attributes.
-        names: Names for points without names, in their order.
+        message: Message object of rclpy, or of another library that has the same attributes.
+        names: Names for points that have no names in the message, in their order.
 
     Raises:
-        EvaluationError: The message contradicts itself or the names, or its numbers are too large.
+        EvaluationError: The message contradicts itself or ``names``, or has numbers that are too large.
     """
     try:
         people = list(islice(_READERS[kind](message, names), MAX_PEOPLE + 1))
@@ -138,7 +139,8 @@ def _multi_dof(message: Any, _: PointNames) -> Iterator[Pose]:
 
 
 def _of_points(points: Array, names: PointNames) -> Iterator[Pose]:
-    """People of a list of points (N, 3). The points are in the order of the joints, person by person."""
+    """Divide a list of points (N, 3) into people. The points of a person follow each other, in the order of
+    ``names``."""
     if not len(points):
         return
     names = _required(names)
@@ -183,7 +185,7 @@ def _markers(message: Any, names: PointNames) -> Iterator[Pose]:
 
 
 def _marker_person(marker: Any) -> str:
-    """Name of the person of a list of points: the first part of the namespace, or the id."""
+    """Name of the person that a marker belongs to: the first part of its namespace, or its id."""
     return str(marker.ns).partition("/")[0] or str(marker.id)
 
 
@@ -220,7 +222,7 @@ def _point_cloud(message: Any, names: PointNames) -> Iterator[Pose]:
 
 
 def _point(person: object, point: Any, score: float | None = None) -> Pose:
-    """A person with a single point."""
+    """Make the pose of a person that has a single point."""
     positions = np.array([[point.x, point.y, point.z]], dtype=float)
     known = score is not None and math.isfinite(score)
     return Pose(str(person) if person != "" else None, (GROUND,), positions, score if known else None)
@@ -240,8 +242,8 @@ def _tracked_persons(message: Any, _: PointNames) -> Iterator[Pose]:
 
 
 def _detected_people(message: Any) -> Iterator[tuple[Any, float | None]]:
-    """Detections of people in a message of vision_msgs, each with its score; None for a detection without
-    hypothesis."""
+    """Yield the detections of people in a message of vision_msgs, each with its score. The score is None for
+    a detection without hypothesis."""
     for found in message.detections:
         best = max((each.hypothesis for each in found.results), key=lambda each: each.score, default=None)
         if best is None or str(best.class_id).lower() in PERSON_CLASSES:
@@ -290,7 +292,7 @@ _READERS: dict[str, Callable[[Any, PointNames], Iterator[Pose]]] = {
     "people_msgs/msg/People": _people,
     "spencer_tracking_msgs/msg/TrackedPersons": _tracked_persons,
 }
-#: Types of messages with poses of people.
+#: Types of messages that :func:`read_people` reads.
 MESSAGE_TYPES = tuple(_READERS)
 
 

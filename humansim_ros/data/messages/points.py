@@ -15,19 +15,19 @@ from humansim_ros.errors import RosError
 
 #: Number types by ``datatype`` of sensor_msgs/PointField.
 _DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
-#: Points of depth_image_proc. PCL reads x, y, z, and rgb, as groups of 16 bytes.
+#: One point in the layout of depth_image_proc: 16 bytes, since PCL reads x, y, z in such blocks.
 XYZ_POINT = np.dtype({"names": ["x", "y", "z"], "formats": ["<f4"] * 3, "offsets": [0, 4, 8], "itemsize": 16})
 XYZRGB_POINT = np.dtype(
     {"names": ["x", "y", "z", "rgb"], "formats": ["<f4"] * 4, "offsets": [0, 4, 8, 16], "itemsize": 32}
 )
-#: Datatypes of the fields of our own clouds: unsigned integers and float32.
+#: Values of ``datatype`` in the clouds that this package writes: unsigned integers and float32.
 _WRITTEN = (2, 4, 6, 7)
 _NUMBERS = {np.dtype(f"<{kind}"): number for number, kind in _DATATYPES.items()}
 
 
 def point_cloud(points: NDArray[Any], head: Header) -> PointCloud2:
-    """Build a PointCloud2 with the fields of a structured array (N,) or (H, W). An (H, W) array may have
-    NaN."""
+    """Build a PointCloud2 with the fields of a structured array (N,) or (H, W). Only an (H, W) array may
+    contain NaN."""
     dtype, organized = points.dtype, points.ndim == 2
     assert dtype.fields is not None
     height, width = points.shape if organized else (1, len(points))
@@ -45,7 +45,7 @@ def point_cloud(points: NDArray[Any], head: Header) -> PointCloud2:
 def image_points_message(
     points: NDArray[np.float32], colors: NDArray[np.uint8] | None, stamp: int, frame: str
 ) -> PointCloud2:
-    """Build the points of an image in the layout of depth_image_proc.
+    """Build a cloud with a point for each pixel of an image, in the layout of depth_image_proc.
 
     Args:
         points: (H, W, 3) metres in the optical frame. NaN where there is no point.
@@ -82,8 +82,7 @@ def read_points(message: PointCloud2, required: Sequence[str]) -> NDArray[Any]:
 
 
 def point_rows(message: Any) -> NDArray[Any]:
-    """Read the points of a cloud from any program as a structured array (N,). It has the fields of one
-    number.
+    """Read the points of a cloud from any program as a structured array (N,). Fields of arrays are left out.
 
     Raises:
         ValueError: The fields do not fit the data.

@@ -17,10 +17,10 @@ from humansim_ros.types import Array
 
 
 def odometry_message(robot: Carrier, base: ObjectPose, stamp: int) -> Odometry:
-    """Build ``odom``: pose of ``base_link`` relative to the start of the robot, and its velocity in its own
+    """Build ``odom``: pose of ``base_link`` relative to the start of the robot, and its velocity in these
     axes.
 
-    The message is exact, so the covariances are 0.
+    The values are the true ones, so the covariances are 0.
 
     Args:
         robot: The robot.
@@ -41,7 +41,7 @@ def odometry_message(robot: Carrier, base: ObjectPose, stamp: int) -> Odometry:
 
 
 def in_odometry(robot: Carrier, base: ObjectPose) -> ObjectPose:
-    """Pose of ``base_link`` in the frame of the odometry. ``base``: pose of ``base_link`` in ``map``."""
+    """Convert the pose of ``base_link`` from ``map`` (``base``) to the frame of the odometry."""
     start = robot.start
     back = start.rotation * (-1, -1, -1, 1)
     position = quaternion_to_matrix(back) @ (base.position - start.position)
@@ -53,7 +53,7 @@ def read_odometry(message: Odometry, robot: Carrier) -> tuple[int, ObjectPose]:
 
     Raises:
         RosError: A number is not finite or out of range, the orientation is no rotation, or the message has
-            another frame.
+            the wrong frame.
     """
     config = robot.config
     if message.child_frame_id not in ("", config.base_frame):
@@ -72,7 +72,7 @@ def read_odometry(message: Odometry, robot: Carrier) -> tuple[int, ObjectPose]:
 
 
 def read_command(message: Twist) -> tuple[float, float]:
-    """Forward speed (m/s) and turn rate to the left (rad/s) of a command. RosError unless both are finite."""
+    """Forward speed (m/s) and turn rate to the left (rad/s) of a command. Raises RosError unless finite."""
     speed, turn = float(message.linear.x), float(message.angular.z)
     if not (math.isfinite(speed) and math.isfinite(turn)):
         raise RosError(f"linear.x is {speed:g} and angular.z is {turn:g}: both must be finite")

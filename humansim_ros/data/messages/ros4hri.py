@@ -1,10 +1,10 @@
 """Links of a human as ROS4HRI names them (REP-155, draft): true poses, URDF, and nearest joint angles.
 
-At the angles zero of the model a person stands with hanging arms, and all links have the axes of the body: x
-forward, y to the person's left, z up. Links, joints and axes of rotation are those of the package
+When all angles of the model are zero, a person stands with hanging arms, and all links have the axes of the
+body: x forward, y to the person's left, z up. Links, joints and axes of rotation are those of the package
 human_description of ROS4HRI; the lengths are those of the skeleton. The model has one joint in the spine, no
-clavicles, and fixed wrists and ankles. So the angles of the model are only the nearest to a pose, but the
-poses of :meth:`HriLinks.poses` are exact.
+clavicles, and fixed wrists and ankles. So the angles of the model can only come near to a pose, but the poses
+of :meth:`HriLinks.poses` are exact.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from humansim_ros.types import Array
 
 
 class UrdfJoint(NamedTuple):
-    """A joint of the model. ``axis``: axis of rotation; None for a fixed joint."""
+    """A joint of the URDF model. ``axis``: axis of rotation; None for a fixed joint."""
 
     name: str
     parent: str
@@ -74,15 +74,15 @@ URDF_JOINTS: tuple[UrdfJoint, ...] = (
     *_leg("l"),
     *_leg("r"),
 )
-#: Names of the links, the root first, and of the 20 joints that move.
+#: Names of the links, the root first; and names of the 20 joints that are not fixed.
 LINKS: tuple[str, ...] = ("body", *(joint.child for joint in URDF_JOINTS))
 JOINTS: tuple[str, ...] = tuple(joint.name for joint in URDF_JOINTS if joint.axis is not None)
 
 _AXES = {joint.name: np.array(joint.axis, float) for joint in URDF_JOINTS if joint.axis is not None}
-#: Axes of the body at rest, as columns, in body space: forward, left, up.
+#: Axes of a link when all angles are zero, as columns in body space: forward, left, up.
 _UPRIGHT: Array = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
 _DOWN: Array = np.array([0.0, -1.0, 0.0])
-#: Bone with the pose that a link has.
+#: Bone that a link is attached to, by link.
 _BONES = {
     "body": "HumanoidRoot",
     "waist": "vl5",
@@ -94,7 +94,8 @@ _BONES = {
 
 
 class _Limb(NamedTuple):
-    """Links of a limb. ``bend``: 1 if the limb bends forward like an elbow, -1 if it bends like a knee."""
+    """Links of an arm or leg. ``bend``: 1 if the limb bends forward like an elbow, -1 if backward like a
+    knee."""
 
     upper: str
     lower: str
@@ -104,7 +105,8 @@ class _Limb(NamedTuple):
 
 
 class _Ball(NamedTuple):
-    """Joint with three axes: their names, the link that they turn in, and the link that they turn."""
+    """Ball joint, made of three joints with one axis each: names of the three joints, parent link, child
+    link."""
 
     names: tuple[str, str, str]
     parent: str
@@ -123,33 +125,33 @@ _BALLS = (
         for name, parent in (("shoulder", "torso"), ("hip", "body"))
     ),
 )
-#: If the sine of the angle between both parts of a limb is below this, the twist comes from the bone, not
-#: from the bend.
+#: If the sine of the angle at elbow or knee is below this, the twist of the limb is taken from the bone,
+#: since the direction of the bend is uncertain.
 _STRAIGHT = 0.1
-#: Radius of limbs and head of the picture, metres.
+#: Radius of limbs and of the head as the URDF draws them, metres.
 _LIMB_RADIUS, _HEAD_RADIUS = 0.03, 0.1
-#: Placeholder for the id of a body.
+#: Placeholder for the id of a body in a cached URDF.
 _ID = "@"
-#: Origin of the head's link without eyes, as a share of the way from the base of the neck to the top of the
-#: head.
+#: Height of the origin of link ``head`` for a skeleton without eyes: share of the way from the base of the
+#: neck to the top of the head.
 _EYE_HEIGHT = 0.55
 
 
 @dataclass(frozen=True)
 class HriLinks:
-    """Links of a skeleton. ``skeleton``: the skeleton, with the 22 general bones."""
+    """Computes the links of ROS4HRI for a skeleton. ``skeleton``: must have the 22 general bones."""
 
     skeleton: Skeleton
 
     @classmethod
     def of(cls, skeleton: Skeleton) -> HriLinks | None:
-        """Links of a skeleton; None if the skeleton lacks bones that ROS4HRI needs."""
+        """Create the object for a skeleton; None if the skeleton lacks bones that ROS4HRI needs."""
         return cls(skeleton) if set(_BONES.values()) <= set(skeleton.names) else None
 
     def poses(self, joints: Array) -> dict[str, Array]:
         """True poses (4, 4) of all links in ``map`` by name, from joints (J, 4, 4) of the skeleton. The
         origin of a link is its joint. The links between the three axes of neck, shoulder or hip are included.
-        They turn by the angles that lead to the next link."""
+        They are turned by the angles of these axes."""
         size = self.size(joints)
         rotations = {link: joints[self._bone[link], :3, :3] @ self._turns[link] for link in _BONES}
         places = {link: joints[self._bone[link], :3, 3] for link in _BONES}
@@ -166,12 +168,12 @@ class HriLinks:
         return {link: transform(rotations[link], places[link]) for link in LINKS}
 
     def angles(self, joints: Array) -> Array:
-        """Angles (20,) in the order of :data:`JOINTS`, radians: those that come nearest to the joints (J, 4,
-        4) of a pose.
+        """Angles (20,) of the model that come nearest to a pose, radians, in the order of :data:`JOINTS`.
+        ``joints``: (J, 4, 4) joints of the pose.
 
-        The model stands at the true pose of ``body``. The waist turns so that neck and shoulders are nearest
-        in the sum of squares; head and limbs then have their true directions, and elbows and knees their true
-        angles. A limb that is nearly straight takes its twist from the bone.
+        Link ``body`` has its true pose. The waist turns so that the sum of squared distances of neck and
+        shoulders is smallest. Then head and limbs get their true directions, and elbows and knees their true
+        angles. A nearly straight limb takes its twist from the bone.
         """
         size, true = self.size(joints), self.poses(joints)
         body = true["body"]
@@ -198,7 +200,7 @@ class HriLinks:
 
     def gaze(self, joints: Array) -> Array:
         """Rotation (3, 3) in ``map`` of the gaze: z along the mean direction of both eyes, x right, y down.
-        If there are no bones of eyes, z is the x axis of the head."""
+        For a skeleton without eyes, z is the x axis of the head."""
         head = joints[self._bone["head"], :3, :3] @ self._turns["head"]
         ahead = head[:, 0]
         if set(EYE_BONES) <= set(self.skeleton.names):
@@ -233,7 +235,7 @@ class HriLinks:
     def urdf(self, body: str, size: float = 1.0) -> str:
         """URDF of the person with the suffix ``_<body>`` on all links and joints.
 
-        Lengths are the true ones. The limits of joints are half a turn, so that every pose is within them.
+        Lengths are those of the skeleton. Joints have limits of half a turn, so that every pose is possible.
 
         Args:
             body: Id of the body.
@@ -247,7 +249,7 @@ class HriLinks:
         return self._urdf_of(1.0)
 
     def _urdf_of(self, size: float) -> str:
-        """URDF for a scale. :data:`_ID` stands for the id."""
+        """URDF for a scale, with :data:`_ID` in place of the id of the body. Cached."""
         add, robot = ElementTree.SubElement, ElementTree.Element("robot", name=f"human_{_ID}")
         add(add(robot, "material", name="skin"), "color", rgba="0.9 0.65 0.5 1")
         for link in LINKS:
@@ -271,7 +273,8 @@ class HriLinks:
         return '<?xml version="1.0"?>\n' + ElementTree.tostring(robot, encoding="unicode") + "\n"
 
     def size(self, joints: Array) -> float:
-        """Scale of the person in a pose, relative to the skeleton at rest; keyframes may change it."""
+        """Scale of the person in a pose, relative to the skeleton at rest. Keyframes may change the size of a
+        person."""
         return self.skeleton.size_of(joints[: len(self.skeleton), :3, 3])
 
     @cached_property
@@ -285,7 +288,7 @@ class HriLinks:
 
     @cached_property
     def _face(self) -> Array:
-        """Middle of the eyes (3,) at rest in body space."""
+        """Middle between both eyes (3,) at rest in body space, metres."""
         skeleton = self.skeleton
         if set(EYE_BONES) <= set(skeleton.names):
             return np.asarray(skeleton.heads[[skeleton.bone(name) for name in EYE_BONES]].mean(axis=0))
@@ -294,7 +297,7 @@ class HriLinks:
 
     @cached_property
     def _turns(self) -> dict[str, Array]:
-        """Rotation (3, 3) of each link of :data:`_BONES` in the axes of its bone."""
+        """Rotation (3, 3) of each link of :data:`_BONES` relative to its bone."""
         own, rest = self._rest_places, dict.fromkeys(("body", "waist", "torso", "head"), _UPRIGHT)
         for upper, lower, end, *_ in _LIMBS:
             first = unit_vectors(own[lower] - own[upper])
@@ -305,8 +308,8 @@ class HriLinks:
 
 
 def _ball_angles(names: tuple[str, str, str], turn: Array) -> tuple[float, float, float]:
-    """Angles of three successive axes that make a rotation (3, 3). Shoulders turn about z, x, z, with an
-    angle from 0 to half a turn about x. Hips turn about z, x, y, the head about x, z, y."""
+    """Split a rotation (3, 3) into the angles about the three axes of a ball joint. Shoulders turn about z,
+    x, z (the angle about x is from 0 to half a turn), hips about z, x, y, and the head about x, z, y."""
     signs = [_AXES[name].sum() for name in names]
     if names[0].endswith("shoulder"):
         away = math.hypot(turn[2, 0], turn[2, 1])
@@ -328,11 +331,11 @@ def _ball_angles(names: tuple[str, str, str], turn: Array) -> tuple[float, float
 
 
 def _hinged(along: Array, bend: Array, ahead: Array) -> Array:
-    """Rotation (3, 3) of an upper arm or thigh with a hinge that can reach the lower part of the limb.
+    """Rotation (3, 3) of an upper arm or thigh, so that the limb bends at elbow or knee in its true plane.
 
     Args:
-        along: Direction (3,) of the upper part, from which z points away.
-        bend: Direction (3,) that the limb bends to. Its length is the sine of the angle.
+        along: Direction (3,) of the upper part of the limb; the z axis points the opposite way.
+        bend: Direction (3,) towards which the limb bends. Its length is the sine of the angle.
         ahead: x axis (3,) of the bone, used if the limb is nearly straight.
     """
     weight = _STRAIGHT * math.exp(-float(bend @ bend) / _STRAIGHT**2)
@@ -352,7 +355,7 @@ def _visual(link: ElementTree.Element, shape: ElementTree.Element) -> ElementTre
 
 
 def _segment(link: ElementTree.Element, to: Array, radius: float) -> None:
-    """Draw a cylinder from the origin of a link to a point (3,)."""
+    """Add to a link a cylinder from its origin to the point ``to`` (3,)."""
     length = float(np.linalg.norm(to))
     visual = _visual(link, ElementTree.Element("cylinder", radius=_text(radius), length=_text(length)))
     x, y, z = unit_vectors(to)

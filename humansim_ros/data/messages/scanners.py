@@ -13,7 +13,7 @@ from humansim_ros.data.messages.points import point_cloud, read_points
 from humansim_ros.data.messages.types import LaserScan, PointCloud2
 from humansim_ros.scene.features import SceneScanner, Sweep
 
-#: Intensity of a white surface at a right angle, in the layouts of drivers.
+#: Intensity of a white surface that the ray hits at a right angle, in the layouts of drivers.
 WHITE = 255.0
 
 
@@ -55,18 +55,18 @@ SCANNER_TRUTH = _packed(
 
 
 def scanner_frame(scanner: str) -> str:
-    """Frame of a scanner: x forward, y left, z up (REP-103)."""
+    """Name of the coordinate frame of a scanner: x forward, y left, z up (REP-103)."""
     return f"{scanner}_frame"
 
 
 def points_message(sweep: Sweep, layout: Layout, frame: str) -> PointCloud2:
-    """Build ``<scanner>/points``. In layout ``ouster``, it is a table of rings and columns, with NaN where
-    nothing is measured.
+    """Build ``<scanner>/points``. Layout ``ouster`` has rows (rings) and columns, with NaN where nothing is
+    measured.
 
     Args:
-        sweep: The sweep.
+        sweep: Measurements of one turn of the scanner.
         layout: Name of the layout.
-        frame: Frame of the scanner.
+        frame: Name of the scanner's frame.
     """
     returns, rays = sweep.returns, _numbered(sweep, layout)
     points = np.zeros(len(returns.rays), SCANNER_POINTS[layout])
@@ -99,7 +99,8 @@ def points_message(sweep: Sweep, layout: Layout, frame: str) -> PointCloud2:
 
 
 def _numbered(sweep: Sweep, layout: Layout) -> Rays:
-    """Rays of a sweep. In layout ``ouster``, rings are the rows of the table, and the highest is row 0."""
+    """Rays of a sweep, with the ring numbers of a layout. In ``ouster`` ring 0 is the highest, since rings
+    are rows."""
     return sweep.rays.from_top() if layout == "ouster" else sweep.rays
 
 
@@ -108,7 +109,8 @@ def _one_each(rays: NDArray[np.intp]) -> bool:
 
 
 def _table(sweep: Sweep, rays: Rays, points: NDArray[Any], head: Any) -> PointCloud2:
-    """Cloud of rings and columns. Each ray has a point."""
+    """Build a cloud organised as rings and columns, with a point for each ray; NaN where nothing is
+    measured."""
     assert rays.grid is not None
     rings, columns = rays.grid
     table = np.zeros((rings, columns), points.dtype)
@@ -128,7 +130,7 @@ def _put(points: NDArray[Any], names: str, values: NDArray[Any]) -> None:
 
 
 def scan_message(sweep: Sweep, scanner: SceneScanner, frame: str) -> LaserScan:
-    """Build ``<scanner>/scan``. The range is infinite where nothing is within range (REP-117)."""
+    """Build ``<scanner>/scan``. Where no surface is within range, the value is infinite (REP-117)."""
     rays, returns = sweep.rays, sweep.returns
     assert rays.azimuths is not None
     first, step = rays.azimuths

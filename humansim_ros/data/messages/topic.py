@@ -11,8 +11,8 @@ from humansim_ros.scene.core import NO_FAULTS, Frame, FrameFaults
 
 Content = TypeVar("Content")
 
-#: Number of messages that publishers hold: for data of frames (as camera drivers), and for messages that are
-#: sent once.
+#: Depth of the queue of a publisher: for messages of frames (the same as camera drivers), and for messages
+#: that are sent once.
 DATA_DEPTH, LATCHED_DEPTH = 5, 1
 
 
@@ -24,22 +24,22 @@ class Topic(Generic[Content]):
         name: Relative name.
         type: Message class.
         build: Builds the message from a content and a stamp in nanoseconds.
-        content: Function that takes the content from a simulated frame.
+        content: Function that returns the content (the argument of ``build``) of a simulated frame.
         latched: Whether late subscribers get the last message.
         per_frame: Whether each frame has a message (for a camera, each frame that it captures). If False,
             there is one message for the whole scene.
-        shown: Whether ``humansim demo`` shows it.
-        camera: Name of the camera that it belongs to. Empty for humans and objects.
-        channels: Channels of the view that the message is built from.
+        shown: Whether ``humansim demo`` shows the topic.
+        camera: Name of the camera that the topic belongs to. Empty for humans and objects.
+        channels: Image channels that the message is built from.
         rectified_depth: Whether the message needs the depth of ``image_rect``.
-        optional: Whether a recording includes it only on request.
-        explains: Other topics need this topic. A recording always includes it with them.
-        faulty: Whether faults of the camera change its stamp, and when and how many times it is sent.
+        optional: Whether a recording includes the topic only on request.
+        explains: Whether other topics need this topic to be understood. Recordings of them include it.
+        faulty: Whether faults of the camera change stamps, and when and how often messages are sent.
         raw: For compressed images, the topic with the same images uncompressed. Empty for other topics.
-        scanner: Name of the laser scanner that it belongs to. Empty for other topics.
-        sparse: Whether a frame may have no message of it, or several. Recordings in lockstep do not wait for
-            it.
-        absolute: Whether its name is independent of the namespace of the node.
+        scanner: Name of the laser scanner that the topic belongs to. Empty for other topics.
+        sparse: Whether a frame may have no message of this topic, or several. Lockstep does not wait for
+            them.
+        absolute: Whether the name does not depend on the namespace of the node.
     """
 
     name: str
@@ -71,12 +71,12 @@ class Topic(Generic[Content]):
 
     @property
     def depth(self) -> int:
-        """Number of messages that the publisher holds."""
+        """Depth of the queue of the publisher, in messages."""
         return LATCHED_DEPTH if self.latched else DATA_DEPTH
 
     @property
     def recorded(self) -> bool:
-        """Whether it is recorded if no topics are named."""
+        """Whether a recording includes the topic by default."""
         return self.shown or self.explains or bool(self.scanner) or (self.latched and not self.optional)
 
     def sent(self, frame: Frame) -> list[tuple[int, Any]]:

@@ -75,7 +75,7 @@ from humansim_ros.scene.truth import REQUIRED_CHANNELS, CameraTruth
 #: Topic with the scene time of each frame (sensor_msgs/TimeReference).
 SCENE_TIME = "scene_time"
 
-#: Last part of the name of the compressed topic of each channel. It is next to the topic of the channel.
+#: By channel: last part of the name of its compressed topic, after the name of its raw topic.
 COMPRESSED = {
     "rgb": "compressed",
     "depth": "compressedDepth",
@@ -83,8 +83,8 @@ COMPRESSED = {
     **{row.name: "compressed" for row in CHANNEL_TABLE.values() if row.encoding in ("mono8", "mono16")},
 }
 
-#: Namespaces of measured depth below a camera: with the pixels of the depth sensor, and with those of
-#: ``image_raw``.
+#: Namespaces of measured depth below a camera: depth in the pixels of the depth sensor, and depth converted
+#: to the pixels of ``image_raw``.
 MEASURED_DEPTH = ("depth_sensor", "aligned_depth_to_color")
 _WHOLE_SENSOR = Region()
 #: Measurement of a depth sensor, and the view of its camera.
@@ -92,7 +92,7 @@ DepthContent = tuple[DepthCapture, View]
 
 #: Channels with topics that ``humansim demo`` shows.
 _SHOWN_CHANNELS = ("rgb", "depth", "part")
-#: Functions that build the messages of properties of :class:`CameraTruth`.
+#: By property of :class:`CameraTruth`: the function that builds its message.
 _TRUTH: Mapping[str, Callable[..., PointCloud2]] = {
     "joints": messages.joint_view_message,
     "boxes": messages.boxes_message,
@@ -115,8 +115,8 @@ def _sent_once(name: str, kind: type[Any], build: Callable[[], Any], **settings:
 
 
 def _label_legends(scene: Scene) -> dict[str, Callable[[], String]]:
-    """Functions that build the legends of ``instance`` and ``part``, by these names. A legend says what each
-    number of a label means."""
+    """Functions that build the legends of the channels ``instance`` and ``part``, by channel. A legend says
+    what each number of a label image means."""
     legends = {"instance": lambda: messages.instance_legend(scene.labels)}
     if scene.actors:
         skeleton = next(iter(scene.actors.values())).human.skeleton
@@ -139,14 +139,14 @@ class HumanTopics:
 
     Attributes:
         motion: Joints of the motion.
-        legend: Meaning of the joints of the motion. It has no content for a human that another node moves.
-        frame: Stamps of frames, for a human that another node moves.
+        legend: Meaning of the joints of the motion. Without content if another node moves the human.
+        frame: Stamp of each frame. Only a human that another node moves has this topic.
         joints: Joints of the body.
         vertices: Vertices of the body.
         markers: Bones, joints and a coarse skin for viewers.
-        mesh: Surface at rest.
+        mesh: Surface in the rest pose.
         keypoints: Keypoints in ``map`` by set.
-        face: Weights of the actions of the face. None if the face does not move.
+        face: Weights of facial expressions. None if the face does not move.
         swing: Swing of loose cloth and hair. None if the human has none.
     """
 
@@ -218,7 +218,7 @@ class HumanTopics:
 
     @cached_property
     def marker_builder(self) -> MarkerBuilder:
-        """Builder of the markers. It simplifies the skin once."""
+        """Builder of the markers. It is cached, since it simplifies the skin once."""
         return MarkerBuilder(self._actor.human)
 
     def __iter__(self) -> Iterator[Topic[Any]]:
@@ -228,7 +228,7 @@ class HumanTopics:
 
 
 class ObjectTopics:
-    """Topics of one moving object, ``objects/<name>/…``: ``twist`` and ``marker``."""
+    """Topics of one moving object: ``objects/<name>/twist`` and ``objects/<name>/marker``."""
 
     def __init__(self, item: SceneObject) -> None:
         root = f"objects/{item.name}"
@@ -246,15 +246,15 @@ class ObjectTopics:
 
 
 class RobotTopics:
-    """Topics of the robot: ``odom``. Its body has the topics of a moving object.
+    """Topics of the odometry of the robot. The body of the robot has the topics of a moving object, too.
 
     Args:
-        robot: The robot. No other node must move it.
+        robot: The robot. It must be moved by the scene, not by another node.
 
     Attributes:
         odom: Pose of ``base_link`` relative to its start, and its velocity.
-        start: Transform from ``map`` to the frame of its odometry.
-        base: Transform from the frame of its odometry to ``base_link``. It has the content of ``odom``.
+        start: Transform from ``map`` to the frame of the odometry.
+        base: Transform from the frame of the odometry to ``base_link``, with the same content as ``odom``.
     """
 
     def __init__(self, robot: Carrier) -> None:
@@ -284,26 +284,27 @@ class CameraTopics:
     Args:
         scene: The scene.
         camera: The camera.
-        frame: Optical frame. If None, it is named after the camera. Images and calibrations of the right
-            camera of a stereo pair are in the frame of the left camera, since image_geometry needs them so.
+        frame: Name of the optical frame. If None, it follows from the name of the camera. Images and
+            calibrations of the right camera of a stereo pair have the frame of the left camera, as
+            image_geometry expects.
         channels: Channels that the renderer supports. Other channels have no topic.
 
     Attributes:
-        images: Images of the channels. A channel per body has one topic for each body.
-        png_labels: Images of 8 and 16 bit integers as PNG. Only recordings have them.
+        images: Images by channel. A channel with an image per body has a topic for each body.
+        png_labels: Label images as PNG (8 and 16 bit integers). Only recordings have them.
         rectified: Images without lens distortion by channel. Empty if the camera has no distortion.
         info: Calibration. It is in the namespace of the colour image, where image_transport expects it.
-        truth_infos: True calibration, one in the namespace of each other image.
-        depth_sensor: Topics of its depth sensor, if it has one.
+        truth_infos: True calibration: a topic in the namespace of each channel other than the colour image.
+        depth_sensor: Topics of the depth sensor; None if the camera has none.
         truth: Joints, boxes and visible vertices, by property of :class:`CameraTruth`.
         keypoints: Keypoints by set.
         overlay: Joints to be drawn over the colour image by viewers.
-        legends: Meaning of the numbers of the images, of the joints and of the keypoints; settings of faults.
-        faults: Faults of each frame; empty for a camera without faults.
-        extrinsics: Pose according to the calibration. If the camera moves, one for each frame.
+        legends: Meaning of the numbers in images, joints and keypoints; and the settings of faults.
+        faults: Faults of each frame. Empty for a camera without faults.
+        extrinsics: Pose according to the calibration. If the camera moves, there is a message for each frame.
         true_extrinsics: True pose of a camera with a wrong calibration.
-        projection: Projection matrix. If the camera moves, one for each frame.
-        transforms: Transforms on tf: ``extrinsics`` or the place of the camera on the robot, and the depth
+        projection: Projection matrix. If the camera moves, there is a message for each frame.
+        transforms: Transforms for tf: ``extrinsics`` or the pose of the camera on the robot, and the depth
             sensor.
         pose: Pose of a camera with a trajectory.
         twist: Velocity of a camera with a trajectory.
@@ -437,7 +438,7 @@ class CameraTopics:
         return iter(self.all(_DEFAULT_COMPRESSION))
 
     def all(self, compression: ImageCompression) -> Sequence[Topic[Any]]:
-        """All topics. ``compression``: settings of the compressed images."""
+        """All topics of the camera. ``compression``: settings of the compressed images."""
         moving = (self.twist, self.pose) if self._camera.moves else ()
         compressed = self.compressed(compression), self.compressed_depth(DepthCompression())
         truth = [*self.truth.values(), *self.keypoints.values(), self.overlay]
@@ -464,7 +465,8 @@ class CameraTopics:
     def _channel_topics(
         self, channel: Channel, compression: ImageCompression | DepthCompression | None = None
     ) -> Sequence[Topic[View]]:
-        """Topic of a channel, or one topic for each labelled body. ``compression``: empty for raw images."""
+        """Topic of a channel; a channel with an image per body has one topic for each body. ``compression``:
+        None for raw images."""
         name, frame, encoding = self._name, self._image_frame, self._encoding(channel)
         is_raw = compression is None
 
@@ -528,7 +530,8 @@ class CameraTopics:
     def _builder(
         self, build: Callable[..., PointCloud2], values: Callable[[CameraTruth], Mapping[str, Any]]
     ) -> Callable[[CameraTruth, int], PointCloud2]:
-        """Make a function that builds messages from values by human or object."""
+        """Make a function that builds a message from the truth. ``values``: takes from the truth the values
+        by human or object. ``build``: builds the message from these values."""
         labels, frame = self._scene.labels, self._frame
 
         def message(truth: CameraTruth, stamp: int) -> PointCloud2:
@@ -580,12 +583,12 @@ def _info_topic(
     path: str = "camera_info",
     **settings: Any,
 ) -> Topic[Camera]:
-    """Topic of a calibration.
+    """Create the topic of a calibration.
 
     Args:
         name: Name of the camera.
-        whole: Camera of the whole sensor.
-        frame: Optical frame.
+        whole: Calibration of the whole sensor.
+        frame: Name of the optical frame.
         region: Binning and region of interest of the images.
         path: Name of the topic below the camera.
         settings: Other attributes of the topic.
@@ -611,10 +614,10 @@ class DepthSensorTopics:
     Attributes:
         optics: Size and K of the sensor, and its pose in the optical frame of the camera.
         info: Its calibration.
-        aligned_info: Calibration in the namespace of measured depth with the pixels of ``image_raw``. None if
+        aligned_info: Calibration for the depth that is converted to the pixels of ``image_raw``. None if
             there is no such depth.
         extrinsics: Pose of its optical frame in the optical frame of the camera.
-        measured: Measured and exact depth, and points.
+        measured: Topics of measured depth, exact depth, and points.
     """
 
     def __init__(self, camera: SceneCamera, sensor: DepthSensor, frame: str) -> None:
@@ -703,7 +706,8 @@ class DepthSensorTopics:
 
 
 def moving_camera_topics(name: str) -> tuple[Topic[CameraPose], Topic[CameraPose]]:
-    """Topics ``twist`` and ``pose`` of a camera with a trajectory. Each frame of the scene has a message."""
+    """Create the topics ``twist`` and ``pose`` of a camera with a trajectory. They have a message for each
+    frame of the scene."""
 
     def content(frame: Frame) -> CameraPose:
         return frame.camera_poses[name]
@@ -724,14 +728,13 @@ class ScannerTopics:
     Args:
         scene: The scene.
         scanner: The scanner.
-        frame: Frame of the scanner. If None, it is named after the scanner.
+        frame: Name of the frame of the scanner. If None, it follows from the name of the scanner.
 
     Attributes:
-        points: Points, or a LaserScan.
+        points: Measured points, or a LaserScan.
         truth: Ground truth of each point.
-        extrinsics: Pose of the scanner's frame in ``map``. If the scanner moves, one for each frame of the
-            scene.
-        transform: Transform on tf: ``extrinsics``, or the place of the scanner on the robot.
+        extrinsics: Pose of the scanner's frame in ``map``. If it moves, there is a message for each frame.
+        transform: Transform for tf: ``extrinsics``, or the pose of the scanner on the robot.
         legends: Meaning of the labels of the truth.
     """
 
@@ -783,9 +786,9 @@ class ScannerTopics:
 def scene_topics(
     scene: Scene, compression: ImageCompression = _DEFAULT_COMPRESSION, png_labels: bool = False
 ) -> list[Topic[Any]]:
-    """All topics of a scene: its time, humans, moving objects, cameras, laser scanners, adapters, tf.
+    """Create all topics of a scene: time, humans, moving objects, cameras, laser scanners, adapters, tf.
 
-    Topics about the nodes themselves (``/diagnostics``, ``frame_done``) are not among them.
+    Topics about the nodes themselves (``/diagnostics``, ``frame_done``) are not included.
 
     Args:
         scene: The scene.
@@ -819,15 +822,15 @@ def scene_topics(
 
 
 def check_adapters(scene: Scene, installed: bool = False) -> None:
-    """Check the sections ``adapters`` and ``hri`` early. Otherwise node ``bridge`` would check them when
-    other nodes run already.
+    """Check the sections ``adapters`` and ``hri`` before nodes start. Otherwise node ``bridge`` would find
+    errors only when other nodes run already.
 
     Args:
         scene: The scene.
-        installed: Whether the message packages that the node needs are checked, too.
+        installed: Whether to check also that the message packages are installed, as the node needs them.
 
     Raises:
-        SceneError: A setting names no camera or frame of the scene, or a topic that something else has.
+        SceneError: A setting names no camera or frame of the scene, or two topics would have the same name.
         RosError: See :func:`~humansim_ros.data.messages.adapters.adapter_topics`.
     """
     if scene.config.adapter_settings:
@@ -837,8 +840,8 @@ def check_adapters(scene: Scene, installed: bool = False) -> None:
 
 
 def _checked_adapters(scene: Scene, names: Collection[str]) -> list[AdapterTopic]:
-    """Topics of the adapters. Raises SceneError if one has the name of another topic, also one of
-    ``names``."""
+    """Create the topics of the adapters. Raises SceneError if two topics have the same name. ``names``: names
+    of the other topics of the scene."""
     topics, settings = adapter_topics(scene), scene.config.adapter_settings
     rows = dict.fromkeys(names, "")
     for topic in topics:
@@ -858,16 +861,16 @@ def _checked_adapters(scene: Scene, names: Collection[str]) -> list[AdapterTopic
     return topics
 
 
-#: Stands for the camera of topics that are not from the scene.
+#: Used as the camera of topics that are not from the scene.
 _OTHER_NODE = "/"
 
 
 class TimedTopics:
-    """Topics that have messages in some frames only, since cameras may have their own rates.
+    """Tells which topics have no message in a frame. Cameras may have a lower rate than the scene.
 
     Args:
         scene: The scene.
-        namespace: Namespace of its nodes.
+        namespace: Namespace of the nodes of the scene.
     """
 
     def __init__(self, scene: Scene, namespace: str) -> None:
@@ -878,13 +881,13 @@ class TimedTopics:
             self._cameras = {topic.in_namespace(namespace): topic.camera for topic in scene_topics(scene)}
 
     def __bool__(self) -> bool:
-        """Whether there are such topics."""
+        """Whether some topics have messages only in some frames."""
         return any(not timing.is_full for timing in self._timings.values())
 
     def resting(self, topics: Collection[str], index: int | None) -> Collection[str]:
-        """Return those of the topics that have no message in a frame.
+        """Return those of ``topics`` that have no message in a frame.
 
-        Topics of other nodes have no message in a frame that no camera captures, since these nodes answer
+        Topics of other nodes have none in a frame that no camera captures, since these nodes send results for
         pictures.
 
         Args:

@@ -1,4 +1,5 @@
-"""Transforms of tf: the topics ``/tf`` and ``/tf_static`` of a scene, and the pose of a frame by time."""
+"""Transforms of tf: the topics ``/tf`` and ``/tf_static`` of a scene, and the pose of a coordinate frame by
+time."""
 
 from __future__ import annotations
 
@@ -21,20 +22,20 @@ from humansim_ros.types import Array
 
 #: Type of the messages of tf.
 TF = "tf2_msgs/msg/TFMessage"
-#: Longest message, bytes; most frames; and most transforms of a frame that a running program keeps.
+#: Limits: length of a message, bytes; number of frames; transforms of a frame in a running program.
 _MAX_BYTES, _MAX_FRAMES, _MAX_KEPT = 1 << 20, 2000, 20_000
 _MAX_NAME = 256
-#: Translation and quaternion xyzw of a serialised transform, and their size in bytes.
+#: Format of translation and quaternion xyzw in a serialised transform, and their size in bytes.
 _NUMBERS, _NUMBERS_SIZE = "7d", 56
 
 
 def fixed_transform(pose: ObjectPose, parent: str, child: str) -> Topic[ObjectPose]:
-    """Transform that never changes, as a part of ``/tf_static``.
+    """Create a transform that never changes. It becomes part of ``/tf_static``.
 
     Args:
         pose: Pose of the child frame in the parent frame.
-        parent: The parent frame.
-        child: The child frame.
+        parent: Name of the parent frame.
+        child: Name of the child frame.
     """
     return Topic(
         TF_STATIC_TOPIC,
@@ -47,12 +48,12 @@ def fixed_transform(pose: ObjectPose, parent: str, child: str) -> Topic[ObjectPo
 
 @dataclass(frozen=True)
 class TransformTopic(Topic[Frame]):
-    """``/tf`` or ``/tf_static``. One message has the transforms of all nodes. No message if there are no
-    transforms."""
+    """Topic ``/tf`` or ``/tf_static``. A message has the transforms of all nodes; without transforms there is
+    no message."""
 
     @property
     def recorded(self) -> bool:
-        """Whether it is recorded if no topics are named."""
+        """Whether a recording includes the topic by default."""
         return True
 
     def sent(self, frame: Frame) -> list[tuple[int, Any]]:
@@ -62,14 +63,14 @@ class TransformTopic(Topic[Frame]):
 
 
 def transform_topics(scene: Scene, parts: Sequence[Topic[Any]]) -> Iterator[TransformTopic]:
-    """Topics ``/tf_static`` and ``/tf`` of a scene, if they have a transform.
+    """Create topics ``/tf_static`` and ``/tf`` of a scene. A topic without transforms is left out.
 
     A camera with its own rate has a transform only in the frames that it captures.
 
     Args:
         scene: The scene.
-        parts: Topics of all transforms, each with a TransformStamped or a list of TFMessages. Topics with a
-            message per frame become part of ``/tf``.
+        parts: Topics of all transforms. Their messages are TransformStamped or lists of TFMessage. Topics
+            with a message per frame become part of ``/tf``.
     """
     from humansim_ros.data.messages.types import TFMessage
 
@@ -106,7 +107,7 @@ def transform_topics(scene: Scene, parts: Sequence[Topic[Any]]) -> Iterator[Tran
 
 
 def read_links(data: bytes, kind: str = TF) -> Iterator[tuple[str, str, int, int]]:
-    """Read parent, child and stamp of the transforms of a message without converting the numbers, since most
+    """Read parent, child and stamp of the transforms of a message. The numbers are not converted, since most
     are never used.
 
     Args:
@@ -114,7 +115,7 @@ def read_links(data: bytes, kind: str = TF) -> Iterator[tuple[str, str, int, int
         kind: Type of the message.
 
     Yields:
-        Parent, child, stamp in nanoseconds, and place in ``data`` of the seven numbers, for each transform.
+        For each transform: parent, child, stamp in nanoseconds, position in ``data`` of its seven numbers.
 
     Raises:
         RosError: The message is too long or damaged.
@@ -132,7 +133,7 @@ def read_links(data: bytes, kind: str = TF) -> Iterator[tuple[str, str, int, int
 
 
 def _frame_name(data: bytes, at: int) -> tuple[str, int]:
-    """Name of a frame at a position of a serialised message, and the position after it."""
+    """Name of a frame at position ``at`` of a serialised message, and the position after the name."""
     end = at + 4 + unpack("I", data, at)[0]
     return str(data[at + 4 : end], "utf-8", "replace").rstrip("\0").strip("/"), end + -end % 4
 
@@ -140,13 +141,13 @@ def _frame_name(data: bytes, at: int) -> tuple[str, int]:
 class Transforms:
     """Tree of the transforms of tf.
 
-    Between two frames, the last transform up to a time counts, or else the first one. The static transform
-    that was added last holds for all times and replaces all earlier transforms of the frame, as in tf2
-    (https://github.com/ros2/geometry2, ``tf2/src/static_cache.cpp`` and ``buffer_core.cpp``).
+    At a time, the pose of a frame in its parent is the last transform up to this time, or else the first
+    transform. A static transform is valid at all times. It replaces all earlier transforms of its frame, as
+    in tf2 (https://github.com/ros2/geometry2, ``tf2/src/static_cache.cpp`` and ``buffer_core.cpp``).
 
     Args:
-        kept: Number of the newest transforms of a frame that are kept. If None (for a bag), all.
-        frames: Frames with transforms that are kept. If None, all.
+        kept: Number of transforms that are kept for each frame, the newest ones. If None (for a bag), all.
+        frames: Names of the frames that keep transforms. If None, all.
     """
 
     def __init__(self, kept: int | None = _MAX_KEPT, frames: Collection[str] | None = None) -> None:
@@ -161,12 +162,11 @@ class Transforms:
 
         Args:
             data: Serialised TFMessage or TransformStamped.
-            topic: Name of its topic, which decides whether transforms are static.
+            topic: Name of the topic of the message: transforms of ``/tf_static`` are static.
             kind: Type of the message.
 
         Raises:
-            RosError: The message is too long or damaged, or a transform is impossible. Earlier transforms are
-                kept.
+            RosError: The message is too long or damaged, or a transform is not valid. Earlier ones stay.
         """
         is_static = topic.rpartition("/")[2] == TF_STATIC_TOPIC
         for parent, child, stamp, at in read_links(data, kind):
@@ -191,8 +191,9 @@ class Transforms:
             del above[stamps.pop(0)]
 
     def pose(self, frame: str, stamp: int) -> tuple[Array, str] | None:
-        """Pose (4, 4) of a frame in ``map``, or in the root frame. Returns also the name of ``map`` or the
-        root. Returns None if the frame is unknown, or the tree has a loop. ``stamp``: nanoseconds."""
+        """Pose (4, 4) of a frame in ``map``, or in the root of the tree if the frame is not below ``map``;
+        and the name of ``map`` or the root. None if the frame is unknown, or the tree has a loop. ``stamp``:
+        nanoseconds."""
         name, matrix, seen = frame.strip("/"), np.eye(4), set[str]()
         while name != WORLD_FRAME and name in self._above:
             if name in seen:
@@ -203,20 +204,21 @@ class Transforms:
         return (matrix, name) if seen or name == WORLD_FRAME else None
 
     def _step(self, name: str, stamp: int) -> tuple[str, Array]:
-        """Parent of a frame, and the pose (4, 4) of the frame in it."""
+        """Parent of a frame, and the pose (4, 4) of the frame in its parent."""
         stamps = self._stamps[name]
         return self._above[name][stamps[max(0, bisect_right(stamps, stamp) - 1)]]
 
     def ambiguous(self) -> Iterator[tuple[str, list[str]]]:
-        """Frames that have had several parents, each with its first two parents by stamp."""
+        """Yield the frames that have had several parents, each with the first two of its parents in order of
+        stamps."""
         for child, stamps in self._stamps.items():
             parents = list(dict.fromkeys(self._above[child][stamp][0] for stamp in stamps))
             if len(parents) > 1:
                 yield child, parents[:2]
 
     def moving(self, frame: str) -> str:
-        """First frame, from a frame upwards, with a transform that is not static. If there is none, the frame
-        itself."""
+        """Go from a frame to its parents until a transform is not static. Returns the frame with this
+        transform; if all are static, the frame itself."""
         name, seen = frame, set[str]()
         while name in self._static - seen:
             seen.add(name)

@@ -1,4 +1,4 @@
-"""Classes of messages: from installed ROS packages, or else made from definitions.
+"""Message classes: from installed ROS packages, or else made from definitions of the messages.
 
 Definitions come from rosbags, and from ``config/interfaces`` for packages that rosbags does not know.
 
@@ -21,7 +21,7 @@ from humansim_ros.errors import RosError, printable
 from humansim_ros.files.reading import read_table
 
 _NAME = re.compile(r"([a-z][a-z0-9_]*)/msg/([A-Z][A-Za-z0-9]*)")
-#: Most characters of a name that is searched.
+#: Longest type name that is looked up, characters.
 _MAX_NAME = 255
 #: Package of each class that this module exports.
 _PACKAGES = {
@@ -53,8 +53,8 @@ def __getattr__(name: str) -> Any:
 def message_type(name: str) -> Any:
     """Return the installed message class of a type such as ``sensor_msgs/msg/Image``.
 
-    Names come from other hosts and from files, and an import runs code. So only packages with the library of
-    a message package are imported.
+    Names come from other hosts and from files, and an import runs code. So a package is imported only if it
+    has the library that all message packages have.
 
     Raises:
         RosError: The name is no name of a message, or its package is not installed or has no such message.
@@ -75,7 +75,7 @@ def message_type(name: str) -> Any:
 
 
 def readable_type(name: str) -> Any:
-    """Return the message class for messages that are read from bytes, whether the type is installed or not.
+    """Return a class to read messages with: the installed class, or else one made from the definition.
 
     Raises:
         RosError: The type is neither installed nor known to rosbags.
@@ -97,7 +97,7 @@ class MessagePackage:
     Attributes:
         name: Name of the package.
         version: Version of the messages that are written and read.
-        install: How to install it: a command, or the place of its source.
+        install: How to install the package: a command, or the address of its source.
         fields: By message: names of the fields that are written and read, separated by spaces.
     """
 
@@ -130,9 +130,7 @@ class MessagePackage:
         return kind
 
     def check(self, installed: bool) -> None:
-        """Check all messages.
-
-        ``installed``: the package must be installed, as nodes need it.
+        """Check that all messages of the package can be used. ``installed``: the package must be installed.
 
         Raises:
             RosError: In the cases of :meth:`message`.
@@ -151,7 +149,7 @@ MESSAGE_PACKAGES = {name: MessagePackage(name, **row) for name, row in read_tabl
 
 
 def begins_with_stamp(kind: Any) -> bool:
-    """Return whether a message begins with a stamp: that of its header, or its own as in Header."""
+    """Return whether the first field of a message class is a header or a stamp."""
     fields = kind.get_fields_and_field_types()
     return next(iter(fields.values()), "") in ("std_msgs/Header", "builtin_interfaces/Time")
 
@@ -162,12 +160,12 @@ def name_of(kind: Any) -> str:
 
 
 def is_made(kind: Any) -> bool:
-    """Return whether a message class is made from rosbags' definition (not installed)."""
+    """Return whether a message class was made from a definition of rosbags, since it is not installed."""
     return not hasattr(kind, "_TYPE_SUPPORT")
 
 
 def set_unchecked(message: Any, field: str, value: Any) -> None:
-    """Set a field without rclpy's check of each number."""
+    """Set a field of a message without the check of each number that rclpy does, which is slow."""
     setattr(message, field if is_made(type(message)) else f"_{field}", value)
 
 
@@ -201,7 +199,8 @@ def made_type(name: str) -> Any:
 
 
 def _default(node: Any, content: Any) -> Any:
-    """Default value of a field: zero, empty, or a message of such values."""
+    """Default value of a field, from its description in rosbags: zero, empty, or a message with default
+    values."""
     from rosbags.interfaces import Nodetype
 
     if node == Nodetype.NAME:
@@ -215,8 +214,8 @@ def _default(node: Any, content: Any) -> Any:
 
 
 def _field_type(node: Any, content: Any) -> str:
-    """Type of a field, in the words of installed classes if it contains messages. Other types are not
-    needed."""
+    """Type of a field, as installed classes name it, if the field is a message; else empty, since other types
+    are not needed."""
     from rosbags.interfaces import Nodetype
 
     return str(content).replace("/msg/", "/") if node == Nodetype.NAME else ""

@@ -43,31 +43,31 @@ from humansim_ros.data.formats.writer import (
 from humansim_ros.errors import ExportError, HumansimError
 from humansim_ros.files.reading import read_json
 
-#: Largest record of a frame, bytes. A record is what a frame leaves for the files of the whole export.
+#: Largest record of a frame, bytes. A record is the data of a frame that the files of the whole export need.
 _MAX_RECORD = 1 << 30
-#: Names of files while :func:`~humansim_ros.files.reading.files.atomic_path` writes them.
+#: Names that files have while :func:`~humansim_ros.files.reading.files.atomic_path` writes them.
 _TEMPORARY_NAME = re.compile(r"\..+\.[a-z0-9_]{8}(\.[^.]*)?")
-#: Cameras of the scene, in the root of an export.
+#: Name of the file with the cameras of the scene, in the root of an export.
 CALIBRATION = "calibration.yaml"
 
 
 @dataclass(frozen=True)
 class WrittenFiles:
-    """Files of some frames by path; ``size``: their bytes."""
+    """Files that were written for some frames, by path."""
 
     files: Mapping[str, FileEntry]
 
     @property
     def size(self) -> int:
-        """Number of bytes."""
+        """Total size of the files, bytes."""
         return sum(entry["bytes"] for entry in self.files.values())
 
 
 @dataclass(frozen=True)
 class Export:
-    """A scene or bag, and the plan of its export to a folder: a job, which can be copied.
+    """Job that exports a scene or bag to a folder according to a plan. It can be copied to other processes.
 
-    ``texts``: further files of the folder, by name.
+    ``texts``: content of further text files in the folder, by name.
     """
 
     source: ExportSource
@@ -80,12 +80,12 @@ class Export:
 
     @property
     def formats(self) -> Sequence[ExportFormat]:
-        """Rows of the formats that are written."""
+        """The formats that are written."""
         return self.source.formats
 
     @cached_property
     def settings(self) -> ExportSettings:
-        """Settings that writers get."""
+        """Settings for the writers of formats."""
         plan = self.plan
         return ExportSettings(
             self.source.scene, plan.frames, plan.keypoints, plan.image_suffix, plan.shard_size, plan.license
@@ -93,7 +93,7 @@ class Export:
 
     @property
     def cameras(self) -> int:
-        """Number of cameras with images that are needed."""
+        """Number of cameras with images that the formats need."""
         return len(self.source.scene.cameras) if needed_channels(self.formats) else 0
 
     def start(self) -> ExportWorker:
@@ -102,15 +102,15 @@ class Export:
 
     @property
     def key(self) -> str:
-        """Key that is equal for exports with the same files in the same folder."""
+        """Key that is equal for two exports if they write the same files to the same folder."""
         return f"{self.root} {self.plan.index()}"
 
     def write_part(self, worker: FrameWorker, part: ClusterPart) -> PartResult:
-        """Write the unfinished frames of a part. This runs in a task of a cluster.
+        """Write those frames of a part that are not finished. This method runs in a task of a cluster.
 
         Raises:
-            HumansimError: The host does not share the folder, a file cannot be written, or a frame cannot be
-                rendered or read there.
+            HumansimError: The host of the task does not share the folder, or cannot write a file or make a
+                frame.
         """
         if not (self.root / INDEX).exists():
             text = "does not have this folder: export to one that all hosts share"
@@ -122,7 +122,7 @@ class Export:
         return WrittenFiles(files)
 
     def files_of(self, index: int) -> Mapping[str, FileEntry] | None:
-        """Files of a frame; None unless all of them have been written.
+        """Files of a frame; None if some of them have not been written.
 
         Raises:
             ExportError: The record is no regular file, but for example a named pipe.
@@ -140,7 +140,7 @@ class Export:
             return None  # empty or cut after a power cut
 
     def record_path(self, index: int) -> str:
-        """File that marks a frame as finished, relative to the root."""
+        """Path of the file that marks a frame as finished, relative to the root."""
         return f"{TEMPORARY}/{frame_name(index)}.json"
 
     def _read(self, index: int) -> dict[str, Any]:
@@ -151,8 +151,8 @@ class Export:
 
 @dataclass(frozen=True)
 class FrameRecords:
-    """Numbers of the frames, each with its record for the files of a format. They are read from disk each
-    time."""
+    """Pairs of frame number and record of the frame for one format. Each iteration reads the records from
+    disk."""
 
     export: Export
     name: str
@@ -180,7 +180,7 @@ class ExportWorker:
         self._frames.close()
 
     def work(self, index: int) -> FrameResult:
-        """Write the files of a frame, and finally the file that marks it as finished. Returns the files.
+        """Write the files of a frame, then the file that marks the frame as finished. Returns the files.
 
         Raises:
             HumansimError: The frame cannot be rendered or read, or a file cannot be written.
@@ -213,16 +213,16 @@ def export(
 ) -> FrameProgress:
     """Export a scene or bag. The files do not depend on ``jobs``, nor on interruptions.
 
-    If the export is interrupted, its files are complete, and finished frames are not written again.
+    After an interruption all files are complete, and a continued export does not write finished frames again.
 
     Args:
         job: Source, plan and folder. The folder must not exist unless ``resume``.
         jobs: Number of processes that render. If 1, this process renders.
-        resume: Continue the export if it has begun; nothing happens if it is complete.
+        resume: Whether to continue an export that has begun. A complete export stays unchanged.
         on_progress: Called after each frame. Its argument is also the result.
 
     Raises:
-        ExportError: The folder exists, or has another export.
+        ExportError: The folder exists and ``resume`` is not set, or has another export.
         WorkerDiedError: A worker process has died.
         HumansimError: A frame cannot be rendered or read, or a file cannot be written, for example on a full
             disk.
@@ -256,14 +256,14 @@ def export_on_cluster(
         job: Source, plan and folder. The folder has an absolute path that all hosts share.
         address: ``local`` starts Ray on this machine; ``auto``, ``host:port`` and ``ray://host:port`` name a
             cluster.
-        workers: Number of workers of ``local``; one for each core if None.
+        workers: Number of workers of ``local``. If None, one for each core.
         shard_frames: Number of frames of a task.
-        resume: Continue the export if it has begun.
+        resume: Whether to continue an export that has begun.
         on_progress: Called after each task. Its argument is also the result.
 
     Raises:
-        ExportError: The folder exists, or has another export; or frames could not be written, which the
-            message lists. Those that are whole stay for ``resume``.
+        ExportError: The folder exists, or has another export; or frames could not be written. The message
+            lists them. Finished frames stay for ``resume``.
         BagError: Ray is missing or cannot be reached.
     """
     frames, files = _unwritten(job, resume)
@@ -290,7 +290,7 @@ def _part(frames: Sequence[int]) -> ClusterPart:
 def _unwritten(job: Export, resume: bool) -> tuple[Sequence[int], dict[str, FileEntry]]:
     """Numbers of the frames that are not written yet, and the files of the other frames.
 
-    ``resume``: continue the export if it has begun.
+    ``resume``: whether to continue an export that has begun.
 
     Raises:
         ExportError: The folder exists, or has another export.
@@ -313,13 +313,13 @@ def _unwritten(job: Export, resume: bool) -> tuple[Sequence[int], dict[str, File
 
 
 def _begin(job: Export) -> None:
-    """Make the folder, with the plan. Raises HumansimError if it cannot be made."""
+    """Make the folder, with the plan of the export. Raises HumansimError if that fails."""
     if not job.root.exists():
         ExportFolder(job.root).write(INDEX, job.plan.index())
 
 
 def _remove_temporary_files(root: Path, files: Collection[str]) -> None:
-    """Remove files that were incomplete when processes were killed. ``files``: files of the export."""
+    """Remove incomplete files that killed processes have left. ``files``: files of the export, which stay."""
     for folder, _, names in os.walk(root):
         for name in names:
             path = Path(folder) / name

@@ -1,7 +1,7 @@
 """The table of all export formats, ``config/export_formats.json``.
 
 To add a format: a :class:`~humansim_ros.data.formats.writer.FormatWriter` in a module of its family, a row of
-the table, a row of docs/export.md, and a test that reads the files with the reader of its field.
+the table, a row of docs/export.md, and a test that reads the files with a library of the format's users.
 """
 
 from __future__ import annotations
@@ -18,30 +18,32 @@ from humansim_ros.files.reading import read_table
 from humansim_ros.render.interface import CHANNEL_TABLE
 from humansim_ros.scene.truth import REQUIRED_CHANNELS
 
-#: The format that writes the tree of colour images. Others that name images need it.
+#: Name of the format that writes the tree of colour images. Formats that name images need this format, too.
 IMAGES = "images"
-#: What formats may need of a frame next to channels: boxes of bodies, keypoints in the images, keypoints in
-#: ``map``, bodies with vertices and bones, sweeps of laser scanners, and sweeps if the scene has scanners.
+#: Data of a frame that formats may need in addition to image channels: boxes of bodies, 2D keypoints, 3D
+#: keypoints in ``map``, bodies with vertices and bones, sweeps of laser scanners; and sweeps if the scene has
+#: scanners.
 BOXES, KEYPOINTS, POSITIONS, BODIES, SWEEPS = "boxes", "keypoints", "positions", "bodies", "sweeps"
 ANY_SWEEPS = "any sweeps"
-#: Channels that a renderer needs for each of these.
+#: Image channels that must be rendered to compute these data.
 _CHANNELS_OF = {BOXES: REQUIRED_CHANNELS["boxes"], KEYPOINTS: REQUIRED_CHANNELS["joints"]}
 
 
 @dataclass(frozen=True)
 class ExportFormat:
-    """One format.
+    """An export format, a row of the table.
 
     Attributes:
-        name: Name on the command line, and of the folder of its files.
-        title: One line for people.
+        name: Name on the command line, and name of the folder of the files.
+        title: Description in one line.
         writer_name: Module and class of its writer.
-        content: What it needs of a frame: channels of all cameras, and some of :data:`BOXES`,
-            :data:`KEYPOINTS`, :data:`POSITIONS`, :data:`BODIES`, :data:`SWEEPS` and :data:`ANY_SWEEPS`.
+        content: Data of a frame that the format needs: image channels of all cameras, and some of
+            :data:`BOXES`, :data:`KEYPOINTS`, :data:`POSITIONS`, :data:`BODIES`, :data:`SWEEPS` and
+            :data:`ANY_SWEEPS`.
         keypoints: Keypoint set that the format always has. Empty if there is a choice.
-        images: Whether its files name colour images, so that the tree of images is written, too.
-        needs: Python modules that it needs beyond the dependencies of the package.
-        extra: Extra of the package that brings them.
+        images: Whether the files name colour images, so that the tree of images is written, too.
+        needs: Python modules that the format needs and that the package does not install by default. extra:
+            Name of the extra of the package that installs these modules.
     """
 
     name: str
@@ -55,14 +57,14 @@ class ExportFormat:
 
     @property
     def writer(self) -> type[FormatWriter]:
-        """Class of its writer. The module of the class is imported only now."""
+        """Class of the writer. The module of the class is imported only now."""
         module, _, name = self.writer_name.partition(".")
         kind: type[FormatWriter] = getattr(import_module(f"humansim_ros.data.formats.{module}"), name)
         return kind
 
     @property
     def channels(self) -> frozenset[str]:
-        """Channels that all cameras of a scene render for the format. If it has none, nothing is rendered."""
+        """Image channels that all cameras render for the format. If empty, nothing is rendered."""
         derived = (channel for name in self.content for channel in _CHANNELS_OF.get(name, ()))
         return frozenset(derived) | (self.content & CHANNEL_TABLE.keys())
 
@@ -79,10 +81,10 @@ EXPORT_FORMATS: dict[str, ExportFormat] = {
 
 
 def chosen_formats(names: Sequence[str]) -> list[ExportFormat]:
-    """Rows of the table for names of formats, each once, in the order of the table. Needed images are added.
+    """Formats by names, in the order of the table, without repetitions. Format ``images`` is added if needed.
 
     Raises:
-        ExportError: A name is unknown, there is none, or a format needs a library that is not installed.
+        ExportError: A name is unknown, there is no name, or a format needs a library that is not installed.
     """
     wanted = set(names)
     for name in names:
@@ -104,5 +106,5 @@ def chosen_formats(names: Sequence[str]) -> list[ExportFormat]:
 
 
 def needed_channels(formats: Collection[ExportFormat]) -> list[str]:
-    """Channels that some formats need together, in a fixed order."""
+    """Image channels that a set of formats needs, in a fixed order."""
     return sorted(frozenset[str]().union(*(row.channels for row in formats)))

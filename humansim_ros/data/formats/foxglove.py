@@ -1,6 +1,6 @@
-"""A recording for Foxglove: MCAP with its schemas, as JSON.
+"""A recording for Foxglove: an MCAP file of JSON messages with the schemas of Foxglove.
 
-``config/foxglove_schemas.json`` has the schemas as docs.foxglove.dev has them, as far as used here.
+``config/foxglove_schemas.json`` has those schemas of docs.foxglove.dev that are used here.
 
 Topics are ``/<camera>/image``, ``/<camera>/calibration``, ``/<camera>/annotations``, ``/people``, ``/tf`` and
 ``/<scanner>/points``. ROS programs need a bag instead (``humansim record``).
@@ -29,14 +29,15 @@ from humansim_ros.scene.truth import OUTSIDE
 from humansim_ros.types import Array
 
 _WORLD = "map"
-#: Fields of points: a name, and the NumPy and Foxglove types.
+#: Fields of points: name, NumPy type, and number of the type in Foxglove.
 _FIELDS = (
     *((axis, "<f4", 7) for axis in ("x", "y", "z", "intensity")),
     ("instance", "<u2", 3),
     ("part", "u1", 1),
 )
 _POINT = np.dtype([(name, kind) for name, kind, _ in _FIELDS])
-#: Types of lines: pairs of points in space; pairs of points and a loop in images; and dots.
+#: Type numbers: in space, lines between pairs of points; in images, lines between pairs of points, a closed
+#: line, and dots.
 _LINE_LIST, _IMAGE_LINES, _IMAGE_LOOP, _IMAGE_DOTS = 2, 4, 2, 1
 _THIN, _FONT = 0.01, 0.12
 _UNTURNED = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
@@ -44,10 +45,11 @@ _HERE = {"position": {"x": 0.0, "y": 0.0, "z": 0.0}, "orientation": _UNTURNED}
 
 
 class FoxgloveWriter(FormatWriter):
-    """``foxglove.mcap``, with the messages of all frames in their order."""
+    """Writes ``foxglove.mcap`` with the messages of all frames in order."""
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
-        """Write the messages of a frame to a temporary file. Returns stamp and topics."""
+        """Write the messages of a frame to a temporary file. Returns the stamp and the topics of the
+        frame."""
         lines, topics = [], {}
         for topic, schema, message in self._messages(frame):
             topics[topic] = f"foxglove.{schema}"
@@ -84,7 +86,7 @@ class FoxgloveWriter(FormatWriter):
                 file.close()
 
     def _messages(self, frame: ExportFrame) -> Iterator[tuple[str, str, dict[str, Any]]]:
-        """Topic, name of the schema and content of all messages of a frame."""
+        """Yield all messages of a frame: topic, name of the schema, and content."""
         now = frame.frame
         transforms = []
         for name, camera in now.cameras.items():
@@ -110,7 +112,7 @@ class FoxgloveWriter(FormatWriter):
         yield "/people", "SceneUpdate", {"deletions": [], "entities": list(self._people(frame))}
 
     def _people(self, frame: ExportFrame) -> Iterator[dict[str, Any]]:
-        """Box, keypoints with their lines, and name of each person."""
+        """Yield the drawings of the people: for each person box, keypoints with lines, and name."""
         chosen = keypoint_set(self.settings.keypoints)
         for name, state in frame.frame.humans.items():
             box, color = state.upright_box, _color(frame.frame.labels[name])
@@ -154,7 +156,8 @@ class FoxgloveWriter(FormatWriter):
             }
 
     def _annotations(self, frame: ExportFrame, camera: str) -> dict[str, Any]:
-        """Boxes of the visible pixels with names, and keypoints that are in the image."""
+        """Drawings over an image: boxes of the visible pixels with names, and the keypoints inside the
+        image."""
         chosen = keypoint_set(self.settings.keypoints)
         views, stamp = frame.frame.keypoints[chosen.name][camera], _time(frame.frame.stamp)
         points, texts = [], []
@@ -232,7 +235,7 @@ def _time(stamp: int) -> dict[str, int]:
 
 
 def _color(label: int) -> dict[str, float]:
-    """Colour of an instance label: neighbours differ in hue."""
+    """Colour of an instance label. Successive labels differ in hue."""
     r, g, b = colorsys.hsv_to_rgb(label * 0.618 % 1, 0.75, 1.0)
     return {"r": r, "g": g, "b": b, "a": 1.0}
 
@@ -242,5 +245,5 @@ def _stamped(stamp: int, frame_id: str) -> dict[str, Any]:
 
 
 def _axes(values: Any) -> dict[str, float]:
-    """A point of two or three numbers, or a quaternion, by axis."""
+    """Convert a point (two or three numbers) or a quaternion to a mapping by axis: x, y, z, w."""
     return dict(zip("xyzw", map(float, values), strict=False))

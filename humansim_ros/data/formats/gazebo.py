@@ -36,9 +36,9 @@ from humansim_ros.render.interface import Lighting
 from humansim_ros.types import Array
 
 _MESHES = "meshes"
-#: Axes of a camera of SDF (x forward, y left, z up) in the optical frame.
+#: Axes of an SDF camera (x forward, y left, z up), as columns in the optical frame.
 _SDF_IN_OPTICAL = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
-#: Systems of Gazebo that a world with cameras needs.
+#: System plugins of Gazebo that a world with cameras needs.
 _SYSTEMS = (
     ("gz-sim-physics-system", "gz::sim::systems::Physics"),
     ("gz-sim-user-commands-system", "gz::sim::systems::UserCommands"),
@@ -49,7 +49,7 @@ _Element = ElementTree.Element
 
 
 class GazeboWriter(AnimationWriter):
-    """A world ``scene.sdf`` with ``meshes/``."""
+    """Writes a world ``scene.sdf``, with its meshes and textures in ``meshes/``."""
 
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
         scene = self.animated(records)
@@ -80,15 +80,15 @@ class GazeboWriter(AnimationWriter):
 
 @dataclass(frozen=True)
 class Puppet:
-    """A skin on a tree of joints. The joints move.
+    """A skin that follows a tree of moving joints.
 
     Attributes:
         mesh: The skin at rest, in ``map``.
         joints: Names.
-        parents: (B,) parents first, -1 for a root.
+        parents: (B,) index of the parent of each joint, -1 for a root. Parents come first.
         rest: (B, 4, 4) joints at rest in ``map``.
-        weights: (V, B), rows sum to one.
-        poses: (F, B, 4, 4) each joint in its parent; a root in ``map``.
+        weights: (V, B) weights of the joints by vertex; rows sum to one.
+        poses: (F, B, 4, 4) pose of each joint in its parent; a root in ``map``.
     """
 
     mesh: Mesh
@@ -100,7 +100,8 @@ class Puppet:
 
     @classmethod
     def of_human(cls, person: AnimatedHuman) -> Puppet:
-        """A person with its first size, since an actor's bones have no scale between frames."""
+        """Create the puppet of a person with the size in the first frame, since bones of an actor have no
+        scale."""
         human, (vertices, rest) = person.human, person.rest
         mesh = replace(human.mesh, vertices=vertices)
         shifts, turns, _ = local_transforms(replace(person, sizes=np.ones(len(person.sizes))), np.eye(3))
@@ -110,7 +111,7 @@ class Puppet:
 
     @classmethod
     def of_object(cls, mesh: Mesh, track: PoseTrack) -> Puppet:
-        """A rigid object on one joint."""
+        """Create the puppet of a rigid object, with a single joint."""
         turns = quaternion_to_matrix(track.rotations) * track.sizes[:, None]
         weights = csr_matrix(np.ones((len(mesh.vertices), 1)))
         poses = transform(turns, track.positions)[:, None]
@@ -118,11 +119,11 @@ class Puppet:
 
 
 class GazeboWorld:
-    """A world while it is made.
+    """A world of Gazebo while it is built.
 
     Args:
         times: (F,) times of the frames, seconds; the first is 0.
-        meshes: Folder of its meshes and textures.
+        meshes: Folder for meshes and textures.
     """
 
     def __init__(self, times: Array, meshes: ExportFolder) -> None:
@@ -135,7 +136,7 @@ class GazeboWorld:
                 add_tag(system, "render_engine", "ogre2")
 
     def encoded(self) -> str:
-        """Text of the world."""
+        """Text of the SDF file."""
         return _xml(self._root)
 
     def add_light(self, lighting: Lighting) -> None:
@@ -151,12 +152,12 @@ class GazeboWorld:
         add_tag(sun, "direction", joined(-lighting.direction))
 
     def add_model(self, name: str, parts: dict[str, Mesh], track: PoseTrack | None = None) -> None:
-        """Add a model that stands.
+        """Add a model that does not move.
 
         Args:
-            name: Its name.
-            parts: Its meshes by the name of their files, in its frame.
-            track: Its pose; the frame of the world if None.
+            name: Name of the model.
+            parts: Meshes in the frame of the model, by the name of their files.
+            track: Pose of the model. If None, the frame of the world.
         """
         model = add_tag(self._world, "model", name=name)
         add_tag(model, "static", "true")
@@ -180,7 +181,7 @@ class GazeboWorld:
             add_texts(material, "pbr/metal", albedo_map=f"{_MESHES}/{texture}", metalness="0", roughness="1")
 
     def add_actor(self, name: str, puppet: Puppet) -> None:
-        """Add an actor. At the time k / rate, it is posed as in frame k."""
+        """Add an actor, a model that moves. At time k / rate the actor has its pose of frame k."""
         mesh = painted(puppet.mesh)
         text = collada_text(replace(puppet, mesh=mesh), self._textures.of(mesh), self._times)
         self._meshes.write(f"{name}.dae", text)
@@ -194,10 +195,10 @@ class GazeboWorld:
         """Add a camera at its first pose. Warns (HumansimWarning) of a lens that SDF does not have.
 
         Args:
-            name: Its name.
-            settings: Its rate.
-            camera: Its calibration.
-            track: Poses of its optical frame.
+            name: Name of the camera.
+            settings: Has the rate of the camera.
+            camera: Calibration.
+            track: Poses of the optical frame.
         """
         model = add_tag(self._world, "model", name=f"camera_{name}")
         add_tag(model, "static", "true")
@@ -233,9 +234,9 @@ class GazeboWorld:
 
 
 def collada_text(puppet: Puppet, texture: str | None, times: Array) -> str:
-    """A COLLADA 1.4.1 file (z up, metres) with skin, joints and an animation of their matrices.
+    """Text of a COLLADA 1.4.1 file (z up, metres) with skin, joints, and animated matrices of the joints.
 
-    ``texture``: file of the texture. ``times``: (F,) seconds.
+    ``texture``: name of the texture file. ``times``: (F,) seconds.
     """
     root = ElementTree.Element(
         "COLLADA", xmlns="http://www.collada.org/2005/11/COLLADASchema", version="1.4.1"
@@ -268,7 +269,7 @@ def collada_text(puppet: Puppet, texture: str | None, times: Array) -> str:
 
 
 def _add_look(root: _Element, texture: str | None) -> None:
-    """Add image, effect and material."""
+    """Add the elements for the look of the skin: image, effect and material."""
     if texture is not None:
         image = add_tag(root, "library_images/image", id="image", name="image")
         add_tag(image, "init_from", texture)
@@ -287,7 +288,7 @@ def _add_look(root: _Element, texture: str | None) -> None:
 
 
 def _add_geometry(root: _Element, mesh: Mesh) -> None:
-    """Add the skin at rest, with its vertices in their order."""
+    """Add the skin at rest. Vertices keep their order."""
     element = add_tag(add_tag(root, "library_geometries/geometry", id="mesh", name="mesh"), "mesh")
     _add_source(element, "positions", mesh.vertices, ("X", "Y", "Z"))
     _add_source(element, "normals", rest_normals(mesh), ("X", "Y", "Z"))
@@ -306,7 +307,7 @@ def _add_geometry(root: _Element, mesh: Mesh) -> None:
 
 
 def _add_skin(root: _Element, puppet: Puppet) -> None:
-    """Add bind poses and weights."""
+    """Add the joints at rest (bind poses) and the weights."""
     controller = add_tag(root, "library_controllers/controller", id="skin", name="skin")
     skin = add_tag(controller, "skin", source="#mesh")
     add_tag(skin, "bind_shape_matrix", joined(np.eye(4)))
@@ -347,13 +348,14 @@ def _add_source(
     params: Sequence[str],
     kind: str = "float",
 ) -> None:
-    """Add a source.
+    """Add a COLLADA ``source``: an element with an array of numbers or names.
 
     Args:
-        parent: Element of the source.
-        name: Its id.
+        parent: Element that gets the source.
+        name: Id of the source.
+
         values: Numbers (N, W), or N names.
-        params: Names of the W columns, or of a matrix.
+        params: Names of the W columns, or one name for a matrix.
         kind: Type of the numbers.
     """
     source = add_tag(parent, "source", id=name)

@@ -30,9 +30,9 @@ from humansim_ros.types import Array
 
 
 def posed_bones(name: str, person: AnimatedHuman, frame_time: float) -> PosedBones:
-    """Posed bones for BVH files, with bones that have constant lengths, from the first frame. Warns
-    (HumansimWarning) if keyframes change the size of the person. ``name``: of the person, for the warning.
-    ``frame_time``: seconds."""
+    """Posed bones for BVH files. Bones have the lengths of the first frame, since lengths in BVH are
+    constant; warns (HumansimWarning) if keyframes change the size of the person. ``name``: name of the person
+    in the warning. ``frame_time``: seconds between frames."""
     skeleton, size = person.human.skeleton, float(person.sizes[0])
     if person.grows:
         text = f"the size of {name} changes, which BVH cannot hold: bones keep their first length"
@@ -42,7 +42,7 @@ def posed_bones(name: str, person: AnimatedHuman, frame_time: float) -> PosedBon
 
 
 class BvhWriter(AnimationWriter):
-    """A BVH file for each person: the skeleton of its body with the motion that was put on it."""
+    """Writes a BVH file for each person: the skeleton of the body with the motion in the scene."""
 
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
         for name, person in self.animated(records).people.items():
@@ -51,7 +51,7 @@ class BvhWriter(AnimationWriter):
                 write_bvh(path, motion)
 
 
-#: Translations and sizes that vary by less than this, metres, are constant.
+#: Translations and sizes that vary by less than this, metres, count as constant.
 _CONSTANT = 1e-9
 _VERTICES, _TRIANGLES = 34962, 34963
 
@@ -60,12 +60,12 @@ def glb_bytes(people: Mapping[str, AnimatedHuman], rate: float) -> bytes:
     """Content of a GLB file with people, their skeletons, weights, textures and motions.
 
     The axes of glTF are: y up, metres, x_gltf = y_map, y_gltf = z_map, z_gltf = x_map. Vertices 0 to V - 1 of
-    a mesh are the human's in their order; copies for seams of the texture follow, and the attribute
-    ``_VERTEX`` has the number of the original of each. A node of a bone has the axes of the bone (y along
-    it). There is one animation. Its time starts at 0. Warns (HumansimWarning) of humans with dual quaternion
-    skinning: glTF has only linear blending, and their vertices differ.
+    a mesh are those of the human in their order. Copies of vertices at seams of the texture follow. The
+    attribute ``_VERTEX`` has for each vertex the number of its original. The node of a bone has the axes of
+    the bone (y along the bone). There is one animation, which starts at time 0. Warns (HumansimWarning) of
+    humans with dual quaternion skinning: glTF has only linear blending, so their vertices differ.
 
-    ``people``: one or more by name, with equal numbers of frames. ``rate``: frames per second.
+    ``people``: one or more people by name, with equal numbers of frames. ``rate``: frames per second.
     """
     warn_of_curved_skinning(people, "glTF")
     document = GlbDocument()
@@ -77,7 +77,7 @@ def glb_bytes(people: Mapping[str, AnimatedHuman], rate: float) -> bytes:
 
 
 class GlbDocument(GlbBuilder):
-    """A glTF document of people and meshes while it is made."""
+    """A glTF document of people and meshes while it is built."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -88,7 +88,8 @@ class GlbDocument(GlbBuilder):
         self._mesh_of: dict[int, int] = {}
 
     def add_person(self, name: str, person: AnimatedHuman, times: int) -> None:
-        """Add the nodes, the mesh and the motion of a person; ``times``: accessor of the times of frames."""
+        """Add the nodes, the mesh and the motion of a person; ``times``: number of the accessor with the
+        times of the frames."""
         human, skeleton = person.human, person.human.skeleton
         local = local_transforms(person)
         first = len(self.lists.get("nodes", ())) + 2
@@ -126,7 +127,7 @@ class GlbDocument(GlbBuilder):
         """Add a static mesh without normals, so that programs draw its triangles flat.
 
         Args:
-            vertices: (V, 3), written as they are.
+            vertices: (V, 3), written without a change of axes.
             triangles: (F, 3).
             colors: (V, 3) sRGB.
             uv: (V, 2) in the texture, v up.
@@ -142,7 +143,8 @@ class GlbDocument(GlbBuilder):
         self._roots.append(self.add("nodes", {"mesh": mesh}))
 
     def _animate(self, node: int, path: str, values: NDArray[np.float32], times: int) -> None:
-        """Set a property of a node to its first value, and add a channel if it changes."""
+        """Set a property of a node to its value in the first frame. If the value changes, add a channel to
+        the animation."""
         if path != "scale" or (values[0] != 1).any():
             self.lists["nodes"][node][path] = values[0].tolist()
         if np.ptp(values, axis=0).max() <= _CONSTANT:
@@ -152,7 +154,7 @@ class GlbDocument(GlbBuilder):
         self._channels.append({"sampler": len(self._samplers) - 1, "target": target})
 
     def _mesh(self, human: Human) -> int:
-        """Number of the mesh of a human, added on the first call."""
+        """Return the number of the mesh of a human. The mesh is added on the first call."""
         if id(human) not in self._mesh_of:
             name = f"{human.name} {human.outfit}"
             material = self._material(name, texture_of(human), 1.0, double_sided=True)
@@ -163,7 +165,7 @@ class GlbDocument(GlbBuilder):
     def _add_mesh(
         self, name: str, columns: Mapping[str, NDArray[Any]], triangles: NDArray[np.uint32], material: int
     ) -> int:
-        """Number of a new mesh. ``columns``: values (V, ...) of the vertices by attribute."""
+        """Add a mesh and return its number. ``columns``: values (V, ...) of the vertices by attribute."""
         attributes = {
             name: self.accessor(np.ascontiguousarray(values), _VERTICES, bounds=name == "POSITION")
             for name, values in columns.items()
@@ -192,7 +194,7 @@ class GlbDocument(GlbBuilder):
 
 
 def _columns(human: Human) -> dict[str, NDArray[Any]]:
-    """Values (V, ...) of the vertices of a human by attribute."""
+    """Values (V, ...) of the vertices of a human by attribute of glTF, such as ``NORMAL``."""
     mesh = human.mesh
     original, uv, _ = split_seams(mesh)
     columns: dict[str, NDArray[Any]] = {
@@ -212,17 +214,17 @@ def _columns(human: Human) -> dict[str, NDArray[Any]]:
 
 
 def _image_coordinates(uv: Array) -> NDArray[np.float32]:
-    """Texture coordinates (V, 2) with v down, as glTF has them."""
+    """Convert texture coordinates (V, 2) from v up to v down, as glTF has them."""
     return np.column_stack([uv[:, 0], 1 - uv[:, 1]]).astype(np.float32)
 
 
 def _linear(colors: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Colours (V, 3) in linear light, as glTF has them."""
+    """Convert colours (V, 3) from sRGB to linear light, as glTF has them."""
     return np.asarray(decode_srgb(colors / 255.0), np.float32)
 
 
 class GlbWriter(AnimationWriter):
-    """All people of a scene as ``people.glb``."""
+    """Writes all people of a scene to ``people.glb``."""
 
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
         folder.write("people.glb", glb_bytes(self.animated(records).people, self.settings.rate))

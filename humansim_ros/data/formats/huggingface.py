@@ -1,7 +1,7 @@
 """Metadata of the ``imagefolder`` of Hugging Face ``datasets``: a line of JSON for each image.
 
-``load_dataset`` reads the lines next to the images, wherever these lie below the file
-(https://huggingface.co/docs/datasets/image_dataset). Boxes and keypoints are those of :mod:`coco`.
+``load_dataset`` reads the lines together with the images, which may be in any folder below the file
+(https://huggingface.co/docs/datasets/image_dataset). Boxes and keypoints are the same as in :mod:`coco`.
 """
 
 from __future__ import annotations
@@ -18,10 +18,11 @@ METADATA = "metadata.jsonl"
 
 
 class MetadataWriter(FormatWriter):
-    """Image, camera and people of each line; people without visible pixels are left out."""
+    """Writes a line for each image: the image, its camera and its people. People without visible pixels are
+    left out."""
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
-        """Lines of the images of a frame."""
+        """Return the lines of the images of a frame."""
         lines = []
         for camera, truth in frame.frame.truth.items():
             keypoints = frame.frame.keypoints[self.settings.keypoints][camera]
@@ -51,7 +52,7 @@ class MetadataWriter(FormatWriter):
         return lines
 
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
-        """Write the lines."""
+        """Write the lines of all frames to the file."""
         with folder.root_folder().path(METADATA) as path, path.open("w", encoding="utf-8") as file:
             for _, lines in records:
                 file.writelines(json.dumps(line) + "\n" for line in lines)

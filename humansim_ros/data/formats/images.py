@@ -19,11 +19,12 @@ from humansim_ros.render.pictures import write_mp4
 from humansim_ros.scene.pictures import color_image
 from humansim_ros.types import Float32Array, Image
 
-#: 16 bit depth: millimetres, 0 is no depth.
+#: Units of 16 bit depth in a metre: millimetres. The value 0 means no depth.
 _DEPTH_SCALE = 1000.0
-#: KITTI flow: displacement = (value - 2^15) / 64.
+#: Scale and zero of flow in KITTI: displacement = (value - 2^15) / 64.
 _KITTI_SCALE, _KITTI_ZERO = 64.0, 1 << 15
-#: First four bytes of .flo files, and the value of pixels without flow (above 1e9 is unknown).
+#: First four bytes of .flo files, and the value of pixels without flow (readers take values above 1e9 as
+#: unknown).
 _FLO_TAG, _FLO_UNKNOWN = np.float32(202021.25), 1e10
 _LARGEST_16 = (1 << 16) - 1
 _JPEG_QUALITY = 95
@@ -32,8 +33,8 @@ _PNG_COMPRESSION = 3
 
 
 class ImageWriter(FormatWriter):
-    """Colour images in the tree that all formats share: ``images/<camera>/<frame>.png``. They are the images
-    that the cameras deliver: grey for mono8, the mosaic for bayer_rggb8."""
+    """Writes colour images for all formats: ``images/<camera>/<frame>.png``. They are the images that the
+    cameras deliver: grey for mono8, the Bayer mosaic for bayer_rggb8."""
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
         """Write an image for each camera. ``folder``: the folder ``images``."""
@@ -44,7 +45,7 @@ class ImageWriter(FormatWriter):
 
 
 class DepthPngWriter(FormatWriter):
-    """Depth along z as 16 bit PNG in millimetres; 0 where nothing is, and beyond 65.535 m."""
+    """Writes depth along z as 16 bit PNG in millimetres; 0 where there is no surface, or beyond 65.535 m."""
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
         for camera, view in frame.frame.views.items():
@@ -52,7 +53,7 @@ class DepthPngWriter(FormatWriter):
 
 
 class DepthNpyWriter(FormatWriter):
-    """Depth along z as NumPy file: (H, W) float32 metres, inf where nothing is."""
+    """Writes depth along z as NumPy files: (H, W) float32 metres, inf where there is no surface."""
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
         for camera, view in frame.frame.views.items():
@@ -62,7 +63,8 @@ class DepthNpyWriter(FormatWriter):
 
 
 class DepthExrWriter(FormatWriter):
-    """Depth along z as OpenEXR: float32 metres, inf where nothing is; channel Y, which OpenCV reads."""
+    """Writes depth along z as OpenEXR: float32 metres, inf where there is no surface. The channel is Y, which
+    OpenCV reads."""
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
         import OpenEXR
@@ -74,7 +76,7 @@ class DepthExrWriter(FormatWriter):
 
 
 class LabelWriter(FormatWriter):
-    """Labels as PNG: 16 bit instances and 8 bit body parts, and a legend of both in ``labels.json``."""
+    """Writes labels as PNG (16 bit instances, 8 bit body parts), and the names of both in ``labels.json``."""
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
         for camera, view in frame.frame.views.items():
@@ -97,7 +99,8 @@ def _part_legends(scene: ExportScene) -> dict[str, dict[str, str]]:
 
 
 class _OneLabelWriter(FormatWriter):
-    """Label images of one channel as 8 bit PNG, and their legend in ``labels.json``."""
+    """Base class: writes label images of one channel as 8 bit PNG, and the names of labels in
+    ``labels.json``."""
 
     channel: ClassVar[str]
 
@@ -114,7 +117,8 @@ class _OneLabelWriter(FormatWriter):
 
 
 class BodyPartWriter(_OneLabelWriter):
-    """Body parts without skirts, hats, bags and long hair; and a legend for each human."""
+    """Writes body parts, drawn without skirts, hats, bags and long hair, and the names of labels for each
+    human."""
 
     channel = "body_part"
 
@@ -123,7 +127,7 @@ class BodyPartWriter(_OneLabelWriter):
 
 
 class MaterialWriter(_OneLabelWriter):
-    """Skin, hair, garments and worn things."""
+    """Writes the kind of surface: skin, hair, garment or worn thing."""
 
     channel = "material"
 
@@ -132,7 +136,8 @@ class MaterialWriter(_OneLabelWriter):
 
 
 class FloWriter(FormatWriter):
-    """Optical flow to the next frame as ``.flo`` files of Middlebury; 1e10 where nothing is."""
+    """Writes optical flow to the next frame as ``.flo`` files of Middlebury; 1e10 where there is no
+    surface."""
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
         for camera, view in frame.frame.views.items():
@@ -140,8 +145,8 @@ class FloWriter(FormatWriter):
 
 
 class KittiFlowWriter(FormatWriter):
-    """Optical flow to the next frame as 16 bit PNG of KITTI. Valid in ``noc`` are only pixels that stay
-    visible; in ``occ`` all pixels that show something."""
+    """Writes optical flow to the next frame as 16 bit PNG of KITTI. In folder ``noc`` only pixels that stay
+    visible are valid; in ``occ`` all pixels that show a surface."""
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
         for camera, view in frame.frame.views.items():
@@ -152,20 +157,22 @@ class KittiFlowWriter(FormatWriter):
 
 
 def millimetres(depth: Float32Array) -> NDArray[np.uint16]:
-    """Depth (H, W) in metres as 16 bit millimetres; 0 where nothing is, and beyond 65.535 m."""
+    """Convert depth (H, W) from metres to 16 bit millimetres; 0 where there is no surface, or beyond 65.535
+    m."""
     scaled = np.rint(depth * _DEPTH_SCALE)
     return np.where(scaled <= _LARGEST_16, scaled, 0).astype(np.uint16)
 
 
 def flo_bytes(flow: Float32Array) -> bytes:
-    """Flow (H, W, 2) as a ``.flo`` file. NaN becomes 1e10, which means unknown."""
+    """Content of a ``.flo`` file with flow (H, W, 2). NaN becomes 1e10, which means unknown."""
     height, width = flow.shape[:2]
     known = np.where(np.isnan(flow), np.float32(_FLO_UNKNOWN), flow)
     return _FLO_TAG.tobytes() + np.array([width, height], "<i4").tobytes() + known.astype("<f4").tobytes()
 
 
 def kitti_flow(flow: Float32Array, valid: NDArray[np.bool_]) -> NDArray[np.uint16]:
-    """Flow as KITTI's image (H, W, 3) in the order of OpenCV: valid, v, u; invalid beyond 512 pixels.
+    """Convert flow to KITTI's image (H, W, 3) with channels in the order of OpenCV: valid, v, u. Flow of more
+    than 512 pixels is invalid.
 
     ``flow``: (H, W, 2) pixels. ``valid``: (H, W), pixels to keep.
     """
@@ -178,7 +185,7 @@ def kitti_flow(flow: Float32Array, valid: NDArray[np.bool_]) -> NDArray[np.uint1
 
 
 def encoded_image(image: Image, encoding: str, suffix: str) -> bytes:
-    """File of the output of a sensor.
+    """Encode the image of a camera as PNG or JPEG.
 
     Args:
         image: (H, W, 3), or (H, W) for mono8 and bayer_rggb8, which stay as they are.
@@ -192,7 +199,7 @@ def encoded_image(image: Image, encoding: str, suffix: str) -> bytes:
 
 
 def encoded_png(image: NDArray[Any]) -> bytes:
-    """PNG file of an image in the order of OpenCV: (H, W) or (H, W, 3), 8 or 16 bits."""
+    """Encode an image as PNG: (H, W) or (H, W, 3), 8 or 16 bits, channels in the order of OpenCV (BGR)."""
     return _encoded(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, _PNG_COMPRESSION])
 
 
@@ -204,7 +211,8 @@ def _encoded(suffix: str, image: NDArray[Any], options: list[int]) -> bytes:
 
 
 class VideoWriter(FormatWriter):
-    """A video for each camera: H.264, at the rate of the camera. If a side is odd, its last pixel is lost."""
+    """Writes an H.264 video for each camera, at the rate of the camera. If width or height is odd, one pixel
+    is cut off."""
 
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
         for camera in self.settings.cameras:
@@ -212,7 +220,7 @@ class VideoWriter(FormatWriter):
                 write_mp4(path, self._images(camera, folder), self.settings.rate_of(camera))
 
     def _images(self, camera: str, folder: ExportFolder) -> Iterator[Image]:
-        """Images (H, W, 3) of a camera, RGB."""
+        """Read the exported images (H, W, 3) of a camera, RGB, in order."""
         encoding = self.settings.scene.cameras[camera].encoding
         for index in self.settings.frames_of(camera):
             path = folder.root / self.settings.image(camera, index)

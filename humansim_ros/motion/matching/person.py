@@ -75,7 +75,7 @@ class BodySigns:
 
     @property
     def is_animal(self) -> bool:
-        """Whether enough signs of an animal come together."""
+        """Whether the signs together show an animal."""
         signs = bool(self.tail) + self.has_animal_proportions
         moves = (signs == 1 and self.fours >= _FOURS) or (signs == 2 and self.upright < _UPRIGHT)
         return moves and not self.stands_in_offsets
@@ -107,7 +107,7 @@ class BodySigns:
 
 
 def look_at_body(motion: Motion, roles: Mapping[str, int]) -> BodySigns | None:
-    """Signs of an animal in a motion with the joints ``roles``. None without shoulders or elbows."""
+    """Find signs of an animal in a motion with joints ``roles``. None without shoulders or elbows."""
     if not all(side + part in roles for side in ("Left", "Right") for part in _PARTS):
         return None
     points = motion.world_positions(spread_frames(motion, _MAX_SAMPLES))
@@ -138,7 +138,7 @@ def _directions(points: Array, roles: Mapping[str, int]) -> tuple[Array, Array, 
 
 
 def _length(points: Array, roles: Mapping[str, int], limb: tuple[str, str, str]) -> float:
-    """Mean length of a limb over both sides. The median over all poses is taken."""
+    """Mean length of a limb of both sides. The length of each side is the median over all poses."""
     lengths = []
     for side in ("Left", "Right"):
         joints = [roles[side + part] for part in limb if side + part in roles]
@@ -169,8 +169,8 @@ def match_motion(
     decides. Signs of an animal lower the confidence.
 
     Raises:
-        MotionError: The table does not fit, or the motion is not that of a person. The second is so if the
-            confidence is below ``min_confidence`` (by default 0.12).
+        MotionError: The table does not fit, or the motion is not that of a person: the confidence is below
+            ``min_confidence`` (by default 0.12).
     """
     min_confidence = MIN_CONFIDENCE if min_confidence is None else min_confidence
     try:

@@ -24,8 +24,8 @@ from humansim_ros.motion.matching.file_frame import BodyLines
 from humansim_ros.motion.matching.joint_tables import JointMatch
 from humansim_ros.types import Array, Indices
 
-#: Rotations of pelvis, chest and feet that are computed from positions. They come in this order after the
-#: rotations of all joints.
+#: Rotations of pelvis, chest and feet that are computed from joint positions. Arrays of rotations have them,
+#: in this order, after the rotations of all joints.
 LINE_ROTATIONS = ("pelvis", "chest", "l_ankle", "r_ankle")
 _LINE_OF_BONE = {
     "HumanoidRoot": "pelvis",
@@ -48,9 +48,9 @@ SHORTEST_LINK = 1e-4
 
 
 class DrivenBones(NamedTuple):
-    """Some bones of a level of a skeleton, and their drivers. ``places``: places of the bones in the level.
-    ``bones``: indices of the bones. ``starts``, ``ends``: joints at both ends of the driving links. If the
-    rotation of a joint drives a bone, ``starts`` and ``ends`` have the same joint."""
+    """Some bones of a level of the skeleton's tree, and their drivers. ``places``: indices in the level.
+    ``bones``: indices in the skeleton. ``starts``, ``ends``: joints at both ends of the driving links. If the
+    rotation of a joint drives a bone, ``starts`` and ``ends`` both have this joint."""
 
     places: Indices
     bones: Indices
@@ -58,7 +58,7 @@ class DrivenBones(NamedTuple):
     ends: Indices
 
     def among(self, chosen: ArrayLike) -> DrivenBones:
-        """Those of the bones that are ``chosen`` (b,)."""
+        """Keep only the bones that ``chosen`` (b,) selects: a mask or indices."""
         return DrivenBones(*(part[np.asarray(chosen, dtype=bool)] for part in self))
 
 
@@ -67,9 +67,9 @@ class BoneDrivers:
     """The drivers of the bones of a skeleton.
 
     ``extra``: include drivers of bones that the general skeleton lacks. ``rest_links``: bone -> direction
-    (3,) of its link at rest, in the axes of the bone at rest. Such a bone is not parallel to its link. It
-    leaves its rest pose as the link leaves its own. ``loose``: bones that do not use the rotations of their
-    joints. Among these, pelvis, chest and feet use :data:`LINE_ROTATIONS` instead.
+    (3,) of its link at rest, in the axes of the bone at rest. Such a bone is not parallel to its link, but
+    keeps its angle to the link. ``loose``: bones that do not use the rotations of their joints. Among them,
+    pelvis, chest and feet use :data:`LINE_ROTATIONS` instead.
     """
 
     skeleton: Skeleton
@@ -80,8 +80,8 @@ class BoneDrivers:
 
     @cached_property
     def _joints(self) -> dict[str, tuple[int, int]]:
-        """Bone -> the joint (twice) with the rotation that drives it. A negative number means a rotation from
-        positions."""
+        """Bone -> (joint, joint), the joint with the rotation that drives the bone, twice. A negative number
+        stands for one of :data:`LINE_ROTATIONS`."""
         drivers = {**(self.match.extra if self.extra else {}), **self.match.difference}
         for bone in self.loose:
             if drivers.pop(bone, None) is not None and (line := _LINE_OF_BONE.get(bone)) is not None:
@@ -106,11 +106,11 @@ class BoneDrivers:
 
     @cached_property
     def levels(self) -> tuple[tuple[Indices, DrivenBones, DrivenBones], ...]:
-        """For each level of the skeleton: all bones, bones driven by links, bones driven by rotations."""
+        """For each level of the tree: all bones, bones driven by links, bones driven by joint rotations."""
         return tuple((bones, *self._split(bones)) for bones in self.skeleton.levels)
 
     def inherited(self, rotations: Array, bones: Indices) -> Array:
-        """Rotations (N, b, 3, 3) of the bones of one level that follow their parents only."""
+        """Rotations (N, b, 3, 3) that bones of one level have if they only follow their parents."""
         local = self._at_rest[bones]
         parents = self.skeleton.parents[bones]
         above = np.where((parents < 0)[:, None, None], WORLD_FROM_BODY, rotations[:, parents])
@@ -169,11 +169,11 @@ class BoneDrivers:
         return rotations
 
     def turned(self, rotations: Array, positions: Array, turns: Array, chain: Indices) -> Array:
-        """Turn bones of a chain, and all bones that inherit rotations from the chain.
+        """Turn bones of a chain, and update all bones that inherit their rotations from the chain.
 
         Args:
             rotations, positions: Bones (N, B, 3, 3) and joints (N, J, 3), as in :meth:`transfer`.
-            turns, chain: Rotations (N, 3, 3) in ``map``, and numbers of the bones that they turn.
+            turns, chain: Rotations (N, 3, 3) in ``map``, and numbers of the bones to turn.
         """
         rotations = rotations.copy()
         rotations[:, chain] = turns[:, None] @ rotations[:, chain]
@@ -181,7 +181,7 @@ class BoneDrivers:
         return rotations
 
     def _inherit(self, rotations: Array, positions: Array, fixed: Indices = _NONE) -> None:
-        """Set the rotations (N, B, 3, 3) of bones that inherit them, except for the ``fixed`` bones."""
+        """Update rotations (N, B, 3, 3) of bones that inherit theirs, except those of the ``fixed`` bones."""
         *_, inheriting = self._transferred
         for bones, links in inheriting:
             before = rotations[:, fixed]
@@ -193,8 +193,8 @@ class BoneDrivers:
 
     @cached_property
     def _transferred(self) -> tuple[DrivenBones, DrivenBones, list[tuple[Indices, DrivenBones]]]:
-        """Bones with the rotation of their joint and a link; bones with the rotation only; and, for each
-        level of the skeleton, bones that inherit their rotation, and those of them that have a link."""
+        """Return bones that have a link and take the rotation of its joint; bones that take the rotation of a
+        joint, but have no link; and, for each level, bones that inherit their rotation, with their links."""
         links, joints = self.driven
         is_loose = np.array([self.skeleton.names[bone] in self.loose for bone in links.bones], dtype=bool)
         links, loose = links.among(~is_loose), links.among(is_loose)
@@ -205,27 +205,27 @@ class BoneDrivers:
 
     @cached_property
     def _leaving_rest(self) -> Indices:
-        """Bones with the rotation of their joint and a link, where bone and link are not parallel."""
+        """Bones that take the rotation of their joint and keep an angle to their link (``rest_links``)."""
         links, *_ = self._transferred
         return np.intersect1d(links.bones, [self.skeleton.bone(bone) for bone in self.rest_links])
 
     def _along_links(self, rotations: Array, bones: Indices) -> Array:
-        """Rotations (N, b, 3, 3) that make bones parallel to their links at rest. Only bones that differ
-        change."""
+        """Turn bones with rotations (N, b, 3, 3), which have an angle to their links at rest, along the
+        links. Bones that are parallel to their links do not change."""
         if self._from_links is None:
             return rotations
         return np.asarray(rotations @ np.swapaxes(self._from_links[bones], -1, -2))
 
     def _onto_links(self, rotations: Array, positions: Array, driven: DrivenBones) -> Array:
-        """Rotate bones (N, b, 3, 3), parallel to their links at rest, onto the links by the shortest way."""
+        """Rotate bones (N, b, 3, 3) onto their links by the shortest way; keep any angle between both."""
         swung = swing_onto(rotations, link_vectors(positions, driven.starts, driven.ends))
         return swung if self._from_links is None else swung @ self._from_links[driven.bones]
 
     @cached_property
     def _from_links(self) -> Array | None:
-        """Rotations (B, 3, 3) that restore the angle between a bone and its link at rest: the rotation of a
-        bone that lies along its link is multiplied by them on the right. Identity for bones that are parallel
-        to their links at rest. None if all bones are."""
+        """Rotations (B, 3, 3) from a bone along its link to a bone with its angle to the link at rest; to
+        multiply on the right. The identity for bones that are parallel to their links. None without
+        ``rest_links``."""
         if not self.rest_links:
             return None
         out = np.tile(np.eye(3), (len(self.skeleton), 1, 1))
@@ -248,16 +248,16 @@ def swing_onto(rotations: Array, links: Array) -> Array:
     return np.asarray(rotations @ quaternion_to_matrix(from_y_axis(goal)))
 
 
-#: Rotations of all joints that differ over time by less than this angle (radians) count as constant.
+#: If the rotations of all joints change over time by less than this angle (radians), they count as constant.
 _CONSTANT_ANGLE = 1e-6
 #: A line and a joint rotate together if they differ by less than these angles (degrees) in the median pose.
 _HIPS, _SHOULDERS, _FLEXIBLE = 12.0, 15.0, 25.0
-#: Rigid hips may differ by more in this share of the poses.
+#: Hips that are nevertheless rigid may differ by more than this angle in this share of the poses.
 _RIGID_SHARE = 0.1
 
 
 def has_rotations(poses: JointPoses) -> bool:
-    """Whether a source measures joint rotations. It does not if all rotations are zero or the same."""
+    """Whether a source measures joint rotations. False if all rotations are zero or constant."""
     rotations = poses.rotations
     if not (np.linalg.norm(rotations, axis=-1) > 0.5).all():
         return False
@@ -281,8 +281,8 @@ def loose_bones(poses: JointPoses, match: JointMatch, standing: bool) -> tuple[s
     left = np.array([0.0, 1.0, 0.0]) if standing else None
 
     def deviates(joint: int, line: Array, most: float, rest: Array | None = None, share: float = 0.5) -> bool:
-        """Whether a ``share`` of lines (N, 3) in ``map`` differs by more than ``most`` degrees from ``rest``
-        (3,), in the axes of a joint. If ``rest`` is None, from their mean direction."""
+        """Whether a ``share`` of lines (N, 3) in ``map``, seen in the axes of a joint, differs by more than
+        ``most`` degrees from ``rest`` (3,). If ``rest`` is None, from their mean direction."""
         known = np.linalg.norm(line, axis=-1) > SHORTEST_LINK
         inside = rotate(back[known, joint], unit_vectors(line[known]))
         if not len(inside):
@@ -317,8 +317,8 @@ def loose_bones(poses: JointPoses, match: JointMatch, standing: bool) -> tuple[s
 
 
 def line_rotations(poses: JointPoses, match: JointMatch) -> Array:
-    """Rotations from rest (N, 4, 3, 3) of :data:`LINE_ROTATIONS`, from joint positions. The pelvis follows
-    hips and trunk, the chest follows shoulders and trunk, and a foot follows its shin."""
+    """Compute rotations from rest (N, 4, 3, 3) for :data:`LINE_ROTATIONS` from joint positions. The pelvis
+    follows hips and trunk, the chest follows shoulders and trunk, and a foot follows its shin."""
     lines = BodyLines.of(poses.positions, match.roles)
     pelvis, chest = (lines.axes(left) @ WORLD_FROM_BODY.T for left in (lines.hips, lines.shoulders))
     feet = []

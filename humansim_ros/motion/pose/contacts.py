@@ -38,7 +38,7 @@ _CONTACT_HEIGHT, _CONTACT_SPEED = 0.05, 0.35
 _MAX_SPEED = 20.0
 #: Stances and gaps between stances that are shorter (seconds) are noise.
 _MIN_STANCE, _MIN_GAP = 0.10, 0.06
-#: Difference (metres) of the heights of toe and heel over which the load moves from one to the other.
+#: The load moves from toe to heel, or back, over this difference of their heights, metres.
 _LOAD_SOFTNESS = 0.01
 
 
@@ -109,7 +109,7 @@ def _without_short_runs(flags: NDArray[np.bool_], shortest: float) -> NDArray[np
     return out
 
 
-#: A correction straightens a leg up to this share of its length. A leg that was straighter before stays so.
+#: A correction may straighten a leg to this share of its full length. A leg that was straighter stays so.
 STRAIGHTEST = 0.9995
 #: A leg is not corrected if its ankle is nearer to the hip than this share of the length of the leg.
 _FOLDED = 0.25
@@ -154,7 +154,7 @@ def correction_share(hip: Array, knee: Array, ankle: Array) -> Array:
 
 
 def _bone_frame(along: Array, normal: Array) -> Array:
-    """Rotations (N, 3, 3) with the first axis along a bone and the second on its hinge."""
+    """Rotations (N, 3, 3) with the first axis along a bone and the second along the axis of its hinge."""
     out = np.empty((*along.shape, 3))
     out[..., 0] = unit_vectors(along)
     out[..., 1] = normal
@@ -175,16 +175,16 @@ _BATCH = 1000
 
 @dataclass(frozen=True)
 class FootContacts(PoseCorrection):
-    """Corrections that keep the feet of a motion in place. They depend on the time only.
+    """Corrections that keep the feet of a motion in place. They depend only on the time in the cycle.
 
-    :meth:`apply` moves the legs of the motion, so that the retargeted feet move and keep their orientation.
+    :meth:`apply` moves the legs of the motion, and the retargeted feet follow. Feet keep their orientation.
 
     Attributes:
         motion: Motion of a file.
         retargeter: Retargeting of the motion onto a skeleton.
-        phases: (M,) seconds of the file since the start of a cycle.
-        shifts: (M, 2, 3) metres in ``map``, for the left and the right ankle.
-        drops: (M,) metres by which the body is lowered so that the legs reach.
+        phases: (M,) seconds of the file since the start of a cycle, at which there are corrections.
+        shifts: (M, 2, 3) metres in ``map`` by which the left and the right ankle move.
+        drops: (M,) metres by which the body is lowered so that the legs can reach the corrected feet.
     """
 
     motion: Motion
@@ -294,7 +294,7 @@ class Leg:
         return cls(hip, knee, ankle, thigh, shin, foot)
 
     def stretch(self, positions: Array, thigh: Array, shin: Array) -> None:
-        """Give thigh and shin of joints (N, J, 3) lengths (N,) in metres, in place."""
+        """Set the lengths (N,) of thigh and shin in joint positions (N, J, 3), metres, in place."""
         for joints, start, end, length in (
             ([*self.shin, *self.foot], self.hip, self.knee, thigh),
             (self.foot, self.knee, self.ankle, shin),
@@ -326,13 +326,13 @@ class Leg:
             rotations[:, joints] = rotation[:, None] @ rotations[:, joints]
 
 
-#: Built-in motions in which other parts of the body than the soles touch the floor.
+#: Built-in motions in which the body touches the floor with other parts than the soles.
 ON_SKIN = frozenset({"lie", "fall", "crawl"})
 #: Seconds between the times for which the height of the body is computed, and seconds over which heights are
 #: smoothed.
 _SKIN_STEP, _SETTLED = 1 / 30, 0.1
-#: Largest distance of skin from the bones of thighs and shins, as shares of their lengths. Surfaces
-#: that are lower than ``_CROTCH`` (metres below the hips) and follow both legs do not count: they are hems of
+#: Skin that is farther from the bone of a thigh or shin than this share of its length does not count. The
+#: same is true for surfaces below ``_CROTCH`` (metres below the hips) that follow both legs: they are hems of
 #: skirts and coats, which hang and do not lie on the floor.
 _SKIN = (("hip", 0.3), ("knee", 0.2))
 _CROTCH = 0.1
@@ -340,12 +340,12 @@ _CROTCH = 0.1
 
 @dataclass(frozen=True)
 class SkinContact(PoseCorrection):
-    """Heights that put the lowest skin of a body on the floor. They depend on the time only.
+    """Heights that put the lowest skin of a body on the floor. They depend only on the time in the cycle.
 
     Attributes:
-        phases: (M,) seconds of the file since the start of a cycle.
+        phases: (M,) seconds of the file since the start of a cycle, at which there are heights.
         rises: (M,) metres by which the motion is raised.
-        before: Correction that is applied first. None if there is none.
+        before: Correction that is applied before this one. None if there is none.
     """
 
     phases: Array
@@ -398,8 +398,8 @@ def skin_on_floor(skeleton: Skeleton, vertices: Array, weights: csr_matrix) -> N
 
 
 def _phases(world: WorldMotion, step: float) -> Array:
-    """Phases (M,) from the start of a cycle to its end, a frame of the file or ``step`` seconds apart, the
-    longer of the two."""
+    """Evenly spaced phases (M,) over a cycle. Their distance is a frame of the file or ``step`` seconds,
+    whichever is longer."""
     count = max(2, round(world.cycle_length / max(world.motion.frame_time, step)) + 1)
     return np.asarray(np.linspace(0.0, world.cycle_length, count), dtype=float)
 
@@ -418,7 +418,7 @@ def _posed_legs(motion: WorldMotion, retargeter: Retargeter, times: Array) -> tu
 
 
 def _drops(skeleton: Skeleton, hips: Array, goals: Array, standing: NDArray[np.bool_], step: float) -> Array:
-    """Metres (N,) by which the body is lowered, so that standing legs reach their goals; smooth over time.
+    """Metres (N,), smooth over time, by which the body is lowered so that standing legs reach their goals.
 
     Args:
         skeleton: Skeleton with legs.

@@ -1,4 +1,4 @@
-"""Poses of hands with fingers that no motion drives: by name, by keys over time, and by what the arm does.
+"""Poses of hands with fingers that no motion drives: by name, by keys over time, and by raised arms.
 
 Between two poses the angles of the joints (:mod:`humansim_ros.motion.body.hands`) change linearly, so that a
 finger bends and never passes through the palm.
@@ -44,11 +44,11 @@ MAX_SECONDS = 1e6
 
 @dataclass(frozen=True)
 class HandKey:
-    """A pose of a hand from a ``time`` on, seconds of the motion file.
+    """A pose that a hand takes at ``time``, seconds of the motion file, and keeps until the next key.
 
     Attributes:
-        blend: From ``time`` on, the hand changes from the pose before to this pose over this time, seconds of
-            the file.
+        blend: Seconds of the file, after ``time``, over which the hand changes from the pose before to this
+            pose.
         over_motion: Whether the key also moves fingers that the motion moves.
     """
 
@@ -82,16 +82,16 @@ HAND_POSES: Mapping[str, Array] = {
 }
 assert tuple(HAND_POSES) == get_args(HandPoseName)
 #: Heights of the wrist above the shoulder, as shares of the length of the arm: the hand begins to open at the
-#: first, and is fully open at the second.
+#: first height, and is fully open at the second.
 _OPENS, _OPEN = 0.1, 0.4
-#: Names of joints that carry poses of hands in a motion begin with this text.
+#: Prefix of the names of the joints that carry poses of hands in joint poses.
 HAND_JOINT = "hand_pose/"
 HAND_JOINTS = frozenset(HAND_JOINT + bone for bone in FINGER_BONES)
 
 
 def hand_angles(name: str, anatomy: HandAnatomy) -> Array:
-    """Angles (15, 3) of a named pose, radians. If the hand of the body at rest is relaxed, the pose
-    ``relaxed`` is its rest pose. Raises MotionError if no pose has the name."""
+    """Angles (15, 3) of a named pose, radians. If the rest pose of the body has a relaxed hand, this is the
+    pose ``relaxed``. Raises MotionError if no pose has the name."""
     if name not in HAND_POSES:
         raise MotionError(unknown("hand pose", name, HAND_POSES))
     angles = np.radians(HAND_POSES[name])
@@ -103,8 +103,8 @@ def hand_angles(name: str, anatomy: HandAnatomy) -> Array:
 
 @dataclass(frozen=True)
 class ReachingHand:
-    """Pose of a hand while it reaches for something. ``shares``: function of scene times (N,) that returns
-    how much (N,) the hand is in this pose, 0 to 1."""
+    """Pose of a hand while it reaches for something. ``shares``: function that returns, for scene times (N,),
+    how far (N,) the hand has changed to this pose, 0 to 1."""
 
     side: Literal["left", "right"]
     pose: HandPoseName
@@ -115,7 +115,7 @@ class ReachingHand:
 class HandKeys:
     """Keys of the hands of a human over its motion.
 
-    Before its first key, a hand is relaxed. If the motion loops, it has the pose of its last key instead.
+    Before its first key, a hand is relaxed. If the motion loops, the hand has the pose of its last key there.
     Raises MotionError if a time is outside the motion, or a blend is negative.
     """
 
@@ -156,7 +156,7 @@ class HandKeys:
 
     @cached_property
     def bones(self) -> tuple[int, ...]:
-        """Numbers of the bones that move, in :data:`FINGER_BONES`."""
+        """Numbers, in :data:`FINGER_BONES`, of the bones that the keys move."""
         of = {side: self._of_side(side) for side in "lr"}
         over = [side for side, keys in of.items() if any(key.over_motion for key in keys)]
         return tuple(
@@ -169,7 +169,7 @@ class HandKeys:
         return [key for key in self.keys if key.side[0] in (side, "b")]
 
     def angles(self, times: Array) -> Array:
-        """Angles (N, 30, 3) in radians at times (N,) of a cycle, seconds of the file."""
+        """Angles (N, 30, 3), radians, of the finger bones at times (N,) of a cycle, seconds of the file."""
         sides = [self._side_angles(self._of_side(side), times) for side in "lr"]
         return np.concatenate(sides, axis=1)
 
@@ -184,20 +184,20 @@ class HandKeys:
         return out
 
     def reaching_for(self, reaching: Sequence[ReachingHand]) -> HandKeys:
-        """These keys, with other poses while hands reach. A hand without keys is relaxed at other times."""
+        """Add poses of hands while they reach. A hand without keys is relaxed at other times."""
         sides = sorted({each.side for each in reaching if not self._of_side(each.side[0])})
         relaxed = (HandKey("relaxed", self.motion.start, side) for side in sides)
         return replace(self, keys=(*relaxed, *self.keys), reaching=tuple(reaching))
 
     def add(self, poses: JointPoses, seconds: float, file_offset: float, delay: float = 0.0) -> JointPoses:
-        """Add joints that carry the poses of the hands to poses (N = 1) of a motion at a time.
+        """Add joints to poses (N = 1) of a motion at a time: one for each finger bone of the poses of hands.
 
-        The rotation of such a joint is the rotation of its bone. Its position is that of the first joint.
+        The rotation of such a joint is the rotation of the bone. Its position is that of the first joint.
 
         Args:
             poses, seconds: Joint poses of the motion, and their time, seconds.
-            file_offset: Seconds of the file by which the motion is ahead.
-            delay: Seconds by which the time of the motion is ahead of the scene.
+            file_offset: Seconds of the file that are added to the time of the motion.
+            delay: Seconds by which the time of the motion is ahead of scene time.
         """
         times = seconds + AROUND
         phases = self.motion.phases(times, file_offset)
@@ -220,10 +220,10 @@ def _driven(match: JointMatch) -> frozenset[str]:
 
 @dataclass(frozen=True)
 class FreeFingers:
-    """Moves the finger bones of a skeleton that no joint drives. A hand with given rotations takes them.
+    """Moves the finger bones of a skeleton that no joint drives.
 
-    Any other hand follows its arm: it is relaxed, and opens, with fingers apart, while the arm is raised.
-    ``free``: (30,) whether each finger bone is free, so that no joint drives any bone of its finger.
+    A hand takes given rotations, if there are any. Any other hand is relaxed, and opens with fingers apart
+    while its arm is raised. ``free``: (30,) whether each bone is free: no joint drives a bone of its finger.
     """
 
     skeleton: Skeleton
@@ -241,8 +241,8 @@ class FreeFingers:
         return cls(skeleton, anatomy, np.array([bone[:-1] not in fingers for bone in FINGER_BONES]))
 
     def move(self, rotations: Array, heads: Array, hands: Mapping[str, Array]) -> None:
-        """Set rotations (N, B, 3, 3) and heads (N, B, 3), z up, of finger bones that differ from the rest
-        pose. ``hands``: bone -> rotation (N, 4) xyzw in bone space."""
+        """Set rotations (N, B, 3, 3) and heads (N, B, 3), z up, of free fingers, and of bones in ``hands``:
+        bone -> rotation (N, 4) xyzw in bone space. Bones in the rest pose do not change."""
         turns: Array | None = None
         moved = np.zeros(len(FINGER_BONES), dtype=bool)
         opened = self._opened(heads)
@@ -284,7 +284,7 @@ class FreeFingers:
 
     @cached_property
     def _followers(self) -> tuple[tuple[int, int], ...]:
-        """Other bones that a finger carries, such as tips, each with the number of the finger."""
+        """Further bones that a finger carries, such as tips, each with the number of the finger."""
         finger_of = {int(bone): number // 3 for number, bone in enumerate(self.anatomy.bones) if bone >= 0}
         fingers = set(finger_of)
         for bone, parent in enumerate(self.skeleton.parents.tolist()):
@@ -301,7 +301,7 @@ class FreeFingers:
         return shoulders, wrists, self.skeleton.lengths[shoulders] + self.skeleton.lengths[elbows]
 
     def _opened(self, heads: Array) -> Array:
-        """How far the hands are open (N, 2), 0 to 1."""
+        """How far both hands are open (N, 2), 0 to 1, since their arms are raised."""
         shoulders, wrists, lengths = self._arms
         raised = (heads[:, wrists, 2] - heads[:, shoulders, 2]) / lengths
         return smooth_step((raised - _OPENS) / (_OPEN - _OPENS))

@@ -112,7 +112,7 @@ class JointRange(Section):
 
     @property
     def sides(self) -> dict[str, int]:
-        """Bone name -> side, of the bones that have these ranges."""
+        """Names of the bones that have these ranges, each with its side: 1 left, -1 right, 0 neither."""
         sides = {name: side_of(name) for name in (self.bone, f"l_{self.bone}", f"r_{self.bone}")}
         return {name: side for name, side in sides.items() if name in _bones()}
 
@@ -178,11 +178,11 @@ class LimitTable(Section):
 
 @dataclass(frozen=True)
 class JointCoordinates(ABC):
-    """Three coordinates of a joint of a skeleton, degrees: ``values`` (N, 3) below.
+    """Three coordinates (angles) of a joint of a skeleton, degrees: ``values`` (N, 3) in the methods.
 
-    ``bone``: index of the bone of the joint. ``chain``: bones between this bone and the bone of reference.
+    ``bone``: index of the bone of the joint. ``chain``: bones between this bone and its reference bone.
     ``before``, ``after``: (3, 3) rotations that convert the rotation of the joint to anatomical axes.
-    ``offset`` (N,): part of the third coordinate that comes from another joint.
+    ``offset`` (N,): what another joint adds to the third coordinate (twist).
     """
 
     range: JointRange
@@ -200,7 +200,7 @@ class JointCoordinates(ABC):
         return values
 
     def bone_rotation(self, relative: Array, rotations: Array) -> Array:
-        """Rotation (N, 3, 3) of the bone, from the rotation (N, 3, 3) of the joint in anatomical axes."""
+        """Convert rotations (N, 3, 3) of the joint in anatomical axes to rotations (N, 3, 3) of the bone."""
         inherited = np.swapaxes(self._inherited(rotations), -1, -2)
         return np.asarray(inherited @ self.before.T @ relative @ self.after.T)
 
@@ -215,17 +215,17 @@ class JointCoordinates(ABC):
         return -pair[1].degrees - self.margin, pair[0].degrees + self.margin
 
     def pair_against_limits(self, pair: Sequence[Limit], values: Array) -> Iterator[tuple[str, float, Array]]:
-        """(angle, limit, values (N,)) of both limits of a pair."""
+        """Yield angle name, limit and values (N,) for both limits of a pair, in degrees."""
         for row, signed in zip(pair, (values, -values), strict=True):
             yield row.angle, row.degrees + self.margin, signed
 
     @abstractmethod
     def split(self, relative: Array) -> Array:
-        """Coordinates (N, 3) of rotations (N, 3, 3) in anatomical axes."""
+        """Convert rotations (N, 3, 3) in anatomical axes to coordinates (N, 3)."""
 
     @abstractmethod
     def compose(self, values: Array, offset: Array) -> Array:
-        """Rotations (N, 3, 3) in anatomical axes that have the coordinates."""
+        """Convert coordinates (N, 3) to rotations (N, 3, 3) in anatomical axes."""
 
     @abstractmethod
     def clamp(self, values: Array) -> Array:
@@ -233,11 +233,11 @@ class JointCoordinates(ABC):
 
     @abstractmethod
     def named_angles(self, values: Array) -> dict[str, Array]:
-        """Angle -> values (N,), degrees."""
+        """Return the coordinates by the names of their angles: name -> (N,) degrees."""
 
     @abstractmethod
     def against_limits(self, values: Array) -> Iterator[tuple[str, float, Array]]:
-        """(angle, limit, values (N,)) of each limit."""
+        """Yield angle name, limit and values (N,) for each limit, in degrees."""
 
 
 class HingeCoordinates(JointCoordinates):
@@ -251,7 +251,7 @@ class HingeCoordinates(JointCoordinates):
 
     @cached_property
     def axes(self) -> tuple[Array, float]:
-        """Right-handed axes as columns (3, 3), and the sign of the third axis in them."""
+        """Right-handed axes as columns (3, 3); and -1 if the third range turns the other way, else 1."""
         first, second, third = (pair[0].axis(self.side) for pair in self.pairs)
         right_handed = np.cross(first, second)
         return np.stack([first, second, right_handed], axis=-1), float(right_handed @ third)
@@ -282,8 +282,8 @@ class HingeCoordinates(JointCoordinates):
 
 
 class ConeCoordinates(JointCoordinates):
-    """Coordinates of a cone: distance of the bone from the middle of the cone, azimuth about the middle, and
-    twist. The twist counts from the shortest rotation out of the middle."""
+    """Coordinates of a bone in a cone: distance from the middle of the cone, azimuth about the middle, and
+    twist. The twist is counted from the shortest rotation out of the middle."""
 
     @cached_property
     def middle(self) -> Array:
@@ -369,8 +369,8 @@ class ConeCoordinates(JointCoordinates):
 
 
 def _rotations_from_axis(start: Array, ends: Array) -> Array:
-    """Shortest rotations (..., 3, 3) of the unit vector ``start`` (3,), which is along an axis, onto ``ends``
-    (..., 3)."""
+    """Shortest rotations (..., 3, 3) from ``start`` (3,), a unit vector along an axis, to ``ends`` (...,
+    3)."""
     second = np.roll(start, 1)
     axes = np.stack([second, start, np.cross(second, start)], axis=-1)
     return np.asarray(axes @ quaternion_to_matrix(from_y_axis(ends @ axes)) @ axes.T)
@@ -388,11 +388,11 @@ _ROUNDING = 1e-6
 
 @dataclass(frozen=True)
 class LimitViolation:
-    """An angle that is beyond its limit in some frames. ``dataclasses.asdict`` makes JSON types of it.
+    """An angle that is beyond its limit in some frames. ``dataclasses.asdict`` turns it into JSON types.
 
-    For a cone, ``angle`` is the nearest direction that the table names. Its values are the limit plus the
-    distance of the bone from the cone. ``limit``: degrees, with the margin of the table. ``worst``: largest
-    value, degrees, and ``frame``: where it is. ``share``: share of the frames beyond the limit.
+    ``angle`` of a cone: the nearest direction that has a name in the table. The value of this angle is the
+    limit plus the distance of the bone from the cone. ``limit``: degrees, with the margin of the table.
+    ``worst``: largest value, degrees, in frame ``frame``. ``share``: share of the frames beyond the limit.
     """
 
     bone: str
@@ -420,9 +420,9 @@ class JointLimits:
         return limits
 
     def angles(self, rotations: Array) -> dict[str, Array]:
-        """Anatomical angles (N,) in degrees, by ``<bone>.<angle>``. The angle is the first name of a range:
-        ``l_elbow.flexion`` is negative in extension. For shoulders and hips, the angle from hanging down is
-        divided between flexion and abduction."""
+        """Anatomical angles (N,) in degrees, by ``<bone>.<angle>``. An angle has the name of the first limit
+        of its range: ``l_elbow.flexion`` is negative in extension. For shoulders and hips, the angle from
+        hanging down is divided between flexion and abduction."""
         return {
             f"{self.skeleton.names[joint.bone]}.{angle}": value
             for joint, values, _ in self._measure(self._body_rotations(rotations))
@@ -463,8 +463,8 @@ class JointLimits:
         return out
 
     def _measure(self, body_rotations: Array) -> Iterator[tuple[JointCoordinates, Array, Array]]:
-        """Joints with their coordinates and offsets, parents first. If the caller changes ``body_rotations``
-        meanwhile (to clamp a joint), the change counts for all later joints."""
+        """Yield joints, parents first, with coordinates (N, 3) and offsets (N,). If the caller changes
+        ``body_rotations`` (to clamp a joint), the joints that follow are measured with the change."""
         for joint, partner in self._joints:
             offset: Array = np.zeros(len(body_rotations))
             if partner is not None:
@@ -482,7 +482,7 @@ class JointLimits:
 
     @cached_property
     def _joints(self) -> tuple[tuple[JointCoordinates, JointCoordinates | None], ...]:
-        """Joints, parents first. Each comes with the joint that adds its twist, or None."""
+        """Joints, parents first. Each comes with the joint that adds a twist to the joint, or None."""
         names = self.skeleton.names
         joints: dict[str, JointCoordinates] = {}
         rows = {bone: row for row in self.table.joints for bone in row.sides}
@@ -527,8 +527,8 @@ class JointLimits:
 
 
 def _as_hinge(joint: JointCoordinates) -> JointCoordinates:
-    """Coordinates of a joint in the axes of its bone. At rest, the joint is bent, but not turned sideways or
-    twisted."""
+    """Return coordinates of a joint in the axes of its bone. At rest, only the bend of the joint may differ
+    from zero."""
     bend: Array = np.zeros((1, 3))
     if joint.range.along is not None:
         bend[0, 0] = joint.split((joint.before @ joint.after)[None])[0, 0]

@@ -31,33 +31,33 @@ from humansim_ros.types import Array, Indices
 _PHASES = 120
 #: Shortest stride of a walk, metres, and largest turn within a cycle, radians.
 _LEAST_STRIDE, _MOST_TURN = 0.3, 0.1
-#: Number of points with heading, phase and stride between two points of a path.
+#: Heading, phase and stride are computed at this number of times for each point of a path.
 _FINE = 4
 #: Speed and direction are smoothed over these times (standard deviation, seconds).
 _SMOOTH_SPEED, _SMOOTH_DIRECTION = 0.25, 0.3
 #: A person who is faster than the first value (m/s) faces the direction of the walk. The second value is the
-#: speed of a turn on the spot, radians per second.
+#: angular speed of a turn on the spot, radians per second.
 _FACING, _TURN = 0.15, 1.6
-#: Metres per radian of a turn. Steps of a turn on the spot are like those of a walk of this length.
+#: Metres per radian of a turn. A turn on the spot needs as many steps as a straight walk of this length.
 _TURN_ARM = 0.35
-#: A foot stands if its speed, relative to that of the walk, is below the first value. It is kept in place if
-#: the stride is at least the second share. The other values are the largest corrections, metres and radians.
+#: A foot stands if its speed relative to the walk is below the first value. It is kept in place if the share
+#: of the stride is at least the second value. The others are the largest corrections, metres and radians.
 _SLOW, _PINNED, _MAX_SHIFT, _MAX_FOOT_TURN = 1.0, 0.15, 0.25, 0.7
 #: Shortest time of a foot on the floor, as a share of the cycle.
 _SHORTEST_STANCE = 0.08
-#: Smallest share of the stride. People who are slower take fewer steps instead.
+#: Smallest length of steps, as a share of the stride. People who are slower take fewer steps instead.
 _LEAST_SHARE = 0.15
 
 
 @dataclass(frozen=True)
 class Gait:
-    """A walk on the spot, and the pose of somebody who stands. Joints are relative to a point of the floor,
-    facing +x.
+    """Poses of a walk on the spot, and the pose of somebody who stands. Joint positions are relative to a
+    point on the floor. The person faces +x.
 
     Attributes:
-        stride, seconds: Metres and seconds of a cycle of two steps.
-        positions, rotations: (P + 1, J, 3) metres, and (P + 1, J, 4) xyzw from rest, from phase 0 to 1.
-        standing: (J, 3) and (J, 4), the pose of somebody who stands.
+        stride, seconds: Length (metres) and duration (seconds) of a cycle of two steps.
+        positions, rotations: Poses of a cycle from phase 0 to 1: (P + 1, J, 3) metres, (P + 1, J, 4) xyzw.
+        standing: Positions (J, 3) and rotations (J, 4) of somebody who stands.
         legs: Left leg and right leg.
         leg_lengths: Lengths of thigh and shin of both legs, (2, 2) metres.
         stances: For each foot, (S, 2) phases at which the foot comes to the floor and leaves the floor. The
@@ -129,7 +129,7 @@ class Gait:
         return positions, slerp(np.broadcast_to(upright, rotations.shape), rotations, share)
 
     def ankles(self, feet: Indices, phases: Array, shares: Array) -> Array:
-        """Ankles (N, 3) of feet (N,), 0 for left and 1 for right, as in :meth:`at`."""
+        """Positions (N, 3) of the ankles of ``feet`` (N,): 0 left, 1 right. See :meth:`at`."""
         joints = np.array([leg.ankle for leg in self.legs])[feet]
         before, part = self._between(phases)
         path, still = self.positions[before, joints], self.standing[0][joints]
@@ -138,14 +138,14 @@ class Gait:
 
     @staticmethod
     def _between(phases: Array) -> tuple[Indices, Array]:
-        """Numbers (N,) of the poses before phases, and shares (N, 1) of the way to the next ones."""
+        """For phases (N,): number (N,) of the pose before each, and share (N, 1) of the way to the next."""
         place = (phases % 1.0) * _PHASES
         before = np.minimum(place.astype(int), _PHASES - 1)
         return before, (place - before)[:, None]
 
 
 def _stances(path: Array) -> Array:
-    """Phases (S, 2) between which a foot is slow and on the floor. ``path``: (P + 1,) in strides."""
+    """Phases (S, 2) at which a foot lands and leaves the floor. ``path``: (P + 1,) its way in strides."""
     slow = 1 + np.gradient(path, 1 / _PHASES)[:-1] < _SLOW
     if slow.all() or not slow.any():
         return np.array([[0.0, 0.5]])
@@ -195,8 +195,8 @@ class WalkPath:
         return np.asarray(self._spline(times % self.duration))
 
     def stepping(self, gait: Gait, size: float) -> scipy.interpolate.PchipInterpolator:
-        """Heading in radians, phase and share of the stride, as a function of the time of a round. ``size``:
-        of the person relative to the motion."""
+        """Make a function of the time in a round that returns heading in radians, phase, and share of the
+        stride. ``size``: size of the person relative to the motion."""
         step = self.step / _FINE
         times = step * np.arange(_FINE * len(self.points) + 1)
         velocity = np.asarray(self._spline(np.minimum(times, times[-1] * (1 - 1e-12)), 1))
@@ -244,7 +244,7 @@ def _headings(velocity: Array, step: float, facing: float) -> Array:
 
 @dataclass(frozen=True)
 class PathMotion(WorldMotion):
-    """A walk along a path on the floor. Its time is the time of the path, and its size is that of the person.
+    """A walk along a path on the floor. Times are those of the path; sizes are those of the person.
 
     Attributes:
         gait: Walk on the spot.
@@ -263,7 +263,7 @@ class PathMotion(WorldMotion):
 
     @cached_property
     def _phases(self) -> Array:
-        """Phases at the times of ``_stepping``."""
+        """Phase of the gait at each time in ``_stepping.x``."""
         return np.asarray(self._stepping(self._stepping.x)[:, 1])
 
     @cached_property
@@ -280,8 +280,8 @@ class PathMotion(WorldMotion):
 
 
 def sample_together(motions: Sequence[PathMotion], times: Sequence[Array]) -> list[JointPoses]:
-    """Sample walks with the same gait together, with velocities. Many people take little longer than one.
-    ``times``: file times of each walk, (N,) seconds. N must be the same for all walks."""
+    """Sample several walks with the same gait at once, with velocities: takes little longer than for one
+    walk. ``times``: file times of each walk, (N,) seconds. N must be the same for all walks."""
     count = len(times[0])
     around = np.concatenate([[t - VELOCITY_STEP, t, t + VELOCITY_STEP] for t in times])
     positions, rotations = (
@@ -296,8 +296,8 @@ def sample_together(motions: Sequence[PathMotion], times: Sequence[Array]) -> li
 
 @dataclass(frozen=True)
 class _Walks:
-    """Walks of M people with one gait. Arrays of N samples hold the samples of the first person, then of the
-    next, and so on.
+    """Walks of M people with one gait. Arrays of N samples have ``count`` samples of the first person, then
+    of the next, and so on. (K N,) stands for K such arrays, one after the other.
 
     Attributes:
         motions: The walks.
@@ -308,7 +308,7 @@ class _Walks:
     count: int
 
     def _of_each(self, evaluate: Callable[[PathMotion, Array], Array], values: Array) -> Array:
-        """Values (K N, ...) of a function of each person, for the person's part of ``values`` (K N,)."""
+        """Call a function for each person with the person's rows of ``values`` (K N,). Returns (K N, ...)."""
         parts = values.reshape(-1, len(self.motions), self.count)
         found = [evaluate(motion, parts[:, i].ravel()) for i, motion in enumerate(self.motions)]
         shape = found[0].shape[1:]
@@ -329,11 +329,11 @@ class _Walks:
 
     @property
     def _sizes(self) -> Array:
-        """(N,) sizes of the people relative to the motion."""
+        """Size (N,) of the person of each sample, relative to the motion."""
         return np.repeat([motion.size for motion in self.motions], self.count)
 
     def poses(self, times: Array) -> tuple[Array, Array]:
-        """Positions (N, J, 3) and rotations (N, J, 4) at times (N,), seconds of the paths."""
+        """Positions (N, J, 3) and rotations (N, J, 4) of the joints at times (N,), seconds of the paths."""
         gait, sizes = self.motions[0].gait, self._sizes
         times = times % np.repeat([motion.cycle_length for motion in self.motions], self.count)
         heading, phase, share = self._stepping(times)
@@ -361,8 +361,8 @@ class _Walks:
         return positions, matrix_to_quaternion(matrices)
 
     def _shifts(self, times: Array, phases: Array) -> Array:
-        """How both feet must move (metres) and turn (radians) to stay in their places: (2, N, 4). ``times``:
-        seconds of the paths. ``phases``: (N,) at these times."""
+        """Corrections (2, N, 4) that keep both feet in place: a shift, metres, and a turn, radians.
+        ``times``: (N,) seconds of the paths. ``phases``: (N,) phases at these times."""
         feet, middles, at, weights = [], [], [], []
         for foot, stances in enumerate(self.motions[0].gait.stances):
             number = np.floor(phases).astype(int) * len(stances) - 1
@@ -383,7 +383,7 @@ class _Walks:
 
     def _to_plant(self, feet: Indices, middles: Array, times: Array) -> Array:
         """Vectors (K N, 4) from feet to the places where they will stand, metres, and the angles of their
-        turns, radians. All arguments are (K N,).
+        turns, radians. Each argument has one value for each row (K N,).
 
         Args:
             feet: 0 left, 1 right.

@@ -1,5 +1,5 @@
-"""Hands that reach for something and stay there: corrections of the arms of a motion; and the questions that
-they ask about other humans, objects and cameras of a scene."""
+"""Hands that reach for something and stay there, as corrections of the arms of a motion; and the queries
+about humans, objects and cameras of a scene that reaches need."""
 
 from __future__ import annotations
 
@@ -48,8 +48,8 @@ WITHOUT_REACH = BODY - {PoseStage.ARMS}
 class SceneQuery(Protocol):
     """Tells where humans, objects and cameras of a scene are, by name, with the present content of the scene.
 
-    No answer depends on itself. If two people look at each other, each turns to the eyes of the other before
-    the other head turns. If two hands meet, they meet between the arms as they are without a reach.
+    No answer depends on itself. If two people look at each other, each looks at the place of the other's eyes
+    before the other head turns. If two hands meet, they meet between the arms as posed without a reach.
     """
 
     @property
@@ -87,13 +87,13 @@ PALM, _THICK = 0.45, 0.05
 _FINGERS_UP = 0.3
 #: If the hand turns about the forearm, the forearm takes this share of the turn (pronation).
 _PRONATION = 0.75
-#: The elbow swings out by this share of that turn, about the line from shoulder to wrist.
+#: The elbow swings out by this share of the same turn, about the line from shoulder to wrist.
 _SWIVEL = 0.4
 #: Most steps of the wrist solver. It stops before if the axes of the hand change by less than the tolerance.
 #: Each step leaves less than a third of the error.
 _STEPS, _FOUND = 16, 1e-7
-#: Number of passes for bodies with limbs that do not turn exactly as those of the motion: with limits, or
-#: with swing only.
+#: Number of passes for bodies with limbs that do not turn exactly as the limbs of the motion, because of
+#: joint limits or because bones take only the swing.
 _REFINED = 5
 
 
@@ -120,7 +120,7 @@ class HandGoal:
         return HandGoal(place, palm, fingers)
 
 
-#: Returns the goal of a hand at scene times (N,). It may ask the query about other humans and objects.
+#: Function that returns the goal of a hand at scene times (N,), and may ask where other things are.
 GoalAt = Callable[[Array, SceneQuery], HandGoal]
 
 
@@ -132,11 +132,11 @@ class Reach:
         side: The hand.
         start: Scene time at which the hand leaves the pose of the motion, seconds. A hand that is always at
             its goal starts at -infinity, with a blend of 0.
-        end: Scene time at which it is back, seconds. If infinite, it never goes back.
+        end: Scene time at which the hand is back, seconds. If infinite, the hand never goes back.
         blend: Seconds of the way to the goal, and of the way back.
         goal: The goal over scene time.
-        repeat: Seconds after which the reach begins again. If infinite, it happens once.
-        key: Key of the section of the human that asks for it.
+        repeat: Seconds after which the reach begins again. If infinite, the reach happens once.
+        key: Key in the human's section of the scene file that asks for this reach.
     """
 
     side: Literal["left", "right"]
@@ -153,7 +153,7 @@ class Reach:
         return self.end if self.repeat == np.inf else np.inf
 
     def shares(self, times: Array) -> Array:
-        """How far (N,) the hand has gone, from 0 to 1, with minimum jerk [Flash, Hogan 1985]."""
+        """How far (N,) the hand is on its way to the goal, 0 to 1, with minimum jerk [Flash, Hogan 1985]."""
         times = in_round(times, self.start, self.repeat)
         if self.blend == 0:
             return np.where((times >= self.start) & (times <= self.end), 1.0, 0.0)
@@ -166,7 +166,7 @@ class Reach:
 
 
 def in_round(times: Array, start: float, repeat: float) -> Array:
-    """Times (N,) in the first round of an event that begins at ``start`` and each ``repeat`` seconds."""
+    """Convert times (N,) to the first round of an event at ``start`` and every ``repeat`` seconds after."""
     if not np.isfinite(repeat):
         return times
     return np.where(times < start, times, start + (times - start) % repeat)
@@ -209,7 +209,7 @@ class Palm:
         return cls((upper, lower, hand), length * (PALM * along + _THICK * normal), normal)
 
     def points(self, posed: Array, size: Array | float = 1.0) -> Array:
-        """Points (N, 3) of the palm. ``posed``: bones (N, B, 4, 4). ``size``: of the body, (N, 1)."""
+        """Points (N, 3) of the palm. ``posed``: bones (N, B, 4, 4). ``size``: size of the body, (N, 1)."""
         frames = posed[:, self.bones[2]]
         return np.asarray(frames[:, :3, 3] + size * rotate(frames[:, :3, :3], self.point))
 
@@ -224,8 +224,8 @@ class ReachingArm:
     def solve(self, posed: Array, goal: HandGoal, shares: Array) -> tuple[Array, Array, Array]:
         """Rotations (N, 3, 3) of upper arm, forearm and hand that bring the palm to a goal.
 
-        ``posed``: bone frames (N, B, 4, 4) without the reach. The place of the goal is already on the way to
-        the touched thing. ``shares``: (N,) share of the turn that the hand makes.
+        ``posed``: bone frames (N, B, 4, 4) without the reach. ``goal``: its place is already interpolated on
+        the way to the touched thing. ``shares``: (N,) share of the turn that the hand makes.
         """
         shoulder, elbow, wrist = (posed[:, bone, :3, 3] for bone in self.palm.bones)
         before = posed[:, self.palm.bones[2], :3, :3]
@@ -276,7 +276,7 @@ class Reaches:
     """All reaches of a human. They correct the poses of its motion, and depend on the time only.
 
     Attributes:
-        reaches: The reaches. Those of one hand do not overlap.
+        reaches: The reaches. Reaches of the same hand do not overlap.
         motion, retargeter: Motion of a file, and its retargeting onto a skeleton.
         poses: Poses of the hands while they reach.
     """

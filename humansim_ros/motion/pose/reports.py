@@ -116,7 +116,7 @@ def headings(match: JointMatch, poses: JointPoses) -> Array:
 
 
 def mean_heading(match: JointMatch, poses: JointPoses) -> float | None:
-    """Direction (radians in ``map``) of the mean of :func:`headings`; None if there is no common one."""
+    """Direction of the mean of :func:`headings`, radians in ``map``. None without a common direction."""
     x, y = headings(match, poses).mean(0)
     return float(np.arctan2(y, x)) if np.hypot(x, y) > _MIN_MEAN_HEADING else None
 
@@ -156,7 +156,7 @@ def _file_summary(motion: Motion) -> dict[str, Any]:
 
 
 def _person_summary(world: WorldMotion, skeleton: Skeleton) -> tuple[dict[str, Any], list[str]]:
-    """Keys of a person, and warnings."""
+    """Return the keys of a summary about the person, and warnings."""
     motion, match, frame = world.motion, world.match, world.frame
     retargeter = Retargeter.fit(world, skeleton)
     samples = _sample_frames(motion.n_frames)
@@ -207,7 +207,7 @@ def _floor(world: WorldMotion) -> float:
     return floor_height((points @ upward).min(-1)) * float(upward.sum())
 
 
-#: Radius as a share of the stature. For the trunk, also half its width. Measured on assets/humans/adult_man.
+#: Radii of capsules as shares of the stature; for the trunk, half widths, too. From assets/humans/adult_man.
 _RADII = {
     "HumanoidRoot": (0.066, 0.098),
     "sacroiliac": (0.072, 0.089),
@@ -255,8 +255,8 @@ class Capsules:
 
     @property
     def pairs(self) -> Indices:
-        """(P, 2) bones that are compared. Bones that are joined are not compared. Here, connectors and
-        collars count as the trunk. Bones with capsules that touch at rest are not compared either."""
+        """(P, 2) pairs of bones that are compared. Bones that are joined are left out (connectors and collars
+        count as the trunk here), and bones with capsules that touch at rest."""
         return self._pair_table[0]
 
     @property
@@ -282,8 +282,8 @@ class Capsules:
 
     @cached_property
     def _pair_table(self) -> tuple[Indices, Indices, Indices]:
-        """Pairs of bones (P, 2), pairs of capsules (Q, 2) sorted by pair of bones, and the first pair of
-        capsules for each (P,)."""
+        """Pairs of bones (P, 2); pairs of capsules (Q, 2), sorted by their pair of bones; and, for each pair
+        of bones, the index (P,) of its first pair of capsules."""
         capsules = np.stack(np.triu_indices(len(self.bones), 1), axis=1)
         bones = np.sort(self.bones[capsules], axis=1)
         order = np.lexsort(bones.T[::-1])
@@ -297,8 +297,7 @@ class Capsules:
         return pairs, capsules[compared], begins
 
     def _adjacent(self) -> NDArray[np.bool_]:
-        """(B, B) whether two bones are the same or joined. Bones without capsules between them are
-        skipped."""
+        """(B, B) whether two bones are the same, or are joined directly or through bones without capsules."""
         size = len(self.skeleton)
         joined = np.eye(size, dtype=bool)
         for bone, parent in enumerate(self.skeleton.parents):

@@ -42,7 +42,7 @@ from humansim_ros.motion.pose.limits import JointLimits, load_limits
 from humansim_ros.motion.pose.world_motion import WorldMotion, floor_height
 from humansim_ros.types import Array, Indices
 
-#: Hands without any pose from keys.
+#: Default for ``hands``: no finger has a pose from keys.
 NO_HANDS: Mapping[str, Array] = {}
 #: Feet are flat on the floor in this percentage of the poses: those with the lowest ankles.
 _FLAT_PERCENTILE = 20
@@ -52,7 +52,7 @@ _HINGE_AGREEMENT = 0.8
 #: Bones that leave their rest pose as their links do, instead of being parallel to the links. In most files,
 #: these links rise from the spine to the shoulders at rest.
 COLLARS = ("l_sternoclavicular", "r_sternoclavicular")
-#: The trunks of body and joints may differ by this angle (degrees).
+#: The directions of the body's trunk and of the trunk of the joints may differ by this angle (degrees).
 _TRUNK_TOLERANCE = 13.0
 _TRUNK = ("sacroiliac", "vl5", "vl5_to_l_sternoclavicular", "vl5_to_r_sternoclavicular")
 #: Hinges of elbows and knees: upper and lower bone, and the axis of a bend. Elbows bend forwards and knees
@@ -116,8 +116,8 @@ def shared_rest(drivers: BoneDrivers, poses: JointPoses) -> Array:
 
 
 def rest_from_first_pose(drivers: BoneDrivers, poses: JointPoses) -> Array:
-    """Bone axes (B, 3, 3) relative to the axes of their joints, for joints with any axes. The first pose
-    defines them: there, the bones are where the shortest rotations put them."""
+    """Bone axes (B, 3, 3) relative to the axes of their joints, if those are arbitrary. In the first pose,
+    the bones are where the shortest rotations put them: this defines the axes."""
     skeleton = drivers.skeleton
     by_lines = replace(drivers, extra=False, loose=skeleton.names, rest_links={})
     first = JointPoses(poses.names, poses.positions[:1], poses.rotations[:1])
@@ -156,7 +156,7 @@ def collar_links(
 
 
 def align_hinges(drivers: BoneDrivers, rest: Array, poses: JointPoses) -> Array:
-    """Twist limbs in ``rest``, so that elbows and knees bend about the axes of the skeleton."""
+    """Twist limbs in ``rest``, so that elbows and knees bend about the hinge axes of the skeleton."""
     skeleton, match = drivers.skeleton, drivers.match
     rest = np.array(rest)
     rotations = quaternion_to_matrix(poses.rotations)
@@ -375,10 +375,10 @@ class Retargeter:
     def fit_live(cls, poses: JointPoses, match: JointMatch, skeleton: Skeleton) -> Retargeter:
         """Fit to some poses (N >= 1) of a live source, with the floor at z = 0.
 
-        Rotations are relative to a standing rest pose that faces +x, as from the motion player, or to any
-        constant rest pose, which the first pose then shows. If all rotations are the same, bones follow only
-        their links, and the trunk follows hips and shoulders. The scale is the ratio of the lengths of the
-        legs, about the origin of ``map``.
+        Rotations are relative to a standing rest pose that faces +x, as from the motion player. Otherwise
+        they may be relative to any constant rest pose: then the first pose defines the bone axes. If all
+        rotations are the same, bones follow only their links, and the trunk follows hips and shoulders. The
+        scale is the ratio of the lengths of the legs, about the origin of ``map``.
 
         Raises:
             MotionError: The legs have no length.
@@ -402,11 +402,11 @@ class Retargeter:
         return fitted._with(lift=-floor_height(lowest - scale * above))
 
     def placed_about(self, x: float, y: float) -> Retargeter:
-        """The same retargeter, which scales the movement of the root about another point of the floor."""
+        """Return a copy that scales the movement of the root about another point of the floor."""
         return self._with(origin=(float(x), float(y)))
 
     def _with(self, **changes: Any) -> Retargeter:
-        """The same retargeter with changes that do not concern its drivers, which are not built again."""
+        """Return a copy with changes. They must not concern the drivers, which are taken over unchanged."""
         changed = replace(self, **changes)
         for name in ("_drivers", "_limits", "_free_fingers"):
             if name in self.__dict__:

@@ -31,8 +31,8 @@ from humansim_ros.types import Array, Indices
 #: A step is a jump if it is faster than the first value (m/s) and longer than the second (metres). The
 #: fastest run is 12.4 m/s.
 _MAX_SPEED, _MIN_DISTANCE = 15.0, 0.3
-#: Frames between two jumps are an error of the recording if they are short: shorter than the first value
-#: (seconds) and than this share of the longest part without a jump.
+#: Frames between two jumps are a recording error if they last less than the first value (seconds), and less
+#: than the second value as a share of the longest part without a jump.
 _ERROR_SECONDS, _ERROR_SHARE = 0.5, 0.25
 #: If a person stands still, channels vary by less than this value, degrees or file units.
 _STILL = 0.1
@@ -68,7 +68,7 @@ def find_jumps(path: Array, frame_time: float) -> tuple[Jump, ...]:
 
 
 def leading_rest(motion: Motion, jumps: Sequence[Jump]) -> int:
-    """Number of frames before the first jump in which a rest pose does not move; 0 if there are none.
+    """Number of frames of a rest pose before the first jump. 0 if the first frames are no rest pose.
 
     Some programs write the rest pose at the origin as the first frame, and the person elsewhere. Frames are a
     rest pose if all rotations are zero; or if the root is at or above the origin of the file in fewer than
@@ -119,7 +119,7 @@ class Placement:
     """Place of a motion in ``map``: its anchor is at ``position`` (x, y), rotated by ``yaw`` radians.
 
     ``anchor``: ``start`` is the root in the first frame, ``center`` the middle of the ground that the motion
-    covers, ``file`` the origin of the file. Only steady frames count.
+    covers, ``file`` the origin of the file. Only frames of :func:`steady_frames` count.
     """
 
     position: tuple[float, float] = (0.0, 0.0)
@@ -149,7 +149,7 @@ class WorldMotion:
             position and heading, so that a walk cycle walks on.
         start: Start of the part of the file to play, seconds of the file.
         end: End of that part, seconds of the file. If None, the last frame.
-        speed: Seconds of the file per second.
+        speed: Seconds of the file that are played in a second.
         blend: Seconds of the file over which the end of a cycle fades into the start of the next. Each cycle
             is shorter by this time.
         mirror: Whether to swap left and right. The motion is reflected in the vertical plane through the
@@ -223,23 +223,23 @@ class WorldMotion:
         return np.maximum(np.arange(first, max(first, last) + 1) * step - self.start, 0.0)
 
     def file_times(self, times: ArrayLike, file_offset: float = 0.0) -> Array:
-        """Seconds of the file (N,) that are played until the times, over all cycles, plus ``file_offset``."""
+        """Total seconds of the file (N,) played before the times, over all cycles, plus ``file_offset``."""
         return np.atleast_1d(np.asarray(times, dtype=float)) * self.speed + file_offset
 
     def phases(self, times: ArrayLike, file_offset: float = 0.0) -> Array:
-        """Seconds (N,) in the file that play at times (N,)."""
+        """Times (N,) in the file, seconds, that play at ``times`` (N,)."""
         t = self.file_times(times, file_offset)
         return self.start + np.clip(t - self._cycles(t) * self.cycle_length, 0.0, self.cycle_length)
 
     def sample(self, times: ArrayLike, file_offset: float = 0.0) -> JointPoses:
-        """Poses at N times in seconds. Rotations are interpolated between frames (slerp), then come forward
-        kinematics. ``file_offset``: seconds of the file that are added to all times, so that a motion can
-        change its speed and go on from the same pose."""
+        """Joint poses at N times in seconds. Rotations of joints are interpolated between frames (slerp),
+        before forward kinematics. ``file_offset``: seconds of the file that are added to all times, so that a
+        motion can change its speed and go on from the same pose."""
         t = self.file_times(times, file_offset)
         return self._sample(t, self._cycles(t))
 
     def sample_with_velocities(self, times: ArrayLike, file_offset: float = 0.0) -> JointPoses:
-        """Do the same as :meth:`sample`, with velocities. These are central differences over two
+        """Do the same as :meth:`sample`, with velocities. Velocities are central differences over two
         milliseconds. They cross neither a jump to the start of the motion nor the end of its last cycle."""
         t = self.file_times(times, file_offset)
         cycles = self._cycles(t)
@@ -354,7 +354,7 @@ class WorldMotion:
         return translations, rotations
 
     def _minus_one_cycle(self, translations: Array, rotations: Array) -> tuple[Array, Array]:
-        """Local poses of root joints, moved back by the way that ``continue`` covers in one cycle."""
+        """Move local poses of root joints back by the movement of ``continue`` in one cycle."""
         if self.loop != "continue":
             return translations, rotations
         cycle_rotation, cycle_translation = (part[0] for part in self._cycle_transforms(np.ones(1)))
@@ -397,7 +397,7 @@ class WorldMotion:
         return yaw, (positions[1, root] - yaw_matrices(yaw) @ positions[0, root]) * (1, 1, 0)
 
     def _cycle_transforms(self, cycles: Array) -> tuple[Array, Array]:
-        """Rotations (N, 3, 3) and translations (N, 3) on the floor from the first cycle to each."""
+        """Rotations (N, 3, 3) and translations (N, 3) on the floor, from the first cycle to each cycle."""
         yaw, step = self._cycle_step
         rotations = yaw_matrices(yaw * cycles)
         if abs(yaw) < 1e-9:
@@ -438,7 +438,8 @@ def to_world(
 
 def floor_height(lowest: Array) -> float:
     """Height of the floor under a motion, from the height of its lowest point in each frame (F,). In most
-    frames a foot is on the floor. Toes dip below it at push-off, or the person jumps, in few frames only."""
+    frames a foot is on the floor. Only few frames have toes below it (at push-off), or a person in the
+    air."""
     return float(np.percentile(lowest, 33))
 
 

@@ -94,8 +94,8 @@ class Human(Pictured):
         return replace(self, mesh=mesh, outfit=outfit)
 
     def without_details(self) -> Human:
-        """The same human without bones of fingers, toes, jaw and eyes. Hand, foot and head move their
-        skin."""
+        """Return the human without bones of fingers, toes, jaw and eyes. The bones of hand, foot and head
+        move their skin instead."""
         kept = np.flatnonzero(self.skeleton.wholes == np.arange(len(self.skeleton)))
         if len(kept) == len(self.skeleton):
             return self
@@ -144,16 +144,16 @@ class Human(Pictured):
         return ends[:, :count], ends[:, count:], turned[:, count:]
 
     def face_weights(self, face: Mapping[str, float]) -> Array:
-        """Weights (S,) of the shapes from weights by name. Shapes without a name here get 0. A human without
-        shapes has no weights. Raises MotionError for a wrong name or weight."""
+        """Weights (S,) of the shapes from weights by name. Shapes without a name in ``face`` get 0. A human
+        without shapes has no weights. Raises MotionError for a wrong name or weight."""
         if self.shapes is None:
             return np.zeros(0)
         return face_weights(face, self.shapes.names)
 
     @cached_property
     def _action_shapes(self) -> NDArray[np.intp]:
-        """(S,) number of the action that moves each shape. A shape that no action moves has the number of
-        actions."""
+        """(S,) number of the action that moves each shape. For a shape without an action: the number of all
+        actions, 52."""
         numbers = {name: number for number, name in enumerate(ACTIONS)}
         names = () if self.shapes is None else self.shapes.names
         return np.array([numbers.get(name, len(ACTIONS)) for name in names], dtype=np.intp)
@@ -238,12 +238,12 @@ def write_human(path: str | os.PathLike[str], human: Human, level: int = BEST) -
 
 
 def as_written(human: Human) -> Human:
-    """The human with numbers rounded as in its file, as :func:`read_human` would read it."""
+    """Return the human with the rounded numbers that :func:`read_human` would read from its file."""
     return human_from_arrays(_arrays(human), human.name)
 
 
 def _arrays(human: Human) -> dict[str, NDArray[Any]]:
-    """Arrays of the file of a human."""
+    """Make the arrays for the file of a human."""
     mesh, skeleton = human.mesh, human.skeleton
     counts = np.diff(human.weights.indptr)
     width = int(counts.max())
@@ -288,7 +288,7 @@ def _arrays(human: Human) -> dict[str, NDArray[Any]]:
 
 
 def _shading(arrays: dict[str, NDArray[Any]], mesh: Mesh) -> csr_matrix | None:
-    """Weights (V, N) of triangles in vertex normals; None if the file has none."""
+    """Weights (V, N) of triangles in vertex normals. None if the file has no such weights."""
     if _SHADING[0] not in arrays:
         return None
     with np.errstate(over="ignore"):
@@ -370,7 +370,7 @@ def _indices(arrays: dict[str, NDArray[Any]], key: str) -> NDArray[np.integer]:
 
 
 def _mouth(arrays: dict[str, NDArray[Any]]) -> Array | None:
-    """Positions of teeth and tongue."""
+    """Positions (M, 3) of teeth and tongue. None if the file has no such positions."""
     if "mouth" not in arrays:
         return None
     places = _numbers(arrays, "mouth")
@@ -380,7 +380,7 @@ def _mouth(arrays: dict[str, NDArray[Any]]) -> Array | None:
 
 
 def _texels(arrays: dict[str, NDArray[Any]], key: str) -> NDArray[np.uint8] | None:
-    """Share of skin or hair in each texel."""
+    """Share (H, W) of skin or hair in each texel, 0 to 255. None if the file has no array ``key``."""
     share = arrays.get(key)
     if share is not None and (share.dtype != np.uint8 or share.ndim != 2 or not share.size):
         raise MeshError(f"must be (H, W) uint8, not {share.shape} {share.dtype}", key=key)
@@ -388,7 +388,7 @@ def _texels(arrays: dict[str, NDArray[Any]], key: str) -> NDArray[np.uint8] | No
 
 
 def _of_faces(arrays: dict[str, NDArray[Any]], key: str, dtype: type[Any]) -> NDArray[Any] | None:
-    """Values (F,) of the faces; None if the file has none."""
+    """Values (F,) of the faces. None if the file has no array ``key``."""
     values, name = arrays.get(key), np.dtype(dtype).name
     if values is not None and (values.dtype != dtype or values.shape != (len(arrays["faces"]),)):
         raise MeshError(f"must be (F,) {name}, not {values.shape} {values.dtype}", key=key)
@@ -396,7 +396,7 @@ def _of_faces(arrays: dict[str, NDArray[Any]], key: str, dtype: type[Any]) -> ND
 
 
 def _materials(arrays: dict[str, NDArray[Any]]) -> NDArray[np.uint8] | None:
-    """Label of each face."""
+    """Material label (F,) of each face. None if the file has no labels."""
     labels = _of_faces(arrays, "materials", np.uint8)
     if labels is not None and len(labels) and not 1 <= labels.min() <= labels.max() <= len(MATERIALS):
         raise MeshError(f"labels are 1 to {len(MATERIALS)}", key="materials")
@@ -404,7 +404,7 @@ def _materials(arrays: dict[str, NDArray[Any]]) -> NDArray[np.uint8] | None:
 
 
 def _looks(arrays: dict[str, NDArray[Any]], n_vertices: int) -> dict[str, NDArray[np.uint8]]:
-    """Outfits of a file."""
+    """Outfits of a file by name. Empty if the file has no outfits."""
     if "outfits" in arrays:
         looks = {str(name): arrays[f"{_OUTFIT_PREFIX}{name}"] for name in arrays["outfits"].ravel()}
     else:
@@ -421,7 +421,7 @@ def _looks(arrays: dict[str, NDArray[Any]], n_vertices: int) -> dict[str, NDArra
 
 
 def joint_surfaces(human: Human) -> NDArray[np.bool_]:
-    """Part labels (J, 256) of the skin around each joint: those of the bones that meet at the joint."""
+    """(J, 256) whether the skin around each joint has each part label: those of the bones that meet there."""
     skeleton = human.skeleton
     with_skin = set((human.triangle_parts - 1).tolist())
     bones_of_joints: list[set[int]] = []

@@ -29,7 +29,7 @@ from humansim_ros.types import Array, Indices
 
 
 def _between(first: Mapping[str, float], second: Mapping[str, float], share: float) -> dict[str, float]:
-    """Shares of two points in the point that lies ``share`` of the way from the first to the second."""
+    """Shares of points in the point that lies ``share`` of the way from the first to the second."""
     joints = dict.fromkeys((*first, *second), 0.0)
     for point, part in ((first, 1 - share), (second, share)):
         for joint, weight in point.items():
@@ -44,7 +44,7 @@ _CROWN: Mapping[str, float] = {"vt3_end": 1.0}
 _NECK_BASE = _between(_SHOULDERS, _NECK, 0.5)
 
 
-#: Points on both sides: joints before and after the point, and its place between them.
+#: Points on both sides of the body: the joints before and after the point, and its share of the way between.
 _ON_SIDES = {
     "collar": ("sternoclavicular", "shoulder", 0.35),
     "palm": ("wrist", "wrist_end", 0.35),
@@ -167,8 +167,8 @@ def _by_vertices(human: Human, names: Sequence[str]) -> SkinPlaces:
 
 
 def _carried_over(human: Human, names: Sequence[str]) -> SkinPlaces:
-    """Carry points over from a built-in human: from the same place relative to a bone to the nearest skin of
-    that body part."""
+    """Carry points over from a built-in human: from their place relative to a bone to the nearest skin of the
+    same body part."""
     template = load_human(_TEMPLATE)
     places = _by_texture(template, names)
     skin = np.einsum("nk,nkj->nj", places.weights, template.mesh.vertices[places.corners])
@@ -218,8 +218,8 @@ class _BodyPart:
         return cls(head, direction, length, triangles)
 
     def place(self, point: Array, other: _BodyPart, scale: float) -> Array:
-        """Place (3,) relative to this bone for a point (3,) near another bone. Along the bone, distances
-        scale with its length; across it, with ``scale``."""
+        """Move a point (3,) near the bone of ``other`` to the same place relative to this bone. Distances
+        along the bone are scaled with the length of the bone, distances across the bone with ``scale``."""
         offset = point - other.head
         along = float(offset @ other.direction)
         axis = unit_vectors(np.cross(other.direction, self.direction))
@@ -282,10 +282,10 @@ _JOINTS = {joint.name for joint in JOINT_NAMES}
 class KeypointLocator:
     """Computes the K keypoints of a set on one human, in any pose.
 
-    ``on_surface``: (K,) whether the keypoint is a point of the skin. ``certain``: (K,) whether its place is
-    known exactly. On meshes from other programs, points of the skin are found by fitting, and are not
-    certain. Points that a human lacks, such as fingers, are not certain either. ``surfaces``: part labels
-    (K, 256) that are skin around each keypoint.
+    ``on_surface``: (K,) whether the keypoint is a point of the skin. ``certain``: (K,) whether the place of
+    the keypoint is known exactly. It is uncertain for points of the skin on meshes from other programs, which
+    are found by fitting, and for points that a human lacks, such as fingers. ``surfaces``: (K, 256) whether
+    each part label is skin around each keypoint.
     """
 
     keypoints: KeypointSet
@@ -303,7 +303,7 @@ class KeypointLocator:
 
     @classmethod
     def of(cls, human: Human, keypoints: KeypointSet) -> KeypointLocator:
-        """Locator of a keypoint set on a human. It is made once and cached.
+        """Return the locator of a keypoint set on a human from a cache, or make it.
 
         Example:
             >>> from humansim_ros.people import load_human
@@ -356,7 +356,7 @@ def _locate(human: Human, keypoints: KeypointSet) -> KeypointLocator:
 
 
 def _joints_between(skeleton: Skeleton, shares: Array) -> list[int]:
-    """Joints with a share (J,), and the heads of the bones on the way between them."""
+    """Joints that have a share (J,), and the heads of the bones on the way between these joints."""
     joints = np.flatnonzero(shares).tolist()
     ways = []
     for bone in (skeleton.joint_bones[joint] for joint in joints):

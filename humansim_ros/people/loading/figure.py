@@ -115,8 +115,8 @@ _TRUNK = ("HumanoidRoot", "sacroiliac", "vl5", "vt3")
 #: that direction. Motions turn these bones along their own links, which rise like the bones of the built-in
 #: bodies. A bone with another direction would stoop or look up.
 _UPRIGHT = {"vl5": (5.0, 7.0), "vt3": (7.5, 7.0)}
-#: The skin of the head's joint is the head (without hats) if it has this share of the height of all that the
-#: joint carries.
+#: The skin of the head's joint is the head (without hats) if its height is at least this share of the height
+#: of everything that the joint carries.
 _SKULL = 0.5
 #: Largest distance of a foot from the end of its shin, as a share of the length of the thigh. The same holds
 #: for a hand.
@@ -253,7 +253,7 @@ def _rest_motion(figure: SkinnedMesh) -> Motion:
 
 
 def joints_of_bones(match: JointMatch) -> dict[str, int]:
-    """Joint at the head of each general bone. Each joint occurs once, for the bone nearest the root."""
+    """Bone -> joint at its head, for general bones. A joint occurs once, for the bone nearest the root."""
     skeleton = hanim_skeleton()
     joints: dict[str, int] = {}
     for bone in skeleton.names:
@@ -388,8 +388,8 @@ class _Body:
         return tails
 
     def _goal(self, name: str, head: Array, children: list[int], joint_of: Mapping[str, int]) -> Array:
-        """Point (3,) that a bone leads to. If nothing shows the direction, the head (3,) of the bone.
-        ``children``: bones below it."""
+        """Point (3,) towards which a bone is directed. If nothing shows the direction, the head (3,) of the
+        bone. ``children``: bones below this bone."""
         names, links = self.names, {**self.match.details, **self.match.parallel}
         if name == "vt3":
             return self._top_of_head(joint_of.get(name), head)
@@ -409,8 +409,8 @@ class _Body:
         return np.asarray(np.mean([self.heads[i] for i in chosen], axis=0)) if chosen else head
 
     def _hand_reach(self, joint: int, head: Array, goal: Array) -> float:
-        """Share of the way from the wrist ``head`` (3,) to the point ``goal`` (3,) of the knuckles at which a
-        hand with fingers ends, at least 1. ``joint``: that of the hand."""
+        """Length of a hand with fingers, as a multiple (at least 1) of the distance from the wrist ``head``
+        (3,) to the point ``goal`` (3,) of the knuckles. ``joint``: joint of the hand."""
         parents = self.figure.parents
         hand = [number for number in range(len(parents)) if _descends(number, joint, parents)]
         skin, along = self.vertices[np.isin(self.heaviest, hand)], goal - head
@@ -418,9 +418,9 @@ class _Body:
         return max(1.0, float(((skin - head) @ along).max(initial=0.0)) / length)
 
     def _top_of_head(self, joint: int | None, head: Array) -> Array:
-        """Top of the head (3,): the joint that is there, or else a point at the height of the top of the
-        skin. Joints of eyes, hair and hats may lie at any side of the head, so that they do not show its
-        direction. ``joint``: that of the head. ``head``: (3,) lower end of the bone of the head."""
+        """Top of the head (3,): the joint at this place, or else a point at the height of the top of the
+        skin. Joints of eyes, hair and hats may lie on any side of the head, so they do not show its
+        direction. ``joint``: joint of the head. ``head``: (3,) lower end of the bone of the head."""
         top = self.match.roles.get("HeadTop")
         if top is not None and self.joints[top, 1] > head[1] + _STUB:
             return np.asarray(self.joints[top])
@@ -442,8 +442,8 @@ def _direction(degrees: float) -> Array:
 
 
 def _upright(name: str, along: Array) -> Array:
-    """Direction ``along`` (3,) of a bone. That of chest and head is turned until it is as upright as a
-    standing person's."""
+    """Return the direction ``along`` (3,) of a bone. For chest and head, turn it until it is as upright as in
+    a standing person (:data:`_UPRIGHT`)."""
     if name not in _UPRIGHT:
         return along
     lean, most = _UPRIGHT[name]
@@ -456,7 +456,7 @@ def _upright(name: str, along: Array) -> Array:
 
 
 def _along(number: int, names: list[str], parents: list[str | None], heads: list[Array]) -> Array:
-    """Unit direction (3,) of a bone without a child: that of :data:`_ALONG`, or else that of its parent."""
+    """Unit direction (3,) of a bone without a child: from :data:`_ALONG`, or else that of the parent bone."""
     if names[number] in _ALONG:
         return np.array(_ALONG[names[number]])
     parent = parents[number]

@@ -1,11 +1,11 @@
-"""Levels of detail of humans. Those of humans of the package come from files, those of others from a cache on
-disk.
+"""Levels of detail of humans: simplified meshes. For humans of the package, they come from files; for all
+other humans, from a cache on disk.
 
-Drawn people (made by a seed) share levels. The surface of a drawn person consists of patches, which end at
-the hems of its clothes; each thing that is worn is a patch. Each patch is simplified separately, once for all
-people who have it. The levels of a person are put together from those of its patches. A patch is taken from
-an average man in plain clothes of the same cut, with the same worn things. The error is measured on the
-average man in the clothes of the person.
+Drawn people (made by a seed) share levels. The surface of a drawn person consists of patches: the body
+between the hems of its clothes, and each thing that is worn. Each patch is simplified separately, once for
+all people who have it. The levels of a person are joined from the levels of its patches. For this, a patch is
+taken from an average man in plain clothes of the same cut, with the same worn things. The error is measured
+on the average man in the clothes of the person.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from humansim_ros.people.makehuman.population import (
 )
 from humansim_ros.types import Array, Indices
 
-#: Increase it when the same human gets other levels, and run tools/assets/simplify_humans.py.
+#: Increase this number when the same human gets other levels, and run tools/assets/simplify_humans.py.
 VERSION = 1
 #: Number of triangles of each level, as a share of all triangles.
 SHARES = (0.5, 0.35, 0.25, 0.18, 0.12, 0.08)
@@ -69,8 +69,8 @@ _ARRAYS: dict[str, tuple[type, type]] = {
 
 
 def levels_of(human: Human) -> Simplification | None:
-    """Levels of detail of a human. They are made once. None for a mesh with few triangles. Drawn people share
-    the levels of all people with the same faces."""
+    """Return the levels of detail of a human, made at the first call. None for a mesh with few triangles.
+    Drawn people share the levels of all people with the same faces."""
     if len(human.mesh.triangles) < _FEWEST:
         return None
     if is_person(human.name):
@@ -84,7 +84,7 @@ def levels_of(human: Human) -> Simplification | None:
 
 
 def _kept(key: str, make: Callable[[], Simplification]) -> Simplification:
-    """Levels from the cache on disk. If they are missing, they are made and written there."""
+    """Read levels from the cache on disk. If the cache lacks them, make and write them."""
     folder = cache_folder()
     path = None if folder is None else folder / "levels" / f"{key}.npz"
     if path is not None and path.is_file():
@@ -99,7 +99,7 @@ def _kept(key: str, make: Callable[[], Simplification]) -> Simplification:
 
 
 def _person_key(model: Person) -> str:
-    """Digest of everything that decides the levels of a model."""
+    """Digest of everything on which the levels of a model depend."""
     parts = (f"levels {VERSION} {LIMITS}", repr(model), people_data().version)
     return content_key(part.encode() for part in parts)
 
@@ -204,7 +204,7 @@ def _poses(human: Human) -> Array:
 
 
 def _key(human: Human) -> str:
-    """Digest of everything that decides the levels of a human."""
+    """Digest of everything on which the levels of a human depend."""
     mesh, weights = human.mesh, human.weights
     return _digest(
         f"{VERSION} {human.skinning}",

@@ -147,7 +147,7 @@ def read_description(path: str | os.PathLike[str]) -> MeshHuman | ParametricHuma
     return validated(model, data, MeshError, path, tree)
 
 
-#: Increase it when the same input gives another human. test/humans/test_cache.py notices that.
+#: Increase this number when the same input gives another human. test/humans/test_cache.py notices that.
 CACHE_VERSION = 12
 #: Level of compression in the cache. It takes a tenth of the time of the best level, for files of 1.2 times
 #: the size.
@@ -156,8 +156,8 @@ _LEVEL = 1
 _LONGEST_WAIT = 60.0
 #: Most files in the cache, about 1 MB each. The least recently used are deleted.
 MAX_HUMANS = 100
-#: Most files that stay if they were used in this time (seconds), since a recipe needs the people of its pool
-#: again.
+#: Most files in the cache that were used within the second value (seconds). They stay although there are more
+#: than :data:`MAX_HUMANS` files, since a running recipe needs the people of its pool again.
 MAX_IN_USE, _LATELY = 1000, 86_400.0
 
 
@@ -221,7 +221,7 @@ def _made_in(path: Path, make: Callable[[], Human]) -> Human:
 
 
 def _delete_oldest(folder: Path) -> None:
-    """Delete old humans. Those used last stay, and those that a running recipe has used lately."""
+    """Delete the humans that were used least recently, except those that a running recipe may need."""
     used: dict[Path, float] = {}
     for file in folder.glob("*.npz"):
         with suppress(FileNotFoundError):  # another process has deleted it
@@ -454,7 +454,7 @@ def _resized(mesh: Mesh, skeleton: Skeleton, stature: float) -> tuple[Mesh, Skel
 
 
 def _looks(human: Human, outfits: Mapping[str, Clothes], path: Path) -> dict[str, NDArray[np.uint8]]:
-    """Outfits of a mesh: those of the options, or else its own texture or colours, or else colours by body
+    """Outfits of a mesh: from the options; or else its own texture or colours; or else colours by body
     part."""
     mesh = human.mesh
     if not outfits and mesh.texture is not None:

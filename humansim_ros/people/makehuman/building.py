@@ -1,9 +1,9 @@
 """Build a dressed human from MakeHuman sliders, in three stages.
 
-1. *Choice*: where clothes are cut, and the raster of the texture. It decides the faces, the layout of the
-texture and the weights.
+1. *Choice*: where clothes are cut, and the size of the texture's raster. The choice decides the faces, the
+layout of the texture and the weights.
 
-2. *Topology* of a choice: everything that people with this choice have in common. It is made once and kept.
+2. *Topology* of a choice: everything that people with this choice have in common. It is made once and cached.
 3. *Person*: the body as a sum of targets, its skeleton, cloth and hair over the body, and the paint.
 """
 
@@ -83,8 +83,8 @@ from humansim_ros.people.makehuman.worn import (
 from humansim_ros.types import Array
 
 JPEG_QUALITY = 92
-#: When sitting, bones that share a vertex move this far apart (thighs at the crotch), as a share of the
-#: height.
+#: When a person sits, bones that share a vertex move this far apart, as a share of the height: thighs at the
+#: crotch.
 _PARTING = 0.10
 #: Reference body. Clothes are cut and painted on it, since all bodies have the same topology.
 ADULT_MAN = MakeHumanConfig(gender=1.0)
@@ -102,7 +102,7 @@ class _Body:
     floor: Array
 
     def regions(self, is_ear: Array, part: VertexIndices, choice: Choice) -> BodyRegions:
-        """Regions of clothes and hair. ``is_ear`` (V,) is above 0.5 at the ears."""
+        """Make the regions of clothes and hair on this body. ``is_ear``: (V,) above 0.5 at the ears."""
         eye = self.naked[part == 1]
         ear = self.naked[(is_ear > 0.5) & (self.naked[:, 0] > 0)].mean(axis=0)
         middle = (eye.min(axis=0) + eye.max(axis=0)) / 2
@@ -118,8 +118,8 @@ class _Body:
 
 @dataclass(frozen=True)
 class Choice:
-    """What decides the topology of a person. ``raster``: number of texels along a side of the raster. Twice
-    the size of the texture smooths edges, and takes four times as long to paint."""
+    """Everything that decides the topology of a person. ``raster``: number of texels along a side of the
+    raster. Twice the size of the texture smooths edges, but takes four times as long to paint."""
 
     cut: Cut
     raster: int = 2 * TEXTURE_SIZE
@@ -211,7 +211,7 @@ class PersonTopology:
         return as_image(self.texels, 255 * skin_share(self.cut[0], self.texels, self.canvas))
 
     def worn_by(self, body: _Body, own: BodyRegions) -> BodySurface:
-        """The mesh on a body before it is dressed. The body is smoothed under clothes."""
+        """Give the mesh the shape of a body, smoothed under clothes, but not dressed yet."""
         refined, into_refined = self.scalp.refined
         cut, into_cut = self.cut
         naked = into_refined @ body.naked
@@ -221,7 +221,7 @@ class PersonTopology:
 
 
 def topology(source: MakeHumanData, choice: Choice) -> PersonTopology:
-    """Topology of a choice. Those of the last choices are kept with the source."""
+    """Topology of a choice. The topologies of the last choices are cached in ``source.kept``."""
     found = source.kept.pop(choice, None) or PersonTopology.of_choice(source, choice)
     assert isinstance(found, PersonTopology)
     source.kept[choice] = found  # the last entry of the dictionary is the one that was used last
@@ -230,7 +230,7 @@ def topology(source: MakeHumanData, choice: Choice) -> PersonTopology:
     return found
 
 
-#: Most topologies that are kept. Each takes about 150 MB.
+#: Most topologies that are cached. Each takes about 150 MB.
 _MOST_KEPT = 4
 
 
@@ -246,7 +246,7 @@ def build(
         source: MakeHuman's files.
         config: Sliders.
         outfits: Colours and fabrics by the name of the outfit.
-        fine: Whether a raster of twice the size of the texture is painted.
+        fine: Whether to paint a raster of twice the size of the texture.
     """
     figure = _Figure.of(source, config, Choice(Dress.of(config).cut, TEXTURE_SIZE * (2 if fine else 1)))
     common, parts = figure.common, figure.parts
@@ -340,14 +340,14 @@ class _Figure:
 
     @property
     def off_body(self) -> dict[str, NDArray[np.bool_]]:
-        """Whether each face belongs to an off-body part. Empty if there are no such parts."""
+        """Array that says whether each face belongs to an off-body part. Empty if there are no such parts."""
         faces = len(self.solid["faces"])
         return {"off_body": np.arange(faces) >= len(self.mesh.faces)} if self.parts else {}
 
     @property
     def hair(self) -> dict[str, NDArray[np.uint8]]:
-        """Share of hair in each texel, for people with a beard. Empty if hair is just the rest of
-        ``skin``."""
+        """Array with the share of hair in each texel, for people with a beard. Empty for other people, since
+        their hair is everything that ``skin`` leaves out."""
         if self.own.dress.beard == BEARDS["none"]:
             return {}
         texels = self.common.texels
@@ -464,7 +464,7 @@ def _naked(base: Base, rows: VertexIndices, bare: BodySurface, fingers: Array) -
 
 
 def _at_vertices(mesh: BodySurface, mask: VertexMask) -> Array:
-    """Values (V,) of a painted mask at the vertices."""
+    """Values (V,) of a painted mask at the vertices of a mesh."""
     uv = np.zeros((len(mesh.vertices), 2))
     corners: VertexIndices = mesh.faces
     uv[corners] = mesh.uv[mesh.uv_faces]

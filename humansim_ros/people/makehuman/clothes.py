@@ -194,13 +194,13 @@ class BodyRegions:
 
     @property
     def borders(self) -> tuple[Callable[[Array], Array], ...]:
-        """Fields. The zero line of each is an edge of clothes."""
+        """Regions that have an edge of clothes as their border, where their value is zero."""
         edges = self.above_edge, self.above_neckline, self.below_sleeve_end, self.above_hem
         apart = self.cut.covers and (self.cut.hem > 0 or self.cut.shaft > 0)
         return (*edges, self.above_shoes) if apart else edges
 
     def garment(self, fields: Array) -> VertexIndices:
-        """Garment (N,) at points. ``fields``: values (N, K) of the borders at the points."""
+        """Garment (N,) at points, such as SHIRT. ``fields``: values (N, K) of the borders at the points."""
         edge, neck, sleeve, hem = fields.T[:4]
         shoes = fields[:, -1] < 0 if self.cut.covers else np.zeros(len(fields), bool)
         bare = (neck > 0) | (sleeve > 0)
@@ -303,9 +303,9 @@ def smooth_under_clothes(mesh: BodySurface, reference: BodyRegions, own: BodyReg
 def snap_to_border(
     mesh: BodySurface, fields: Array, column: int
 ) -> tuple[BodySurface, Array, sparse.csr_matrix]:
-    """Move vertices along edges onto the zero line of one field, so that no edge crosses the line.
-    ``fields``: (V, K) values at the vertices. Returns the mesh, its new fields, and the matrix (V, V) that
-    moves the vertices."""
+    """Move vertices along edges onto the zero line of the field ``column``, so that no edge crosses this
+    line. ``fields``: (V, K) values at the vertices. Returns the mesh, its new fields, and the matrix (V, V)
+    that moves the vertices."""
     i, j = np.array([(i, (i + step) % 4) for i in range(4) for step in (1, 3)]).T
     v, u, tv, tu = (faces[:, k].T.ravel() for faces in (mesh.faces, mesh.uv_faces) for k in (i, j))
     value = fields[:, column]

@@ -198,7 +198,7 @@ def installed_data(location: str | os.PathLike[str] | None = None) -> MakeHumanD
 
 @functools.lru_cache(maxsize=1)
 def _opened(path: Path, _changed: int) -> MakeHumanData:
-    """The data at a path, with everything that was read and made from them before."""
+    """Return the data at a path from a cache, with everything that was already read and made from them."""
     return MakeHumanData(path)
 
 
@@ -249,8 +249,8 @@ def _parse(source: MakeHumanData) -> Base:
     return Base(np.array(vertices), uv_array, faces[:, :, 0], faces[:, :, 1], group_array, vertex_groups)
 
 
-#: Number of steps in a decimetre (of vertices, sparse targets and components), and in the width of the
-#: texture.
+#: Steps per decimetre to which numbers are rounded: of vertices, sparse targets and components. The last
+#: value is the number of steps in the width of the texture.
 VERTEX_STEPS, SPARSE_STEPS, COMPONENT_STEPS, UV_STEPS = 10_000, 1000, 2500, 1_000_000
 MASKS = ("ears", "lips", "fingernails", "inside-mouth")
 #: Prefix of the names of actions of the face among the sparse targets.
@@ -396,7 +396,7 @@ def _by_component(rows: NDArray[np.int32]) -> NDArray[np.int32]:
 
 
 def _mirror(count: int) -> NDArray[np.int32]:
-    """Factors (3 R,) of rows of ``count`` components on the other half of the body."""
+    """Factors (3 R,), 1 or -1, that mirror rows of ``count`` components to the other half of the body."""
     return np.tile(np.array([-1, 1, 1], np.int32), count)
 
 
@@ -414,9 +414,9 @@ def _mirrored(base: Base) -> tuple[VertexIndices, VertexIndices]:
 
 
 def _rounds(base: Base, mirrored: VertexIndices) -> list[tuple[VertexIndices, csr_matrix, NDArray[np.int32]]]:
-    """Rounds of decoding: the vertices of a round are predicted from neighbours in earlier rounds. Each has
-    vertices (M,), the matrix (M, V) that sums the values of their earlier neighbours, and the number (M, 1)
-    of these neighbours. ``mirrored``: vertices (K,) that are mirror images. No round has them."""
+    """Make the rounds of decoding. The vertices of a round are predicted from neighbours in earlier rounds. A
+    round is: its vertices (M,), the matrix (M, V) that sums the values of their earlier neighbours, and the
+    number (M, 1) of these neighbours. ``mirrored``: vertices (K,) that are mirror images, in no round."""
     count = len(base.vertices)
     left = np.ones(count, bool)
     left[mirrored] = False

@@ -55,9 +55,9 @@ def unskin_offsets(offsets: Array, weights: Array, motion: Array) -> Array:
     return out
 
 
-#: Groups of the base mesh with bone and material, in the order of the positions in files. Each is moved
-#: upwards and forwards by some metres, since the surfaces of both rows overlap by a centimetre and lie so
-#: near behind the lips that the lips would not cover them.
+#: Groups of the base mesh with bone and material, in the order of the positions in files. Each group is moved
+#: upwards and forwards by its last two numbers, metres: the surfaces of both rows overlap by a centimetre,
+#: and are so near behind the lips that the lips would not cover them.
 _GROUPS: Mapping[str, tuple[str, str, tuple[float, float]]] = {
     "helper-upper-teeth": ("vt3", "teeth", (0.0005, -0.001)),
     "helper-lower-teeth": (BONE, "teeth", (-0.004, -0.002)),
@@ -112,7 +112,7 @@ def jaw_of(human: Human) -> Jaw | None:
 
 
 def _has_places(human: Human) -> bool:
-    """Whether a human has places of teeth and tongue, with the bones and the actions that move them."""
+    """Whether a human has positions of teeth and tongue, and the bones and actions that move them."""
     return (
         human.mouth is not None
         and human.shapes is not None
@@ -123,7 +123,7 @@ def _has_places(human: Human) -> bool:
 
 
 def _size(shapes: Shapes) -> float:
-    """Size of a body, relative to the body of the offsets of MakeHuman's actions."""
+    """Size of a body relative to MakeHuman's base mesh, from the largest offset of ``jawOpen``."""
     return _largest(shapes, _OPEN) / _parts().largest
 
 

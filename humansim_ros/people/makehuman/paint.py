@@ -36,9 +36,9 @@ _CELL = 0.008  # metres, cell of the height maps for ambient occlusion
 
 
 def openness(vertices: Array, faces: VertexIndices, directions: int = AO_DIRECTIONS) -> Array:
-    """Ambient occlusion (V,): 1 if nothing within AO_REACH occludes the hemisphere above a vertex. The
-    surface is drawn into a height map for each of many directions. Higher points in the cell of a vertex
-    occlude this direction."""
+    """Ambient occlusion (V,): 1 if nothing within AO_REACH occludes the hemisphere above a vertex. For each
+    of many directions, the surface is drawn into a height map. The direction is occluded for a vertex if
+    there are higher points in the same cell."""
     normals = vertex_normals(vertices, faces)
     middles = np.concatenate([vertices, vertices[faces].mean(axis=1)]).astype(np.float32)
     normals = normals.astype(np.float32)
@@ -116,8 +116,8 @@ class Canvas:
         return found
 
     def part(self, name: str, rows: NDArray[np.intp]) -> Canvas:
-        """Selected texels. ``rows`` may depend only on ``name`` and the topology, since all people of a
-        topology share the result."""
+        """Keep only the texels ``rows``. They may depend only on ``name`` and the topology, since all people
+        of a topology share the result."""
         kept = self.kept.setdefault(("part", name), {})
         if "body" not in kept:
             kept["body"], kept["uv"] = self.body[rows], self.uv[rows]
@@ -217,7 +217,7 @@ def _eye(c: Canvas, outfit: Outfit, centre: Array, axis: Array) -> Array:
 
 
 def paint_head_and_hands(c: Canvas, outfit: Outfit) -> Array:
-    """Skin, and hair above the hairline."""
+    """Colours (N, 3) of skin, and of hair above the hairline."""
     colour = paint_skin(c, outfit)
     if c.own.dress.beard != BEARDS["none"]:
         beard = beard_on(c)
@@ -236,7 +236,7 @@ def beard_on(c: Canvas) -> Array:
 
 
 def hair_on(c: Canvas) -> tuple[NDArray[np.intp], Array]:
-    """Texels (M,) with hair, and its share (M,)."""
+    """Numbers (M,) of the texels with hair, and the share (M,) of hair in each."""
     p = c.body
     hairline = c.reference.hair(p) + 0.004 * c.noise(0.006, 22) + 0.003 * c.noise(0.002, 23)
     rows = np.flatnonzero(hairline > -0.004)

@@ -70,9 +70,10 @@ _TONES = (1.0, 10.0)
 #: Colours of cloth in a street, estimated without a source: shares in percent for adults and for children,
 #: and ranges of hue, saturation and value (HSV, 0 to 1). A hue above 1 lies beyond red.
 _CLOTH = _TABLE["cloth"]
-#: Suits, coats and jackets have the first kinds of colours. From this age on, people wear colours of adults.
+#: Suits, coats and jackets have only this many of the first kinds of colours. From this age on (years),
+#: people wear the colours of adults.
 _COATS, _GROWN = 5, 13
-#: Shape targets of the face that are drawn: names without their ends, and the two possible ends.
+#: Shape targets of the face that are drawn at random: name without its end, and the two possible ends.
 _FACE = _TABLE["face"]
 #: All these targets by name.
 FACE_TARGETS = tuple(f"{name}-{end}" for name, *ends in _FACE for end in ends)
@@ -169,7 +170,7 @@ def is_person(name: str) -> bool:
 
 
 def person_name(seed: int, number: int, people: PeopleLimits) -> str:
-    """Name that :func:`read_person` draws the same person from."""
+    """Name from which :func:`read_person` draws the same person."""
     parts = [f"{_PERSON}{seed}-{number}"]
     for each in fields(PeopleLimits):
         value = getattr(people, each.name)
@@ -227,15 +228,15 @@ def read_person(name: str) -> Person:
 
 
 def model_of(person: Person) -> Person:
-    """Person of average age with the same faces of the mesh. Results that depend on the faces only are
-    computed for this person."""
+    """Return a person of average age with a mesh that has the same faces. Results that depend only on the
+    faces are computed for this person."""
     model = draw_person(0, ages=(30, 30), sex="male", stature=1.76)
     return replace(model, clothes=person.clothes)
 
 
 def cut_model_of(person: Person) -> Person:
-    """Like :func:`model_of`, for all people with bodies that are cut alike. It wears the first clothes with
-    this cut."""
+    """Do the same as :func:`model_of` for all people with bodies that are cut alike. The model wears the
+    first clothes with this cut."""
     base = HAIR[person.clothes.hair].base
     hair = next(name for name, style in HAIR.items() if style.base == base)
     own = replace(person.clothes, hair=hair, beard="none", wears=())

@@ -37,7 +37,8 @@ _GENERAL = BONE_NAMES[: -len(DETAIL_BONES)]
 
 
 def _wholes() -> VertexIndices:
-    """Bone (B,) among the first 22 that each bone is a detail of. Each of the 22 has its own number."""
+    """For each bone (B,), its own number. For a detail, the number of the bone, among the first 22, that this
+    detail belongs to."""
     wholes = list(range(len(_GENERAL)))
     for bone in DETAIL_BONES:
         wholes.append(wholes[BONE_NAMES.index(DETAIL_BONES[bone])])
@@ -150,8 +151,8 @@ def _limited(sums: Array) -> Array:
 
 
 def _shared(sums: Array, weights: Array) -> Array:
-    """Weights (N, B) in the ratios of ``weights``. For each of the 22 bones with its details, they sum to
-    ``sums`` (N, 22)."""
+    """Weights (N, B) in the ratios of ``weights``, scaled so that each of the 22 bones with its details has
+    the sum in ``sums`` (N, 22)."""
     weights = np.where(weights < 1e-3, 0.0, weights)
     given = _sums(weights)
     bare = given <= 0
@@ -274,8 +275,8 @@ def t_pose(bones: Bones) -> tuple[Array, Bones]:
 
 
 def unskin(vertices: Array, weights: Array, motion: Array) -> Array:
-    """Vertices (N, 3) that linear blend skinning with the inverse of ``motion`` moves to ``vertices``. So the
-    A pose of the artists is reproduced exactly."""
+    """Invert linear blend skinning: return vertices (N, 3) that the inverse of ``motion`` moves to
+    ``vertices``. The A pose of the artists is thus reproduced exactly."""
     back = np.einsum("nb,bij->nij", weights, np.linalg.inv(motion))
     homogeneous = np.c_[vertices, np.ones(len(vertices))]
     return np.linalg.solve(back, homogeneous[:, :, None])[:, :3, 0]
@@ -290,9 +291,9 @@ _THUMB_CLOSING = 14.0
 
 
 def relaxed_fingers(points: Mapping[str, Array]) -> tuple[dict[str, Array], dict[str, Array]]:
-    """Transforms (4, 4) of finger bones to a relaxed hand, and their axes (3,) of flexion there, both by name
-    of the bone. ``points``: landmarks (see ``skeleton.landmarks``). A positive angle about its axis flexes a
-    bone."""
+    """Transforms (4, 4) of finger bones from the body to a relaxed hand, and their axes (3,) of flexion in
+    this hand, both by bone name. A positive angle about the axis flexes a bone. ``points``: landmarks (see
+    ``skeleton.landmarks``)."""
     transforms, hinges = {}, {}
     for side in "lr":
         for number, name in enumerate(FINGERS, 1):
@@ -304,8 +305,8 @@ def relaxed_fingers(points: Mapping[str, Array]) -> tuple[dict[str, Array], dict
 
 
 def finger_shares(source: MakeHumanData, count: int) -> Array:
-    """Weights (N, 31) of the artists: first the rest of the body, then the finger bones. The order of the
-    bones is the order of :func:`relaxed_fingers`. ``count``: number of vertices N."""
+    """Weights (N, 31) of the artists: first that of all bones except fingers, then those of the finger bones,
+    in the order of :func:`relaxed_fingers`. ``count``: number of vertices N."""
     shares = np.zeros((count, 1 + 2 * 3 * len(FINGERS)))
     names = [f"{side}_{name}{joint}" for side in "lr" for name in FINGERS for joint in (1, 2, 3)]
     for column, name in enumerate(names, 1):

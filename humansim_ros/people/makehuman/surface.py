@@ -56,7 +56,7 @@ class BodySurface:
 
 
 def compact(faces: VertexIndices, count: int) -> tuple[VertexIndices, VertexIndices]:
-    """Used vertices (V,), sorted, and the faces as indices into them."""
+    """Return the numbers (V,) of the vertices that faces use, sorted, and faces that index these vertices."""
     used = np.unique(faces)
     number = np.full(count, -1)
     number[used] = np.arange(len(used))
@@ -64,7 +64,7 @@ def compact(faces: VertexIndices, count: int) -> tuple[VertexIndices, VertexIndi
 
 
 def sample(image: VertexMask, uv: Array) -> Array:
-    """Nearest values (T,) of an image (H, W) at uv (T, 2), v up."""
+    """Values (T,) of the pixels of an image (H, W) that are nearest to uv (T, 2), v up."""
     height, width = image.shape[:2]
     column = np.clip((uv[:, 0] * width).astype(int), 0, width - 1)
     row = np.clip(((1 - uv[:, 1]) * height).astype(int), 0, height - 1)
@@ -171,7 +171,7 @@ _BITS = 6
 
 
 def grain(points: Array, scale: float, seed: int) -> Array:
-    """Like :func:`noise`, but it repeats after 64 cells. For paint; four times as fast."""
+    """Like :func:`noise`, but four times as fast, for paint. The noise repeats after 64 cells."""
     table, last = _lattice(seed), (1 << _BITS) - 1
     out = np.empty(len(points))
     for start in range(0, len(points), _CHUNK):
@@ -332,7 +332,7 @@ class Outline:
 
     @functools.cached_property
     def _ring(self) -> Array:
-        """Reach with the first and the last direction on both sides."""
+        """``reach`` with W + 2 columns: the last one is repeated at the start, the first one at the end."""
         return np.pad(self.reach, ((0, 0), (1, 1)), "wrap")
 
 

@@ -35,7 +35,7 @@ from humansim_ros.types import Array
 
 #: Surfaces around the head continue below the skin, hidden, to this depth in metres.
 _HIDDEN = 0.008
-#: Far from the visible edge, this depth is larger; and largest distance from the middle of the head there.
+#: Depth of hidden surfaces far from the visible edge, and their largest distance from the middle of the head.
 _DEEP, _DEEPEST = 0.035, 0.065
 
 
@@ -154,7 +154,7 @@ def _outwards(points: Array, middle: Array) -> Array:
 
 
 def _resampled(path: Array, count: int) -> Array:
-    """Points (``count``, 3) evenly spread over the numbers of the points of a path (N, 3)."""
+    """Interpolate ``count`` points (``count``, 3) of a path (N, 3), at evenly spaced indices."""
     even = np.linspace(0, len(path) - 1, count)
     return np.stack([np.interp(even, np.arange(len(path)), path[:, k]) for k in range(3)], axis=1)
 

@@ -38,8 +38,8 @@ PartMaterial = Literal["hair", "top", "bottom", "shoes", "soles"] | WornName
 @dataclass(frozen=True)
 class Hanging:
     """How a part of V vertices hangs. See :class:`~humansim_ros.motion.body.offsets.LooseParts`. ``ends`` (K,
-    2) and ``outwards`` (K, 3) describe the ends; ``nodes`` (V, 2), ``shares`` (V, 2), ``gather`` (V, 3) and
-    ``left`` (V,) all vertices."""
+    2) and ``outwards`` (K, 3) describe the ends. ``nodes`` (V, 2), ``shares`` (V, 2), ``gather`` (V, 3) and
+    ``left`` (V,) describe all vertices."""
 
     kind: int
     ends: VertexIndices
@@ -55,8 +55,8 @@ class WornPart:
     """A closed surface over a grid of ``points`` (R, C, 3), metres, with ``weights`` (R, C, B) of bones.
 
     The columns of each row form a ring. ``material`` decides the colours. ``ring``: whether the last row is
-    joined to the first one. Otherwise a point closes each of both. ``hanging``: how the part swings. If None,
-    the part only follows the bones.
+    joined to the first row. Otherwise, each of these two rows is closed by a point. ``hanging``: how the part
+    swings. If None, the part only follows the bones.
     """
 
     points: Array
@@ -72,7 +72,7 @@ class WornPart:
 
     @property
     def vertex_weights(self) -> Array:
-        """(V, B)."""
+        """Weights (V, B) of :attr:`vertices`."""
         return self._with_ends(self.weights)
 
     def _with_ends(self, values: Array) -> Array:
@@ -113,7 +113,7 @@ class WornPart:
 
     @property
     def labels(self) -> NDArray[np.uint8]:
-        """(F,) material of its faces."""
+        """(F,) material label of each face."""
         name = "shoes" if self.material == "soles" else self.material
         return np.full(len(self.mesh[0]), MATERIAL_LABELS[name], np.uint8)
 
@@ -173,7 +173,7 @@ class Wearer:
         return WornPart(points, self.rigid(points.shape[:2], vt3=1.0), material, ring)
 
     def rigid(self, shape: tuple[int, ...], **shares: float | Array) -> Array:
-        """Weights (R, C, B) of bones by name, from shares, which may be (R, C)."""
+        """Weights (R, C, B) from shares of bones, by bone name. A share is a number or an array (R, C)."""
         weights = np.zeros((*shape, self.weights.shape[1]))
         for name, share in shares.items():
             weights[..., self.own.bones.index(name)] = share

@@ -201,7 +201,7 @@ MAX_VERTICES = 2_000_000
 _STATURES = (0.3, 3.0)
 #: Heights of the slice at the ankles, as shares of the body height.
 _ANKLES = (0.03, 0.08)
-#: Distance of the head from the middle of the bounding box, as a share of the height, above which the arms
+#: If the distance of the head from the middle of the bounding box exceeds this share of the height, the arms
 #: are not symmetric.
 _ASYMMETRY = 0.01
 
@@ -227,7 +227,7 @@ def fit_skeleton(
         up: Up axis of the file, such as ``z`` or ``-y``. If None, it is detected.
         facing: Axis of the file that the person faces. If None, it is detected.
         unit: Metres per unit of the file.
-        stature: Height of the person in metres. Without unit and stature, that of the general skeleton.
+        stature: Height of the person in metres. If unit and stature are None, that of the general skeleton.
 
     Returns:
         The mesh in body space, and its skeleton.

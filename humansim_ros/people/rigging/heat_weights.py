@@ -42,8 +42,8 @@ _OVER, _OUTSIDE = 0.3, 0.7
 #: A bone does not heat skin that is farther from it than this factor times the distance to the nearest bone,
 #: plus this distance.
 _BEHIND, _NEAR = 1.5, 0.05
-#: A bone does not heat skin through more air than this, such as arms next to the belly; samples on the way;
-#: number of bones that are tried.
+#: A bone does not heat skin through more air than this, as between an arm and the belly. Then: number of
+#: samples on the way, and number of bones that are tried.
 _AIR, _SAMPLES, _TRIES = 0.025, 20, 4
 #: Height of the body in voxels.
 _VOXELS = 160

@@ -102,8 +102,8 @@ def surface_points(mesh: Mesh, spacing: float) -> Array:
 
 #: Height of a person in voxels.
 _VOXELS = 160
-#: For separate parts: most that are joined; smallest, as a share of the largest part; longest gap, and
-#: distance of the middles of mirror images, as shares of the height.
+#: Separate parts: most parts that are joined; smallest part, as a share of the largest part; longest gap, and
+#: largest distance between the middles of mirror images, as shares of the height.
 _MOST_PARTS, _LEAST_PART, _LONGEST_GAP, _MIRRORED = 20, 2e-3, 0.12, 0.08
 _NO_LIMB = "no limb where a T or A pose has one: the mesh must stand upright with the arms out or down"
 #: Lengths are shares of the height. Search ranges of groin and neck; half width of the middle slice.
@@ -114,7 +114,7 @@ _LEGS = 0.2
 _BAND, _REACH = 0.01, 0.56
 #: Distances from the finger tip: ranges of the wrist and of the forearm, and smallest for the armpit.
 _WRIST, _FOREARM, _ARMPIT = (0.08, 0.17), (0.2, 0.3), 0.3
-#: Ratio of the sections of trunk and forearm.
+#: A section belongs to the trunk if it is larger than the section of the forearm by this factor.
 _TRUNK_RATIO = 3.0
 #: Plausible range of the groin, and largest width of the neck. Outside these, a skirt or hair hides them.
 _PLAUSIBLE_GROIN, _PLAUSIBLE_NECK = (0.36, 0.56), 0.8
@@ -283,9 +283,9 @@ def _measure(mesh: Mesh, whole: Volume, volume: Volume) -> Measures:
 
 
 def joint_positions(measures: Measures) -> dict[str, Array]:
-    """Joint positions (3,) of a body of height 1. The key is the bone that begins there, or ``<bone>_end`` at
-    a leaf. They are linear functions of the measurements, fitted to MakeHuman bodies
-    (config/body_joints.json). docs/rigging.md lists the errors."""
+    """Joint positions (3,) of a body of height 1. The key is the bone that begins at the joint, or
+    ``<bone>_end`` at a leaf. The positions are linear functions of the measurements, fitted to MakeHuman
+    bodies (config/body_joints.json). docs/rigging.md lists the errors."""
     m = measures
     joints: dict[str, Array] = {}
 
@@ -508,7 +508,7 @@ def is_makehuman(mesh: Mesh) -> bool:
 
 
 def topology(faces: NDArray[np.integer]) -> str:
-    """Digest of quads (F, 4). It does not depend on their order and their first corners."""
+    """Digest of quads (F, 4), whatever the order of the quads, and whichever corner is the first."""
     start = np.argmin(faces, axis=1)
     order = (start[:, None] + np.arange(4)) % 4
     turned = np.take_along_axis(faces, order, axis=1).astype("<i4")

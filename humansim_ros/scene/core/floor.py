@@ -392,7 +392,9 @@ def _furniture(draft: Draft) -> Iterator[Array]:
 def _objects(draft: Draft, area: Array) -> Iterator[Array]:
     """Points on the objects that nobody holds, and on the robot."""
     sections = draft.config.objects
-    items = [item for name, item in draft.objects.items() if sections[name].held_by is None]
+    items = [
+        item for name, item in draft.objects.items() if name not in sections or sections[name].held_by is None
+    ]
     for item in items if draft.robot_body is None else [*items, draft.robot_body]:
         if not item.moves:
             yield _seen_from_above(_samples(item.static_mesh()), area)

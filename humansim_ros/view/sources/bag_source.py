@@ -1,4 +1,4 @@
-"""A bag as the source of a page: its topics, frame by frame."""
+"""Shows a bag in the page: reads the messages of its topics frame by frame."""
 
 from __future__ import annotations
 
@@ -38,25 +38,25 @@ from humansim_ros.view.sources.tracks import (
     spans_of,
 )
 
-#: Messages are read together if their log times differ by less than this, nanoseconds.
+#: Messages are read with one request if their log times differ by less than this, nanoseconds.
 _TOGETHER = 250_000_000
-#: Most bytes of messages that are kept: by the page, and by the reader of tracks.
+#: Largest size of the cache of messages, bytes: for the page, and for the reader of the tracks.
 _MAX_KEPT, _MAX_TRACKS = 256 << 20, 64 << 20
-#: Most and fewest frames with a visibility that is read, and most values of them all.
+#: Most and fewest frames in which visibility is read for the timeline, and most values in all of them.
 _MOST_VIEWS, _FEWEST_VIEWS, _MOST_VALUES = 600, 30, 20_000
 
 
 class BagViewSource(TopicSource):
-    """A bag that plays in the page. It is read once at the start, to find its frames.
+    """A bag that plays in the page. At the start, all its messages are read once to find the frames.
 
     Each stamp of the joints of people is a frame. If there are no people, each stamp of the topic with the
-    most messages is a frame. ``messages`` says what is not shown because the bag lacks it.
+    most messages is a frame. ``messages`` tells the user what the bag lacks.
 
     Args:
         path: The bag.
         estimate: Topic of a tracker's estimate; ``*`` stands for any name of a person.
         options: How the estimate is read and compared.
-        humans: Bodies that people may have, next to the built-in ones.
+        humans: Humans whose bodies the people may have, in addition to the built-in humans.
         image_width: Width to which wider images are scaled down, pixels.
 
     Raises:
@@ -184,7 +184,7 @@ class BagViewSource(TopicSource):
 
     @cached_property
     def _plan(self) -> ErrorPlan | None:
-        """Frames that are compared with the estimate; None if there is no estimate."""
+        """Frames in which the estimate is compared with the truth; None if there is no estimate."""
         if self.estimate is not None:
             return ErrorPlan.of(self._stamps, self.estimate.poses, self.estimate.options)
         if not self._topics.estimate:
@@ -193,7 +193,8 @@ class BagViewSource(TopicSource):
         return ErrorPlan.of(self._stamps, np.array(own, np.int64), self._options)
 
     def _lost(self, camera: str, half: int) -> list[int]:
-        """Frames that lack an image of a camera, in any of the channels."""
+        """Numbers of the frames in which an image of a camera (of any channel) was lost. ``half``: half a
+        period, ns."""
         found: set[int] = set()
         for topic in self._topics.cameras[camera].images.values():
             found |= set(lost_frames(has_message(self._stamps, self._stamps_of(topic), half)))
@@ -208,7 +209,7 @@ class BagViewSource(TopicSource):
     # --- messages
 
     def _survey(self) -> Frames[int]:
-        """Log times of the messages of all topics that can be shown."""
+        """Read the bag once, and return the log times of the messages of all topics that can be shown."""
         found: Frames[int] = Frames()
         lasting = self._topics.lasting
         stamped = {name: _has_stamp(self._topics.types[name]) for name in self._topics.topics}
@@ -239,7 +240,7 @@ class BagViewSource(TopicSource):
         return np.array(found or [0], np.int64)
 
     def _frame(self, index: int, cameras: Collection[str], channels: Collection[str]) -> TopicFrame:
-        """Messages of a frame, with the images of some channels and cameras."""
+        """Read the messages of a frame, with the images of the given cameras and channels."""
         topics, stamp = self._topics, int(self._stamps[index])
         wanted = {"rgb" if channel == JOINTS else channel for channel in channels}
         left_out = topics.on_demand
@@ -253,7 +254,7 @@ class BagViewSource(TopicSource):
         return TopicFrame(index, stamp, int(self._stamps[0]), self._messages.read(logs))
 
     def _samples(self, name: str) -> list[tuple[bytes, bytes]]:
-        """Joints and vertices of a person in some frames."""
+        """Serialised joints and vertices of a person in ``SAMPLES`` frames, to compute skinning weights."""
         topics = self._topics.people[name]
         pair = [topics["joints"], topics["vertices"]]
         common = sorted(set(self._logs.stamps(pair[:1])) & set(self._logs.stamps(pair[1:])))
@@ -267,11 +268,11 @@ class BagViewSource(TopicSource):
 
 
 class _Messages:
-    """Messages of a bag by topic and log time. Keeps some messages that were read last.
+    """Reads messages of a bag by topic and log time. The last messages are cached.
 
     Attributes:
         names: Names of the topics, by their number in the bag.
-        size: Bytes of the messages that are kept.
+        size: Size of the cached messages, bytes.
     """
 
     def __init__(self, reader: BagReader, most: int) -> None:
@@ -326,20 +327,20 @@ def _has_stamp(kind: str) -> bool:
 
 @dataclass(frozen=True)
 class BagTracks:
-    """Tracks of a bag, as a job.
+    """Job that reads the tracks of a bag, in another process.
 
     Attributes:
         path: The bag.
-        topics: Topics that are read: no images, meshes and vertices.
+        topics: Topics that are read, without images, meshes and vertices.
         stamps: (F,) int64 stamps of the frames, nanoseconds.
         period: Nanoseconds between frames.
-        spans: First and last frames of the intervals with the person, by person.
-        drops: Frames with a lost image, by camera. A camera without lost images is absent.
+        spans: First and last frame of each interval in which a person is there, by person.
+        drops: Frames with a lost image, by camera. Cameras without lost images are absent.
         first: Log times of the first messages by topic.
         places: Log times of the messages of the frames that are read, by topic.
         transforms: Transforms of tf.
         options: How an estimate is compared.
-        plan: Frames that are compared with an estimate; None if there is no estimate.
+        plan: Frames in which an estimate is compared with the truth; None if there is no estimate.
         estimates: Log times of the messages of the estimate by topic, for each compared frame.
     """
 
@@ -357,7 +358,7 @@ class BagTracks:
     estimates: Sequence[Mapping[str, int]] = ()
 
     def start(self) -> Tracker:
-        """Begin, in the process that reads."""
+        """Open the bag, in the process that reads the tracks."""
         return Tracker(_BagTracks(self))
 
 
@@ -413,7 +414,7 @@ class _BagTracks:
         self._reader.close()
 
     def _estimate(self, plan: ErrorPlan) -> PoseSequence:
-        """The estimate of the topics, in the compared frames."""
+        """Read the estimate in the compared frames from its topics."""
         stream = EstimateStream("the estimate")
         for stamp, places in zip(plan.own.tolist(), self._job.estimates, strict=True):
             for topic, people in self._shown.estimated(self._read(places)):
@@ -431,6 +432,6 @@ class _BagTracks:
 
 
 def _most_views(topics: SeenTopics) -> int:
-    """Most frames with a visibility that is read."""
+    """Most frames in which visibility is read for the timeline: fewer with many people and cameras."""
     values = max(1, len(topics.people) * len(topics.cameras))
     return min(_MOST_VIEWS, max(_FEWEST_VIEWS, _MOST_VALUES // values))

@@ -1,4 +1,4 @@
-"""Open scenes, bags, motions, humans, calibrations and photographs for ``humansim view``, by content."""
+"""Opens scenes, bags, motions, humans, calibrations and photographs by content, for ``humansim view``."""
 
 from __future__ import annotations
 
@@ -29,27 +29,27 @@ from humansim_ros.view.sources.scene_source import SceneViewSource
 from humansim_ros.view.sources.source import POSES, FrameRequest, PixelInfo, ViewFrame, ViewSource
 from humansim_ros.view.sources.topic_people import Estimate
 
-#: Cameras around a motion or a human: their number, distance and height in metres, and target.
+#: Cameras around a motion or a human: number; distance and height, metres; point that they look at.
 _COUNT, _RADIUS, _HEIGHT, _TARGET = 4, 3.5, 1.8, (0.0, 0.0, 0.9)
 _NO_TOPIC = "give a file, a folder or BAG:TOPIC; only bags and graphs have topics"
 _BODY = "adult_woman"
 _MOTION = "walk"
-#: Most YAML files of a folder that may be scenes.
+#: Most YAML files of a folder that are checked whether they are scenes.
 _MOST_FILES = 50
-#: Sections that only scenes have.
+#: Keys at the top of YAML files that only scenes have.
 _SECTIONS = {"humans", "objects", "world", "variety", "randomise", "room", "rate", "rig"}
 
 
 @dataclass(frozen=True)
 class Opened:
-    """A source, and how to make it again after its file has changed.
+    """A source that was opened, and how to open it again after its file has changed.
 
     Attributes:
         source: The source.
         path: File of the source; None for built-ins.
-        reload: Makes the source again.
+        reload: Function that opens the source again; None if that is not possible.
         problem: Why the file cannot be shown. If there is a problem, the source is empty.
-        document: The scene, to edit it; None for other kinds.
+        document: The scene, for editing; None if the source is no scene file.
     """
 
     source: ViewSource
@@ -61,13 +61,14 @@ class Opened:
 
 @dataclass(frozen=True)
 class TopicOptions:
-    """How topics of a bag or a graph are shown, and an estimate next to them or next to a scene.
+    """Options for showing topics of a bag or a graph, and for an estimate next to a bag, graph or scene.
 
     Attributes:
         estimate: A tracker's estimate: a topic of the bag or graph, in which ``*`` stands for the name of a
-            person; or what ``humansim evaluate`` takes: ``BAG:TOPIC``, files, folders. Empty: there is none.
+            person; or what ``humansim evaluate`` takes: ``BAG:TOPIC``, files, folders. Empty without
+            estimate.
         reading: How the estimate is read and compared.
-        bodies: Names or files of humans that people may have, next to the built-in ones.
+        bodies: Names or files of humans whose bodies the people may have, in addition to the built-in humans.
     """
 
     estimate: Sequence[str] = ()
@@ -81,25 +82,25 @@ class TopicOptions:
         return one if one and not exists(Path(split_topic(one)[0])) else None
 
     def arguments(self) -> dict[str, Any]:
-        """Arguments of the sources of topics."""
+        """Arguments for the constructors of :class:`BagViewSource` and :class:`RosViewSource`."""
         humans = [load_human(body) for body in self.bodies]
         return {"estimate": self.topic, "options": self.reading, "humans": humans}
 
     def beside(self, opened: Opened) -> Opened:
-        """A page with the files of the estimate next to its truth.
+        """Add the estimate, if it is in files, to the source that was opened; returns ``opened``.
 
         Raises:
-            HumansimError: They cannot be read.
+            HumansimError: The estimate cannot be read.
         """
         if self.estimate and self.topic is None:
             opened.source.estimate = self.estimate_beside(opened.source)
         return opened
 
     def estimate_beside(self, source: ViewSource) -> Estimate:
-        """The files of the estimate, read for the frames of a source.
+        """Read the files of the estimate, with the frame period and start of a source.
 
         Raises:
-            HumansimError: They cannot be read.
+            HumansimError: The estimate cannot be read.
         """
         found = Estimate.read(self.estimate, self.reading, source.period, source.start)
         if isinstance(source, SceneViewSource) and self.reading.keypoints is None:
@@ -111,10 +112,10 @@ class TopicOptions:
 def open_source(what: Path | None, topics: TopicOptions | None = None) -> Opened:
     """Open a path or the name of a built-in. If ``what`` is None, open the demo scene.
 
-    ``topics``: how the topics of a bag are shown, and an estimate of a bag or scene. If None, as they are.
+    ``topics``: options for the topics of a bag, and for an estimate next to a bag or scene.
 
     Raises:
-        HumansimError: It is none of these; with file, line and key where these are known.
+        HumansimError: The path cannot be opened; names file, line and key where these are known.
     """
     if what is not None and is_bag(what):
         from humansim_ros.view.sources.bag_source import BagViewSource
@@ -151,10 +152,10 @@ def open_source(what: Path | None, topics: TopicOptions | None = None) -> Opened
 
 
 def _compared(what: Path | None, topics: TopicOptions) -> Opened:
-    """Open the scene of an estimate.
+    """Open a scene to show an estimate next to it.
 
     Raises:
-        HumansimError: There is no such scene, or the options are for bags and graphs.
+        HumansimError: There is no such scene, or an option is only for bags and graphs.
     """
     if topics.bodies:
         raise HumansimError("the people of bags and graphs have bodies: leave it out", key="--body")
@@ -168,10 +169,10 @@ def _compared(what: Path | None, topics: TopicOptions) -> Opened:
 
 
 def new_scene(folder: Path) -> Opened:
-    """An empty scene in a folder, which is made when the first file is kept there.
+    """Open a new, empty scene in a folder. The folder is created when the first file is saved there.
 
     Raises:
-        HumansimError: There is a file of that name.
+        HumansimError: ``folder`` is a file.
     """
     if exists(folder) and not folder.is_dir():
         raise HumansimError("a new scene needs a folder, and this is a file", path=folder)
@@ -181,7 +182,7 @@ def new_scene(folder: Path) -> Opened:
 
 
 def _open_folder(folder: Path) -> Opened:
-    """The only scene in a folder; else the calibration that a folder is; else an empty scene in it."""
+    """Open the only scene in a folder; else the folder as a calibration; else a new scene in the folder."""
     scenes = [path for path in sorted(folder.glob("*.y*ml"))[:_MOST_FILES] if _is_scene(path)]
     if len(scenes) == 1:
         return open_source(scenes[0])
@@ -199,11 +200,11 @@ def open_graph(topics: TopicOptions | None = None, namespace: str = "") -> Opene
     """Show a running ROS graph.
 
     Args:
-        topics: How its topics are shown. If None, as they are.
-        namespace: Show only topics below it.
+        topics: Options for the topics. If None, the defaults.
+        namespace: Show only topics below this namespace.
 
     Raises:
-        HumansimError: ROS is not installed, or a name is no name of a topic.
+        HumansimError: ROS is not installed, or a name is no valid topic or namespace.
     """
     from humansim_ros.ros.processes import prepare_transport, require_ros
 
@@ -245,7 +246,7 @@ def _maker(what: Path) -> Callable[[], ViewSource]:
 
 
 def _built_in(what: Path) -> Callable[[], ViewSource]:
-    """A built-in motion or human by its name."""
+    """Return a function that makes the source of a built-in motion or human with this name."""
     name = str(what)
     try:
         find_motion(name, Path.cwd(), SceneError)
@@ -262,7 +263,7 @@ def _built_in(what: Path) -> Callable[[], ViewSource]:
 
 
 def _is_scene(path: Path) -> bool:
-    """Whether a YAML file is a scene, if it may be one with a mistake."""
+    """Whether a file is a scene, or a YAML file that may be a scene with a mistake."""
     if path.suffix.lower() not in (".yaml", ".yml"):
         return False
     try:
@@ -290,14 +291,14 @@ def _is_calibration(path: Path) -> bool:
 
 
 def _around(human: Mapping[str, Any], title: str) -> ViewSource:
-    """A person between four cameras, without a room."""
+    """Source of a scene with one person (section ``human``) between four cameras, without a room."""
     cameras = Rig(_TARGET, _RADIUS, _HEIGHT).ring(_COUNT)
     scene = Scene.build(humans={"person": dict(human)}, cameras=dict(cameras), room=None)
     return SceneViewSource(scene, title)
 
 
 def _cameras(path: Path) -> ViewSource:
-    """The cameras of a calibration in the world of its file; cameras without poses are at its origin."""
+    """Source with the cameras of a calibration in its world frame; those without poses are at the origin."""
     try:
         scene = Scene.from_dict({"room": None, "rig": {"file": str(path.resolve())}})
     except HumansimError:
@@ -309,7 +310,7 @@ def _cameras(path: Path) -> ViewSource:
 
 
 class EmptySource(ViewSource):
-    """An empty source, which is shown until the file of the page is correct again.
+    """A source without people and cameras, which is shown while the file of the page has errors.
 
     Args:
         title: Title of the page.
@@ -332,8 +333,8 @@ class EmptySource(ViewSource):
         return ViewFrame(index=0, stamp=0, scene_time=0)
 
     def describe(self, camera: str, x: int, y: int) -> PixelInfo:
-        """Raises SceneError: there are no cameras."""
+        """Raise SceneError, since there are no cameras."""
         raise SceneError(f"no camera {camera!r}: the scene could not be read")
 
     def close(self) -> None:
-        """Nothing to free."""
+        """Do nothing, since there is nothing to free."""

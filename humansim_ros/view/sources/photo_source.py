@@ -1,4 +1,4 @@
-"""Photographs of a person as the source of a page: the fitted body among the cameras."""
+"""Shows photographs of a person in the page, with the fitted person and the cameras in 3D."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from humansim_ros.types import Image
 from humansim_ros.view.edit.photo_document import PhotoDocument, PhotoState
 from humansim_ros.view.sources.source import POSES, FrameRequest, PixelInfo, ViewFrame, ViewSource, fitted
 
-#: The only channel, and the name of the person.
+#: Name of the only channel, and name of the person.
 PHOTOGRAPH, PERSON = "photograph", "person"
-#: Greatest width of the photographs of the page, pixels.
+#: Photographs that are wider are scaled down to this width, pixels.
 _WIDTH = 2048
 
 
@@ -29,7 +29,7 @@ class PhotoSource(ViewSource):
 
     Attributes:
         document: The photographs.
-        solver: Fits them again.
+        solver: Fits the person to the photographs again.
     """
 
     objects: Mapping[str, Mesh] = {}
@@ -48,7 +48,7 @@ class PhotoSource(ViewSource):
 
     @property
     def people(self) -> Mapping[str, Human]:
-        """The fitted person; nobody before the first solution."""
+        """The fitted person; empty before the first solution."""
         fit = self.document.state.fit
         return {} if fit is None else {PERSON: fit.body}
 
@@ -66,7 +66,7 @@ class PhotoSource(ViewSource):
 
     @property
     def messages(self) -> Sequence[str]:
-        """Photographs that cannot be shown."""
+        """Messages about photographs that cannot be shown."""
         return list(self._problems.values())
 
     def frame(self, index: int, wanted: FrameRequest = POSES) -> ViewFrame:
@@ -92,12 +92,12 @@ class PhotoSource(ViewSource):
         return self._images[1]
 
     def describe(self, camera: str, x: int, y: int) -> PixelInfo:
-        """Place and colour of a pixel of the frame that was given last."""
+        """Camera and place of a pixel."""
         values = {"camera": camera, "pixel": f"{x}, {y}"}
         return PixelInfo(values)
 
     def close(self) -> None:
-        """End the solution that runs."""
+        """Stop the solver, and wait for its end."""
         self.solver.close()
 
     def _read(self, index: int, view: str) -> dict[str, Image]:
@@ -118,15 +118,15 @@ _REPORT = 0.2
 
 
 class _StoppedError(Exception):
-    """The user has stopped the solution."""
+    """Raised in the thread of the solver when the user has stopped it."""
 
 
 class PhotoSolver:
-    """One solution after the other.
+    """Fits the person to the photographs in a thread; one fit (solution) at a time.
 
     Attributes:
-        progress: Step that runs, such as ``first guess: 3 of 20 frames``.
-        changed: Called in the thread of the solution when there is progress or a result.
+        progress: The running step, such as ``first guess: 3 of 20 frames``.
+        changed: Function that is called in the thread of the solver when there is progress or a result.
     """
 
     def __init__(self) -> None:
@@ -138,11 +138,11 @@ class PhotoSolver:
 
     @property
     def runs(self) -> bool:
-        """Whether a solution is being computed, or waits for :meth:`take`."""
+        """Whether a solution is being computed, or is ready but not yet fetched with :meth:`take`."""
         return self._thread is not None
 
     def start(self, document: PhotoDocument, silhouettes: bool) -> None:
-        """Solve for the points as they are. Raises HumansimError if another solution runs."""
+        """Start to fit the person to the present points. Raises HumansimError if the solver is running."""
         if self._thread is not None:
             raise HumansimError("a solution is being computed: wait for it, or stop it")
         self._stopped.clear()
@@ -152,7 +152,7 @@ class PhotoSolver:
         self._thread.start()
 
     def stop(self) -> None:
-        """Ask for an end before the next step; the solution is dropped."""
+        """Ask the solver to stop before its next step. Its solution is discarded."""
         self._stopped.set()
         self.progress = "stops"
 
@@ -167,7 +167,7 @@ class PhotoSolver:
         return ended
 
     def close(self) -> None:
-        """Stop, and wait until the step that runs has ended."""
+        """Stop the solver, and wait until its present step has ended."""
         self.changed = lambda: None
         if self._thread is not None:
             self.stop()

@@ -1,4 +1,4 @@
-"""Numbers of a click: of a pixel of an image, as the topics say them, or of a point of a person."""
+"""Values to show after a click: of a pixel of an image, as topics have them, or of a point of a person."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from humansim_ros.scene.truth import OCCLUDED, OUTSIDE, VISIBLE
 from humansim_ros.types import Array
 from humansim_ros.view.sources.source import PixelInfo, ViewFrame, ViewSource
 
-#: Channels that the numbers of a pixel come from.
+#: Channels that are needed for the values of a pixel.
 PIXEL_CHANNELS = ("rgb", "depth", "instance", "part", "normal", "face")
-#: Joints that are nearer to the pixel than this share of the image's width are told.
+#: The nearest joint is shown if its distance from the pixel is below this share of the image width.
 _NEAR = 0.02
 _STATES = {VISIBLE: "visible", OCCLUDED: "occluded", OUTSIDE: "outside the image"}
 
 
 def pixel_info(scene: Scene, frame: Frame, camera: str, x: int, y: int) -> PixelInfo:
-    """Numbers of a pixel.
+    """Values of a pixel of a scene, from the exact truth.
 
     Args:
         scene: The scene.
-        frame: Its frame, with :data:`PIXEL_CHANNELS` of the camera.
+        frame: Frame of the scene, with the channels :data:`PIXEL_CHANNELS` of the camera.
         camera: Name of the camera.
         x: Column, from 0 at the left.
         y: Row, from 0 at the top.
@@ -74,8 +74,8 @@ class JointsInImage:
     Attributes:
         person: Name of the person.
         names: Names of the joints.
-        pixels: (J, 2); NaN for joints without one.
-        visible: (J,) their states.
+        pixels: (J, 2) positions in the image; NaN for joints that have none.
+        visible: (J,) states of the joints, such as visible or occluded.
         positions: (J, 3) in ``map``; NaN where unknown.
     """
 
@@ -89,13 +89,13 @@ class JointsInImage:
 def surface_values(
     camera: str, pixel: tuple[int, int], seen_by: Camera, found: Mapping[str, Any]
 ) -> tuple[dict[str, str], Array | None]:
-    """Texts about the surface in a pixel, and its point (3,) in ``map`` if its depth is known.
+    """Texts about the surface at a pixel, and its point (3,) in ``map``; None if the depth is unknown.
 
     Args:
         camera: Name of the camera.
         pixel: Column and row.
         seen_by: The camera.
-        found: Values of the pixel by channel: ``rgb``, ``depth`` in metres, ``normal``; as far as known.
+        found: Known values of the pixel by channel: ``rgb``, ``depth`` in metres, ``normal``.
     """
     x, y = pixel
     values, world = {"camera": camera, "pixel": f"({x}, {y})"}, None
@@ -116,7 +116,7 @@ def surface_values(
 
 
 def near_joint_values(people: Iterable[JointsInImage], pixel: tuple[int, int], width: int) -> dict[str, str]:
-    """Texts about the joint with a projection that is nearest to a pixel; none if no joint is near.
+    """Texts about the joint that is nearest to a pixel in the image; empty if no joint is near.
 
     Args:
         people: Joints in the image.
@@ -147,18 +147,18 @@ def point_text(point: Array) -> str:
 
 # --- points of people
 
-#: Distance between a point and the surface in a pixel up to which the pixel shows the point, metres.
+#: A pixel shows a point if the surface at the pixel is at most this far from the point, metres.
 _SAME = 0.03
 
 
 @dataclass(frozen=True)
 class Hit:
-    """Point on the skin.
+    """Point on the skin that a ray hits.
 
     Attributes:
         point: (3,) in ``map``, metres.
         triangle: Number of the triangle.
-        vertex: Number of its nearest vertex.
+        vertex: Number of the vertex that is nearest to the point.
     """
 
     point: Array
@@ -197,11 +197,11 @@ def hit_person(human: Human, joints: Array, origin: Array, direction: Array) -> 
 
 
 def person_info(source: ViewSource, frame: ViewFrame, name: str, hit: Hit) -> PixelInfo:
-    """Numbers of a point of a person: world, part, joint, and its pixel in each camera.
+    """Values of a point of a person: position, body part, joint, and its pixel in each camera.
 
     Args:
         source: The source.
-        frame: Its frame that was given last.
+        frame: The frame that the source returned last.
         name: Name of the person.
         hit: The point.
     """

@@ -1,4 +1,4 @@
-"""A running graph as the source of a page: what its topics say, whoever publishes them."""
+"""Shows a running ROS graph in the page: the topics of this package and of other programs."""
 
 from __future__ import annotations
 
@@ -47,24 +47,23 @@ from humansim_ros.view.sources.tracks import (
     seen_shares,
 )
 
-#: Seconds between two looks at the wanted topics, and at the graph.
+#: Seconds between two checks for wanted topics, and between two checks for topics of the graph.
 _LOOK_EVERY, _DISCOVER_EVERY = 0.05, 0.5
-#: Images that have not been wanted for this number of seconds are no longer received.
+#: A topic of images is unsubscribed when the page has not used it for this number of seconds.
 _UNWANTED = 3.0
-#: A frame is held back for at most this time until all its messages have arrived, nanoseconds: without, and
-#: with an estimate.
+#: Longest wait until all messages of a frame have arrived, nanoseconds: without, and with an estimate.
 _PATIENCE, _ESTIMATE_PATIENCE = 200_000_000, 1_500_000_000
-#: Seconds that numbers of a pixel wait for images that nobody wanted before.
+#: Longest wait, seconds, for images that must be subscribed first to tell the values of a pixel.
 _PIXEL_PATIENCE = 1.5
 #: People and cameras without a publisher for this number of seconds are removed.
 _LEFT_AFTER = 5.0
 #: Seconds without a frame after which the page says so.
 _SILENT = 3.0
-#: Nanoseconds between frames from which the skin of a person is found.
+#: Shortest time between two frames from which skinning weights are computed, nanoseconds.
 _SAMPLE_EVERY = 300_000_000
-#: Messages of a subscription that wait: of images, and of others.
+#: Queue depth of subscriptions: of images, and of other topics.
 _IMAGE_DEPTH, _DEPTH = 2, 100
-#: Longest messages by type, and of all other types, bytes.
+#: Longest messages that are accepted, by type, bytes; then the limit of all other types.
 _MAX_BYTES = {
     IMAGE: 256 << 20,
     COMPRESSED_IMAGE: 64 << 20,
@@ -73,35 +72,35 @@ _MAX_BYTES = {
     TF: 1 << 20,
 }
 _MAX_OTHER = 256 << 10
-#: Most bytes of all messages that are kept, most messages of a topic, and nanoseconds by which stamps go back
-#: when a new run begins.
+#: Largest size of all stored messages, bytes; most stored messages of a topic; a new run begins when stamps
+#: go back by more than this, nanoseconds.
 _MAX_KEPT, _MAX_MESSAGES, _NEW_RUN = 512 << 20, 90, 10**9
-#: Most stamps with arrivals that are held.
+#: Most stamps for which the time of arrival is stored.
 _MAX_ARRIVALS = 4 * _MAX_MESSAGES
-#: Most topics with problems that are told.
+#: Most topics whose problems the user is told.
 _MAX_PROBLEMS = 5
 _MARKERS = "visualization_msgs/msg/MarkerArray"
-#: Messages of tf that wait for the page.
+#: Most messages of tf that are queued for the thread of the page.
 _MAX_TRANSFORMS = 2000
 
 
 class RosViewSource(TopicSource):
-    """A graph that is shown while it runs.
+    """A ROS graph that is shown while it runs.
 
-    A thread receives messages. The thread of the page takes them, and never waits. All messages of a frame
+    A thread receives the messages; the thread of the page reads them without waiting. All messages of a frame
     have the same stamp. Images are received only while they are shown, since cameras of this package do not
     render images without a subscriber.
 
     Args:
         estimate: Topic of a tracker's estimate; ``*`` stands for the name of a person.
         options: How the estimate is read and compared.
-        humans: Bodies that people may have, next to the built-in ones.
-        namespace: Show only topics below it, and tf and the estimate.
+        humans: Humans whose bodies the people may have, in addition to the built-in humans.
+        namespace: Show only topics below this namespace, tf, and the estimate.
         image_width: Width to which wider images are scaled down, pixels.
-        patience: Seconds that the first people and cameras are waited for.
+        patience: Longest wait for the first people and cameras, seconds.
 
     Raises:
-        RosError: A name is no name of a topic.
+        RosError: A name is no valid topic or namespace.
     """
 
     def __init__(
@@ -119,12 +118,12 @@ class RosViewSource(TopicSource):
         self._seen_of: tuple[SeenTopics, int] | None = None
         self._number = -1
         self._first: int | None = None
-        #: The frame that was given last: its messages, what was wanted, and itself.
+        #: The frame that was returned last: its messages, the request, and the frame itself.
         self._last: tuple[TopicFrame, Any, ViewFrame] | None = None
-        #: Stamp of the frame with numbers that were asked for. It is shown while the page is paused.
+        #: Stamp of the frame for which :meth:`describe` was called. It is shown while the page is paused.
         self._pinned: int | None = None
         self._live = LiveTracks()
-        #: Joints and vertices by person and stamp.
+        #: Serialised joints and vertices, by person and stamp, to compute skinning weights.
         self._samples: dict[str, dict[int, tuple[bytes, bytes]]] = {}
         try:
             self._wait_for_first(patience)
@@ -133,7 +132,7 @@ class RosViewSource(TopicSource):
             raise
 
     def _wait_for_first(self, patience: float) -> None:
-        """Wait until there are people or cameras, and nothing new comes for a moment."""
+        """Wait at most ``patience`` seconds for people or cameras, until no new ones appear for a moment."""
         end, quiet, known = time.monotonic() + patience, time.monotonic(), 0
         while time.monotonic() < end:
             self._see()
@@ -165,7 +164,7 @@ class RosViewSource(TopicSource):
 
     @property
     def timing(self) -> str:
-        """Age of the frame that is shown, images per second, and cameras with lost images.
+        """Text with the age of the frame that is shown, images per second, and lost images by camera.
 
         The age is the time since the first message of the frame arrived. An image is lost if images with
         stamps before and after it have arrived.
@@ -191,7 +190,7 @@ class RosViewSource(TopicSource):
         return "; ".join(found)
 
     def _state(self) -> Iterator[str]:
-        """What the graph lacks now."""
+        """Yield messages for the user about what the graph lacks at present."""
         topics, store = self._topics, self._receiver.store
         if not topics.cameras and not topics.people:
             domain = self._receiver.domain
@@ -228,10 +227,10 @@ class RosViewSource(TopicSource):
         return frame
 
     def describe(self, camera: str, x: int, y: int) -> PixelInfo:
-        """Numbers of a pixel of the frame that was given last, as the topics say them.
+        """Values of a pixel of the frame that was returned last, as topics have them.
 
-        Images that are not received yet are waited for, with a newer frame; :meth:`frame` gives that one as
-        long as it is called with ``wait``.
+        If images must be subscribed first, a newer frame that has them is used. Then :meth:`frame` returns
+        that newer frame as long as it is called with ``wait``.
 
         Raises:
             RosError: There is no such camera, or the pixel is not in the image.
@@ -297,18 +296,18 @@ class RosViewSource(TopicSource):
         )
 
     def _received(self, wanted: Iterable[str]) -> list[str]:
-        """Those of some topics that have messages."""
+        """Select the topics from which messages have arrived."""
         return [topic for topic in wanted if topic and self._receiver.store.stamps([topic])]
 
     def _sample(
         self, stamp: int, received: Collection[str], projected: Collection[str]
     ) -> tuple[TrackSample, Mapping[str, float]]:
-        """Joints and visibility of a frame, and the errors of the estimate.
+        """Joints and visibility in a frame, and errors of the estimate by person.
 
         Args:
             stamp: Stamp of the frame.
             received: Received topics with the 2D joints of an image.
-            projected: Cameras with joints that are projected instead.
+            projected: Cameras without such a topic. The joints are projected into them.
         """
         found = self._messages(stamp, received)
         frame = self._shown.frame(found)
@@ -324,7 +323,7 @@ class RosViewSource(TopicSource):
     # --- frames
 
     def _see(self) -> None:
-        """Take over what the receiver has found."""
+        """Take over new transforms, topics, people, cameras and objects from the receiver."""
         receiver = self._receiver
         receiver.move_transforms(self._shown)
         topics, changes = receiver.topics, receiver.changes
@@ -336,7 +335,7 @@ class RosViewSource(TopicSource):
             self._take_sample(name)
 
     def _take_sample(self, name: str) -> None:
-        """Take joints and vertices of a person; find the skin when there are enough."""
+        """Store joints and vertices of a person; once there are enough, compute the skinning weights."""
         store, topics = self._receiver.store, self._topics.people[name]
         pair = [topics["joints"], topics["vertices"]]
         self._receiver.want(pair[1:])
@@ -352,7 +351,7 @@ class RosViewSource(TopicSource):
             self._shown.add_skin(name, list(self._samples.pop(name).values()))
 
     def _images(self, cameras: Collection[str], channels: Collection[str], joints: bool = False) -> list[str]:
-        """Topics of wanted images; also topics of the joints in them if they are drawn, or wanted."""
+        """Topics of images of cameras and channels; and of the joints in them, if drawn or if ``joints``."""
         found = []
         own = {"rgb" if channel == JOINTS else channel for channel in channels}
         for name in cameras:
@@ -364,7 +363,7 @@ class RosViewSource(TopicSource):
         return found
 
     def _clock(self) -> list[str]:
-        """Topics with stamps that are frames: joints of people, or else images, or else calibrations."""
+        """Topics whose stamps define the frames: joints of people, else images, calibrations, estimates."""
         store, topics = self._receiver.store, self._topics
         people = [of_person["joints"] for of_person in topics.people.values()]
         images = [topic for camera in topics.cameras.values() for topic in camera.images.values()]
@@ -373,7 +372,7 @@ class RosViewSource(TopicSource):
         return next((choice for choice in choices if store.stamps(choice)), [])
 
     def _frame(self, images: Collection[str], stamp: int | None = None) -> TopicFrame | None:
-        """Messages of the frame of a stamp, or of the newest whole one; None without frames."""
+        """Messages of the frame at ``stamp`` (None: the newest complete frame); None if there is no frame."""
         if stamp is None:
             stamp = self._newest_whole(self._clock(), images)
         if stamp is None:
@@ -385,7 +384,7 @@ class RosViewSource(TopicSource):
         return self._messages(stamp, images)
 
     def _newest_whole(self, clock: Collection[str], images: Collection[str]) -> int | None:
-        """Stamp of the newest frame that has everything; None without frames."""
+        """Stamp of the newest complete frame, or of one that waited too long; None if there is no frame."""
         topics = self._topics
         people = [of_person["joints"] for of_person in topics.people.values()]
         patience = _ESTIMATE_PATIENCE if topics.estimate else _PATIENCE
@@ -393,7 +392,7 @@ class RosViewSource(TopicSource):
         return self._receiver.store.newest_whole(clock, needed, patience, time.monotonic())
 
     def _messages(self, stamp: int, images: Collection[str]) -> TopicFrame:
-        """Messages of the frame of a stamp, with some that are received on demand."""
+        """Messages of the frame at a stamp, including those of ``images``, which are received on demand."""
         topics = self._topics
         wanted = set(topics.topics) - topics.on_demand | {*images, *topics.lasting}
         data = self._receiver.store.near(stamp, wanted, self.period // 2)
@@ -401,18 +400,18 @@ class RosViewSource(TopicSource):
 
 
 class _Receiver:
-    """Node, thread and subscriptions of a source.
+    """Receives the messages for a source: ROS node, thread and subscriptions.
 
     Args:
-        estimate: Absolute topic of the estimate; None without.
+        estimate: Absolute topic of the estimate; None if there is no estimate.
         namespace: Namespace of the topics that are shown.
         reading: How an estimate is read.
 
     Attributes:
         store: Messages that have arrived.
-        topics: Topics that there are.
-        changes: Number of messages that have changed people, cameras or objects.
-        arrivals: Monotonic time at which the first message of each stamp arrived, of the newest frames.
+        topics: Topics of the graph that can be shown.
+        changes: Counter that increases when there may be new people, cameras or objects.
+        arrivals: Time (monotonic clock) at which the first message arrived, by stamp, of the newest frames.
     """
 
     def __init__(self, estimate: str | None, namespace: str, reading: LiveOptions) -> None:
@@ -427,14 +426,14 @@ class _Receiver:
         self.arrivals: dict[int, float] = {}
         self._problems: dict[str, str] = {}
         self._first_of: set[str] = set()
-        #: Messages of tf and their topics.
+        #: Queue of tf messages with their topics.
         self._transforms: deque[tuple[bytes, str]] = deque(maxlen=_MAX_TRANSFORMS)
-        #: Monotonic time at which each topic of images was wanted last.
+        #: Time (monotonic clock) at which the page last used each topic of images.
         self._wanted: dict[str, float] = {}
-        #: By topic: type, profile and subscription.
+        #: Type, QoS profile and subscription, by topic.
         self._subscriptions: dict[str, tuple[str, QoSProfile, Any]] = {}
         self._offers: dict[str, list[tuple[str, QoSProfile]]] = {}
-        #: Monotonic time since which a topic has had no publisher.
+        #: Time (monotonic clock) since which a topic has had no publisher, by topic.
         self._left: dict[str, float] = {}
         self._lasting: set[str] = set()
         self._discover_at = 0.0
@@ -455,12 +454,12 @@ class _Receiver:
     # --- for the thread of the page
 
     def want(self, images: Collection[str]) -> None:
-        """Receive images for some time from now on."""
+        """Subscribe to topics of images, or keep them subscribed, for the next seconds."""
         now = time.monotonic()
         self._wanted |= dict.fromkeys(images, now)
 
     def move_transforms(self, shown: TopicFrames) -> None:
-        """Give the transforms that have arrived to the frames."""
+        """Move all queued tf messages into ``shown``."""
         while self._transforms:
             try:
                 shown.transforms.add(*self._transforms.popleft())
@@ -468,7 +467,7 @@ class _Receiver:
                 shown.note(f"tf: {error.message}")
 
     def close(self) -> None:
-        """End the thread and leave the graph."""
+        """Stop the thread, and destroy the node."""
         self._stopped.set()
         self._thread.join(10)
 
@@ -488,7 +487,7 @@ class _Receiver:
             rclpy.try_shutdown(context=self._context)
 
     def _look(self) -> None:
-        """Follow the graph, and the wanted topics."""
+        """Find topics of the graph; subscribe to the wanted topics, and unsubscribe the others."""
         now = time.monotonic()
         if now >= self._discover_at:
             self._discover_at = now + _DISCOVER_EVERY
@@ -521,7 +520,7 @@ class _Receiver:
         }
 
     def _has_left(self, topic: str) -> bool:
-        """Whether a topic that was received has had no publisher for a while; one may start again."""
+        """Whether a subscribed topic has had no publisher for ``_LEFT_AFTER`` seconds."""
         if topic not in self._subscriptions or self._node.count_publishers(topic):
             self._left.pop(topic, None)
             return False
@@ -533,7 +532,7 @@ class _Receiver:
         return self._pattern is not None and self._pattern.fullmatch(topic) is not None
 
     def _follow(self, topic: str) -> None:
-        """Subscribe to a topic, again if its publishers offer something else."""
+        """Subscribe to a topic. If the QoS or type of its publishers has changed, subscribe again."""
         kind = self.topics.types[topic]
         offers = [offer for each, offer in self._offers.get(topic, ()) if each == kind]
         if not offers:
@@ -562,12 +561,12 @@ class _Receiver:
         self._subscriptions[topic] = kind, profile, new
 
     def _note(self, topic: str, error: HumansimError) -> None:
-        """Tell the user about an error of a topic, once."""
+        """Tell the user about the first error of a topic."""
         self._problems.setdefault(topic, f"{printable(topic, 100)}: {error.message}")
 
     @property
     def problems(self) -> Sequence[str]:
-        """What could not be received."""
+        """Messages for the user about topics that could not be received."""
         return list(self._problems.values())[:_MAX_PROBLEMS]
 
     def _on_message(self, topic: str, kind: str, found: Any, stamped: bool, data: bytes) -> None:
@@ -577,7 +576,7 @@ class _Receiver:
             self._note(topic, error)
 
     def _take(self, topic: str, kind: str, found: Any, stamped: bool, data: bytes) -> None:
-        """Keep a message. Raises HumansimError if it is too long, or its stamp cannot be read."""
+        """Store a message. Raises HumansimError if it is too long, or its stamp cannot be read."""
         limit = _MAX_BYTES.get(kind, _MAX_OTHER)
         check_serialised(data, found, limit)
         if kind == TF:
@@ -601,14 +600,14 @@ class _Receiver:
         self._note_first(topic, again=not stamped)
 
     def _note_first(self, topic: str, again: bool = False) -> None:
-        """Note that there may be new people, cameras or objects."""
+        """Count a change if this is the first message of a topic, or if ``again``."""
         if again or topic not in self._first_of:
             self._first_of.add(topic)
             self.changes += 1
 
 
 def _checked(estimate: str | None, namespace: str) -> str | None:
-    """Absolute topic of an estimate. Raises RosError if it is no name."""
+    """Absolute topic of an estimate. Raises RosError if the topic or the namespace is not valid."""
     for name in (estimate, namespace):
         if name is not None and any(letter.isspace() for letter in name):
             raise RosError(f"'{printable(name, 80)}' is no name of a topic or namespace")
@@ -620,7 +619,7 @@ def _checked(estimate: str | None, namespace: str) -> str | None:
 
 
 def _is_same(one: TopicFrame, other: TopicFrame) -> bool:
-    """Whether two frames have the same messages."""
+    """Whether two frames have the same stamp and the same messages."""
     return (
         one.stamp == other.stamp
         and one.data.keys() == other.data.keys()

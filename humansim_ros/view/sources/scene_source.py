@@ -1,4 +1,4 @@
-"""A scene as the source of a page: motion in this process, images in processes of their own."""
+"""Shows a scene in the page: computes motion in this process, and renders images in other processes."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ from humansim_ros.view.sources.tracks import ErrorPlan, SceneTracks
 
 #: Channels that the page can show.
 _CHANNELS = ("rgb", JOINTS, "depth", "part", "instance", "normal", "flow")
-#: Seconds of a scene with motions that are shorter, and longest that the timeline shows.
+#: Shortest and longest duration that the timeline shows, seconds.
 _SHORTEST, _LONGEST = 2.0, 600.0
-#: Width of all images on the page together, and most next to each other.
+#: Width of all images next to each other, pixels, and most images next to each other.
 _PAGE_WIDTH, _BESIDE = 1280, 4
 
 
@@ -49,9 +49,9 @@ class SceneViewSource(ViewSource):
 
     Args:
         scene: The scene.
-        title: Title of the page; the name of the scene file if None.
-        workers: Number of processes that render; as many as the machine has cores if None.
-        has_cameras: The scene has cameras of its own; else they are not shown.
+        title: Title of the page. If None, the name of the scene file.
+        workers: Number of processes that render. If None, the number of cores, at most four.
+        has_cameras: Whether the page shows the cameras of the scene.
     """
 
     title: str = ""
@@ -76,7 +76,7 @@ class SceneViewSource(ViewSource):
         self._count = workers
         self._shown = 0
         self._exact: Frame | None = None
-        #: Points of each scanner, and the frame at which their sweep ended.
+        #: Cache: for each scanner, the frame in which its last sweep ended, and the points of that sweep.
         self._scans: dict[str, tuple[int, dict[str, Array]]] = {}
 
     @property
@@ -89,7 +89,7 @@ class SceneViewSource(ViewSource):
 
     @cached_property
     def static(self) -> Mapping[str, Mesh]:
-        """Meshes by name in ``map``: room, static objects."""
+        """Meshes of the room and of static objects in ``map``, by name."""
         meshes = {f"room {number}": mesh for number, mesh in enumerate(self.scene.environment.meshes, 1)}
         static = {name: item.static_mesh() for name, item in self.scene.objects.items() if not item.moves}
         return meshes | static
@@ -156,7 +156,7 @@ class SceneViewSource(ViewSource):
         )
 
     def _scanned(self, index: int) -> dict[str, dict[str, Array]]:
-        """Points in ``map`` of the last sweep of each scanner that ended by a frame, by person."""
+        """Points in ``map``, by person, of the last sweep of each scanner that ended at or before a frame."""
         found = {}
         for name, scanner in self.scene.scanners.items():
             most = 1 + math.ceil(scanner.pattern.period / self.period)
@@ -171,7 +171,7 @@ class SceneViewSource(ViewSource):
         return found
 
     def _by_person(self, sweep: Sweep) -> dict[str, Array]:
-        """Points of a sweep in ``map`` by person; "" for other surfaces. Nobody without points."""
+        """Points of a sweep in ``map`` by person; "" for other surfaces. People without points are absent."""
         points = sweep.points @ quaternion_to_matrix(sweep.rotation).T + sweep.position
         actors = self.scene.actors
         people = {name: points[sweep.instances == actor.instance] for name, actor in actors.items()}
@@ -180,12 +180,12 @@ class SceneViewSource(ViewSource):
 
     @cached_property
     def _states(self) -> SceneStates:
-        """States for the sweeps, which need no renderer."""
+        """States of the scene to compute sweeps of scanners, which need no renderer."""
         return SceneStates(self.scene)
 
     @cached_property
     def _simulation(self) -> Simulation:
-        """Exact truth in this process."""
+        """Simulation in this process, which gives the exact truth of clicked pixels."""
         return Simulation(self.scene, channels=PIXEL_CHANNELS)
 
     def _estimate(self, elapsed: int) -> tuple[dict[str, Array], dict[str, float]]:
@@ -223,7 +223,7 @@ class SceneViewSource(ViewSource):
         return SceneTracks(self.scene, self.frames, tuple(self.cameras), plan)
 
     def take_over(self, previous: ViewSource) -> None:
-        """Let the processes of another scene render this one: starting them takes seconds."""
+        """Let the processes of the previous source render this scene, since a start takes them seconds."""
         if isinstance(previous, SceneViewSource) and "_workers" in previous.__dict__:
             workers: ImageWorkers = previous.__dict__.pop("_workers")
             workers.use(self.scene)
@@ -251,19 +251,19 @@ class SceneViewSource(ViewSource):
 
 # --- processes that render the images, so that rendering never delays the motion of the page
 
-#: Channels that joints with their visibility need.
+#: Channels that are needed to find out which joints are visible.
 _JOINT_CHANNELS = ("depth", "instance", "part")
-#: Longest time until a process must answer, seconds.
+#: Longest wait for images of a process, seconds.
 _PATIENCE = 60.0
 #: Niceness of the rendering processes, so that the motion of the page goes before its images.
 _NICE = 5
-#: Most processes; each has a renderer of its own.
+#: Most processes by default. Each has its own renderer.
 _MOST = 4
 
 
 @dataclass(frozen=True)
 class Request:
-    """Images that are wanted.
+    """A request for the images of a frame.
 
     Attributes:
         index: Number of the frame.
@@ -282,20 +282,20 @@ class Request:
 
 @dataclass(frozen=True)
 class Images:
-    """Images of a request by camera and channel; the first ones of a scene may lack cameras."""
+    """Images of a request by camera and channel. The first images of a scene may lack some cameras."""
 
     request: Request
     images: dict[str, dict[str, Image]]
 
     @property
     def is_whole(self) -> bool:
-        """Whether the images of all cameras are there."""
+        """Whether the images of all requested cameras are there."""
         return self.images.keys() >= set(self.request.cameras)
 
 
 @dataclass
 class _Frame:
-    """Images that are being rendered: cameras that no process was asked for, and images so far."""
+    """A frame whose images are being rendered: cameras that no process renders yet, and finished images."""
 
     request: Request
     left: list[str]
@@ -309,39 +309,38 @@ class _Frame:
 
 
 class ImageWorkers:
-    """Processes that render cameras of a frame, and different frames, at the same time.
+    """Processes that render in parallel: different cameras of a frame, and different frames.
 
-    A process caches the static image of the cameras that it has rendered. Therefore it gets the same cameras
-    again.
+    Each process caches the static image of its cameras. Therefore it gets the same cameras again.
 
     Args:
         scene: The scene.
         count: Number of processes. If None, as many as the machine has cores, but at most four.
-        copies: They are copies of this process (see :class:`Workers`).
+        copies: Whether the processes are forked from this process (see :class:`Workers`).
 
     Raises:
-        HumansimError: The scene cannot be rendered, or a process died; from :meth:`latest` and :meth:`exact`.
+        HumansimError: Raised by :meth:`latest` and :meth:`exact` if rendering fails, or a process died.
     """
 
     def __init__(self, scene: Scene, count: int | None = None, copies: bool = False) -> None:
         self._count = count or min(_MOST, cores())
         self._workers = Workers(_PageImages(scene), self._count, _NICE, copies)
         self._latest: Images | None = None
-        #: By number, in the order in which they were asked for.
+        #: Frames in progress, by number of the request, in this order.
         self._frames: dict[int, _Frame] = {}
         #: Cameras that each process has rendered.
         self._rendered: list[set[str]] = [set() for _ in range(self._count)]
         self._first = self._asked = self._shown = 0
 
     def use(self, scene: Scene) -> None:
-        """Render another scene from now on; processes are not started again."""
+        """Render another scene from now on, with the same processes."""
         self._workers.use(_PageImages(scene))
         self._latest, self._first = None, self._asked
         self._frames.clear()
         self._rendered = [set() for _ in range(self._count)]
 
     def latest(self, request: Request) -> Images | None:
-        """The newest images that are ready; ask for the images of ``request`` if a process has time."""
+        """Return the newest finished images, or None. If a process is idle, start to render ``request``."""
         while self._collect(0):
             pass
         self._ask(request)
@@ -352,7 +351,7 @@ class ImageWorkers:
         )
 
     def exact(self, request: Request) -> Images:
-        """Images of ``request``; waits for them. Nobody waits for other frames any more."""
+        """Wait for the images of ``request``, and return them. Other unfinished frames are dropped."""
         for number, frame in list(self._frames.items()):
             if frame.left and frame.request != request:
                 del self._frames[number]
@@ -387,7 +386,8 @@ class ImageWorkers:
                 self._workers.ask(_Part(number, frame.request, cameras), process)
 
     def _share(self, process: int, frame: _Frame) -> tuple[str, ...]:
-        """Take cameras of a frame for a process: first its own, last those of other processes."""
+        """Choose cameras of a frame for a process: first those it has rendered, last those of other
+        processes."""
         own = self._rendered[process]
         others = set().union(*self._rendered) - own
         order = sorted(frame.left, key=lambda name: (name not in own, name in others))
@@ -397,7 +397,7 @@ class ImageWorkers:
         return taken
 
     def _collect(self, timeout: float) -> bool:
-        """Take what has arrived; whether something has."""
+        """Process finished images, waiting at most ``timeout`` seconds. Returns whether some have arrived."""
         found = False
         with self._death():
             for part, result in self._workers.arrived(timeout):
@@ -434,7 +434,7 @@ class ImageWorkers:
 
 @dataclass(frozen=True)
 class _Part:
-    """Cameras of a request for one process. ``number``: of the request."""
+    """The cameras of a request that one process renders. ``number``: number of the request."""
 
     number: int
     request: Request
@@ -443,7 +443,7 @@ class _Part:
 
 @dataclass(frozen=True)
 class _PageImages:
-    """Images of a scene for the page, as a job."""
+    """Job that renders images of a scene for the page."""
 
     scene: Scene
 
@@ -452,7 +452,7 @@ class _PageImages:
 
 
 class _Painter:
-    """Simulations of a scene with the channels that were asked for. They share a renderer."""
+    """Renders images in a process: one simulation for each set of channels, all with the same renderer."""
 
     def __init__(self, scene: Scene) -> None:
         self.costs = Costs()
@@ -484,7 +484,7 @@ class _Painter:
 
 
 def _images_of(result: FrameResult) -> dict[str, dict[str, Image]]:
-    """Images by camera and channel."""
+    """Decode the images of a result, by camera and channel."""
     images: dict[str, dict[str, Image]] = {}
     for (camera, channel, shape), (content,) in zip(result.value, result.data, strict=True):
         images.setdefault(camera, {})[channel] = np.frombuffer(content, np.uint8).reshape(shape).copy()
@@ -492,11 +492,11 @@ def _images_of(result: FrameResult) -> dict[str, dict[str, Image]]:
 
 
 def picture(scene: Scene, frame: Frame, camera: str, channel: str) -> Image:
-    """Image (H, W, 3) of a channel for people to look at.
+    """Make an image (H, W, 3) of a channel for people to look at, with depth and labels as colours.
 
     Args:
         scene: The scene.
-        frame: Its frame.
+        frame: Frame of the scene.
         camera: Name of the camera.
         channel: Name of the channel; ``joints`` is the image with the joints drawn over it.
     """

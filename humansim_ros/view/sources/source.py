@@ -1,4 +1,4 @@
-"""What the page shows: people, objects, cameras and images of a scene, a bag or a running graph."""
+"""Interface of the sources of a page: people, objects, cameras and images of a scene, bag or graph."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from humansim_ros.types import Array, Image
 from humansim_ros.view.sources.topic_people import Estimate
 from humansim_ros.view.sources.tracks import Tracks
 
-#: Channel of a page that is no channel of a renderer: the image with the joints drawn over it.
+#: Extra channel of the page, which no renderer has: the image with the joints drawn over it.
 JOINTS = "joints"
 #: Width of images on the page, pixels.
 IMAGE_WIDTH = 640
-#: Channels with pixels that may be mixed. Others are labels or have edges.
+#: Channels that can be scaled by averaging pixels. Other channels have labels or sharp edges.
 _SMOOTH = ("rgb", JOINTS, "shadow", "alpha")
 
 
 @dataclass(frozen=True, kw_only=True)
 class ViewFrame:
-    """Everything that moves, at one stamp.
+    """One frame for the page: poses of everything that moves, and images.
 
     Attributes:
         index: Number of the frame.
         stamp: Nanoseconds.
-        scene_time: Nanoseconds from the start.
+        scene_time: Nanoseconds since the start of the scene.
         joints: Poses (J, 4, 4) in ``map`` by human, in the order of ``skeleton.joint_names``: the B bones
             first, then the end points.
         sizes: Scale of the body by human; 1 if absent.
@@ -44,7 +44,7 @@ class ViewFrame:
         image_index: Number of the frame of the images. It is an earlier frame if images are slower than the
             motion. None if there are no images, or while the first images lack cameras.
         scans: Points (P, 3) in ``map`` of the last sweep of each laser scanner, by person; "" for other
-            surfaces. A moving scanner is where it is at the stamp of the sweep, as RViz shows its points.
+            surfaces. For a moving scanner, its pose at the stamp of the sweep is used, as RViz does.
         estimate: Points (J, 3) of a tracker in ``map``, by person.
         estimate_errors: Distance of the estimate from the truth by person, millimetres.
     """
@@ -66,11 +66,11 @@ class ViewFrame:
 
 @dataclass(frozen=True)
 class PixelInfo:
-    """Numbers of a pixel.
+    """Values of a pixel, or of a point of a person, for the user.
 
     Attributes:
-        values: Text by name, in the order in which it is shown.
-        world: (3,) the point on the surface in ``map``, metres; None without surface or depth.
+        values: Texts to show, by name, in this order.
+        world: Point (3,) on the surface in ``map``, metres; None without surface or depth.
     """
 
     values: Mapping[str, str]
@@ -79,14 +79,14 @@ class PixelInfo:
 
 @dataclass(frozen=True)
 class FrameRequest:
-    """What the page wants of a frame, next to the poses.
+    """What the page wants to get with a frame, in addition to the poses.
 
     Attributes:
         cameras: Cameras with images that are wanted.
         channels: Channels that are wanted.
-        wait: The images must belong to this frame; otherwise the latest images that are ready are given.
-        full: Cameras with images that keep their size. Other images are small.
-        scans: Points of laser scanners are wanted.
+        wait: Whether to wait for the images of this frame. Otherwise the latest images are returned.
+        full: Cameras whose images keep their size. Other images are scaled down.
+        scans: Whether points of laser scanners are wanted.
     """
 
     cameras: Collection[str] = ()
@@ -96,18 +96,18 @@ class FrameRequest:
     scans: bool = False
 
 
-#: A frame without images.
+#: Request for a frame without images.
 POSES = FrameRequest()
 
 
 class ViewSource(ABC):
-    """Source of a page; all methods are called in one thread.
+    """Source of what a page shows. All methods are called in one thread.
 
     Attributes:
-        renders: Whether it renders the images itself, so that they are there soon.
+        renders: Whether the source renders its images itself, so that they surely come soon.
         scanners: Names of the laser scanners with points that can be shown.
         start: Stamp of the first frame, nanoseconds.
-        estimate: An estimate of files that is shown next to the truth; None without.
+        estimate: An estimate from files that is shown next to the truth; None if there is none.
     """
 
     renders: bool = False
@@ -123,7 +123,7 @@ class ViewSource(ABC):
     @property
     @abstractmethod
     def people(self) -> Mapping[str, Human]:
-        """Bodies without pose by name, in their outfit."""
+        """Bodies in the rest pose, with their outfits, by name of the person."""
 
     @property
     @abstractmethod
@@ -133,12 +133,12 @@ class ViewSource(ABC):
     @property
     @abstractmethod
     def static(self) -> Mapping[str, Mesh]:
-        """Meshes by name in ``map``: room, static objects."""
+        """Meshes of the room and of static objects in ``map``, by name."""
 
     @property
     @abstractmethod
     def cameras(self) -> Mapping[str, Camera]:
-        """Cameras at the start, or where they were last."""
+        """Cameras by name, at their initial or last known poses."""
 
     @property
     @abstractmethod
@@ -157,38 +157,38 @@ class ViewSource(ABC):
 
     @property
     def timing(self) -> str:
-        """How late the frames of a running graph are shown, and what is lost; empty for recordings."""
+        """Text about a running graph: delay of the frames, and lost images; empty for other sources."""
         return ""
 
     @property
     @abstractmethod
     def messages(self) -> Sequence[str]:
-        """What the user should know, such as "the bag has no images"."""
+        """Messages for the user, such as "the bag has no images"."""
 
     @abstractmethod
     def frame(self, index: int, wanted: FrameRequest = POSES) -> ViewFrame:
-        """A frame with the wanted images. ``index``: its number; a live source gives its latest frame."""
+        """Return the frame with number ``index``, with images. A live source returns its latest frame."""
 
     def prepare(self, cameras: Collection[str], channels: Collection[str], alone: bool = False) -> None:
-        """Begin with what takes time before somebody looks.
+        """Start slow preparations, such as rendering the first images, before a browser opens the page.
 
         Args:
             cameras: Cameras with images that will be wanted.
             channels: Channels that will be wanted.
-            alone: This process has no other threads yet, and no OpenGL: it can be copied.
+            alone: Whether this process has no other threads and no OpenGL yet, so that it can be forked.
         """
         del cameras, channels, alone
 
     @abstractmethod
     def describe(self, camera: str, x: int, y: int) -> PixelInfo:
-        """Numbers of a pixel of the frame that was given last, as the topics say them."""
+        """Values, as topics have them, of a pixel (column, row) of the frame that was returned last."""
 
     def tracks(self) -> FrameJob | None:
         """Job that reads the tracks of the timeline (``tracks.py``). If None, the source has no timeline."""
         return None
 
     def live_tracks(self) -> Tracks | None:
-        """Tracks of what has arrived of a live source; None for other sources, and without frames."""
+        """Present tracks of a live source; None for other sources, and before the first frame."""
         return None
 
     @abstractmethod
@@ -197,7 +197,7 @@ class ViewSource(ABC):
 
 
 def fitted(image: Image, width: int | None, channel: str) -> Image:
-    """Image of at most ``width`` pixels, or as it is if None; labels are not mixed."""
+    """Scale an image down if it is wider than ``width`` pixels (None: never). Labels are not averaged."""
     if width is None or image.shape[1] <= width:
         return image
     height = max(1, round(image.shape[0] * width / image.shape[1]))
@@ -206,7 +206,7 @@ def fitted(image: Image, width: int | None, channel: str) -> Image:
 
 
 def jpeg_of(image: Image, side: int | None = None) -> bytes:
-    """JPEG file of an image (H, W, 3). ``side``: most pixels of its longest side."""
+    """Encode an image (H, W, 3) as a JPEG file. ``side``: the longer side is scaled down to these pixels."""
     scale = 1.0 if side is None else side / max(image.shape[:2])
     if scale < 1:
         smaller = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)

@@ -1,4 +1,4 @@
-"""People who are known by their topics only: bodies, the skin of unknown bodies, and estimates."""
+"""People who are known only from topics: finds their bodies and skinning weights; and estimates of people."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ from humansim_ros.people.humans import MAX_BONES, Human
 from humansim_ros.people.loading import load_human
 from humansim_ros.types import Array, Indices
 
-#: Axes of body space (y up, facing +z) in axes of ``map`` (z up, facing +x).
+#: Rotation from ``map`` (z up, facing +x) to body space (y up, facing +z).
 _BODY_FROM_MAP = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
-#: Shortest bone that is drawn, and thickness of a bone as a share of its length, with its greatest, metres.
+#: Shortest drawn bone, metres; thickness of a bone as a share of its length; largest thickness, metres.
 _SHORTEST, _THICKNESS, _THICKEST = 0.02, 0.12, 0.035
 #: Colours of the bones of the left and right side and of the trunk.
 _COLORS = {1: (80, 170, 255), -1: (255, 110, 150), 0: (250, 220, 90)}
-#: Octahedron along y from 0 to 1 as a bone: thickest at a fifth of its length.
+#: Corners of an octahedron that is drawn as a bone: along y from 0 to 1, thickest at a fifth of its length.
 _CORNERS = np.array([(0, 0, 0), (1, 0.2, 0), (0, 0.2, 1), (-1, 0.2, 0), (0, 0.2, -1), (0, 1, 0)])
 _FACES = np.array(
     [(0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 1), (5, 2, 1), (5, 3, 2), (5, 4, 3), (5, 1, 4)], np.int32
@@ -47,13 +47,12 @@ _TOLERANCE = 1e-5
 
 
 def known_body(mesh: Mesh, joint_names: Sequence[str], humans: Sequence[Human] = ()) -> Human | None:
-    """Find the human with a surface, among ``humans`` and the built-in ones; None if no human has the
-    surface.
+    """Find the human with a given surface, among ``humans`` and the built-in humans; None if there is none.
 
     Args:
         mesh: The surface at rest.
-        joint_names: Names of the joints that move it.
-        humans: Humans that are compared before the built-in ones.
+        joint_names: Names of the joints that move the surface.
+        humans: Humans that are compared before the built-in humans.
     """
     for human in (*humans, *_built_in()):
         same = human.mesh.vertices.shape == mesh.vertices.shape
@@ -73,9 +72,9 @@ def _built_in() -> tuple[Human, ...]:
 
 
 def bone_figure(name: str, poses: JointPoses) -> Human | None:
-    """A figure of bones for joints of a person with a body that is not known; None for joints without bones.
+    """Make a figure of bones for a person whose body is unknown; None if the joints form no bones.
 
-    ``poses`` (N = 1) are its rest pose.
+    The figure has ``poses`` (one frame) as its rest pose.
 
     Args:
         name: Name of the person.
@@ -98,13 +97,13 @@ def bone_figure(name: str, poses: JointPoses) -> Human | None:
 
 
 def bone_names(joints: Sequence[str]) -> tuple[str, ...]:
-    """Names of joints that are the head of a bone: all but the ends ``<bone>_end``."""
+    """Names of the bones: all joints, each the head of a bone, except the end points ``<bone>_end``."""
     known = set(joints)
     return tuple(name for name in joints if not (name.endswith("_end") and name[:-4] in known))
 
 
 def posed_joints(human: Human, poses: JointPoses) -> Array:
-    """Poses (J, 4, 4) of the joints of a human, in the order of its skeleton, from its topic (N = 1).
+    """Poses (J, 4, 4) of a human's joints, in the order of the skeleton. ``poses``: one frame of the topic.
 
     KeyError if the topic lacks a joint of the skeleton.
     """
@@ -121,23 +120,23 @@ def posed_joints(human: Human, poses: JointPoses) -> Array:
 
 
 def _points(poses: JointPoses) -> dict[str, Array]:
-    """Position in ``map`` by joint."""
+    """Position (3,) in ``map`` of each joint, by name."""
     return dict(zip(poses.names, poses.positions[0], strict=True))
 
 
 def _has_rotations(poses: JointPoses) -> bool:
-    """Whether a source gives rotations: some leave them unset."""
+    """Whether the joints have rotations. Some programs leave them unset, so that all are equal."""
     return not np.allclose(poses.rotations, poses.rotations[:, :1], rtol=0, atol=1e-9)
 
 
 def _turns(names: Sequence[str], parents: Indices, points: Mapping[str, Array], poses: JointPoses) -> Array:
-    """Axes (B, 3, 3) of bones in ``map``, y along the bone; towards the next joint without rotations.
+    """Axes (B, 3, 3) of bones in ``map``, y along the bone. Without rotations, y points to the next joint.
 
     Args:
         names: Names of the bones, parents first.
         parents: (B,) their parents.
         points: Position by joint.
-        poses: Joints as the source gives them.
+        poses: Joints as the topic has them.
     """
     if _has_rotations(poses):
         rotations = dict(zip(poses.names, quaternion_to_matrix(poses.rotations[0]), strict=True))
@@ -155,14 +154,14 @@ def _turns(names: Sequence[str], parents: Indices, points: Mapping[str, Array], 
 
 
 def _ends(names: Sequence[str], parents: Indices, points: Mapping[str, Array]) -> Iterator[list[Array]]:
-    """Position of the end of each bone if it is known; else the heads of its children."""
+    """Yield, for each bone, the position of its end if known, else the heads of its children (maybe none)."""
     for bone, name in enumerate(names):
         children = [points[names[child]] for child in np.flatnonzero(parents == bone).tolist()]
         yield [points[f"{name}_end"]] if f"{name}_end" in points else children
 
 
 def _parents(names: Sequence[str], poses: JointPoses) -> list[int]:
-    """Parent of each bone: as in the built-in humans, or else along the shortest tree of all joints."""
+    """Parent of each bone, as in built-in humans. Unknown names: along the shortest tree of all joints."""
     general = hanim_skeleton()
     above: dict[str, str | None] = {
         name: general.names[parent] if parent >= 0 else None
@@ -195,7 +194,7 @@ def _depth(parents: Sequence[int], bone: int) -> int:
 def _skeleton(
     names: tuple[str, ...], parents: Indices, points: Mapping[str, Array], turns: Array
 ) -> Skeleton:
-    """Skeleton in body space. Bones lie along their y axes, and reach to their children or ends.
+    """Make a skeleton in body space. Bones lie along their y axes, and reach to their children or ends.
 
     Args:
         names: Names of the bones.
@@ -214,14 +213,14 @@ def _skeleton(
 
 
 def _rolls(axes: Array) -> Array:
-    """Angles (B,) by which axes (B, 3, 3) of bones are turned about y, radians."""
+    """Roll angles (B,) of bones about their y axes, radians, from their axes (B, 3, 3)."""
     swing = quaternion_to_matrix(from_y_axis(axes[:, :, 1]))
     rolled = np.swapaxes(swing, 1, 2) @ axes
     return np.arctan2(rolled[:, 0, 2], rolled[:, 0, 0])
 
 
 def _octahedra(skeleton: Skeleton) -> tuple[Mesh, csr_matrix]:
-    """A surface of an octahedron for each bone, and its weights."""
+    """Mesh with an octahedron for each bone, and its skinning weights."""
     count, size = len(skeleton), len(_CORNERS)
     width = np.minimum(_THICKNESS * skeleton.lengths, _THICKEST)
     corners = _CORNERS * np.stack([width, skeleton.lengths, width], axis=1)[:, None]
@@ -236,25 +235,25 @@ def _octahedra(skeleton: Skeleton) -> tuple[Mesh, csr_matrix]:
 
 # --- the skin of an unknown body: bones at rest and weights from some posed frames
 
-#: Fewest vertices around a bone from which its place at rest is found.
+#: Fewest vertices around a bone that are needed to find its pose at rest.
 _FEWEST = 20
-#: Steps of finding the rigid part of the skin around a bone, and the share of vertices that is kept.
+#: Most iterations to find the rigid skin around a bone, and share of the vertices that is used.
 _STEPS, _KEPT = 20, 0.5
 #: A vertex that moves 1 m against a bone counts as this much farther from the bone, metres.
 _STEADY = 4.0
-#: Rounds of finding frames and weights, and weight from which a vertex moves with a bone.
+#: Iterations over bone frames and weights; and weight above which a vertex counts as rigid with a bone.
 _ROUNDS, _RIGID = 2, 0.9
 #: Most bones that move a vertex.
 _BONES = 4
-#: Mean distance of the posed skin from the given one up to which the weights are used, metres.
+#: Weights are rejected if the posed skin is farther from the given one than this on average, metres.
 _MAX_ERROR = 0.02
 
 
 def fitted_skin(figure: Human, mesh: Mesh, joints: Array, vertices: Array) -> Human | None:
-    """A human with the skin of a surface; None if bones cannot move the surface as given.
+    """Compute a human with skinning weights for a surface; None if no weights reproduce the given vertices.
 
-    Around the middle of a bone the skin is rigid: its vertices at rest and in the frames give the frame of
-    the bone at rest. Then each vertex is a weighted mean of where its bones take it, by least squares.
+    Around the middle of a bone the skin is assumed rigid, so its vertices at rest and in the frames give the
+    bone frame at rest. Then the weights are fitted by least squares to the vertices in the frames.
 
     Args:
         figure: The person as a figure of bones.
@@ -292,7 +291,7 @@ def _moved(matrix: Array, points: Array) -> Array:
 
 
 def _nearest_bones(skeleton: Skeleton, inverse: Array, vertices: Array) -> NDArray[np.intp]:
-    """Bone (V,) that each vertex is nearest to, and moves with.
+    """Number (V,) of the bone that each vertex is near to and moves with.
 
     Args:
         skeleton: Lengths of the bones.
@@ -310,8 +309,8 @@ def _nearest_bones(skeleton: Skeleton, inverse: Array, vertices: Array) -> NDArr
 
 
 def _rigid(source: Array, target: Array, middle: float) -> Array:
-    """Rigid transform (4, 4) from points (N, 3) to others, for the half of the points that fits best
-    [Umeyama 1991].
+    """Rigid transform (4, 4) from points ``source`` to ``target`` (N, 3), for the best half of the points
+    [Umeyama 1991]. It starts with points near the height ``middle`` on the bone.
     """
     count = max(_FEWEST // 2, int(_KEPT * len(source)))
     kept = np.argsort(np.abs(source[:, 1] - middle))[:count]
@@ -325,7 +324,7 @@ def _rigid(source: Array, target: Array, middle: float) -> Array:
 
 
 def _weights(moves: Array, rest: Array, vertices: Array) -> csr_matrix:
-    """Weights (V, B) by least squares, of the bones that take a vertex nearest to where it is.
+    """Skinning weights (V, B) by least squares, for the bones that move a vertex nearest to ``vertices``.
 
     Args:
         moves: (F, B, 4, 4) transforms of the skin by each bone.
@@ -359,17 +358,17 @@ def _weights(moves: Array, rest: Array, vertices: Array) -> csr_matrix:
 #: Most people of an estimate that are shown.
 _MOST = 64
 
-#: Names and positions (K, 3) of a person of the truth.
+#: Names and positions (K, 3) of the true joints or keypoints of a person.
 TruePoints = tuple[Sequence[str], Array]
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """Poses of a tracker that are not on topics of the source which is shown.
+    """Estimate of a tracker that was read from files or another bag, not from topics of the source.
 
     Attributes:
-        poses: They, in ``map``, metres.
-        options: How they are compared.
+        poses: Poses of the estimate in ``map``, metres.
+        options: How the poses are compared with the truth.
     """
 
     poses: PoseSequence
@@ -377,16 +376,16 @@ class Estimate:
 
     @classmethod
     def read(cls, texts: Sequence[str], options: LiveOptions, period: int, start: int) -> Estimate:
-        """Read what ``humansim evaluate`` takes as an estimate.
+        """Read an estimate in the forms that ``humansim evaluate`` accepts.
 
         Args:
             texts: ``BAG:TOPIC``, a file, a folder, or several of them.
-            options: How it is read and compared.
-            period: Nanoseconds between frames of the truth, for formats that number frames.
+            options: How the estimate is read and compared.
+            period: Nanoseconds between frames of the truth, for formats with frame numbers instead of times.
             start: Stamp of the first frame, nanoseconds.
 
         Raises:
-            HumansimError: It cannot be read, or is detections in images.
+            HumansimError: The estimate cannot be read, or has detections in images instead of 3D poses.
         """
         if found := next(filter(is_of_images, texts), None):
             raise EvaluationError(
@@ -396,7 +395,7 @@ class Estimate:
         return cls(read_estimates(texts, replace(options.reading, period=period, start=start)), options)
 
     def at(self, stamp: int, half: int) -> list[Pose]:
-        """People in the frame that is nearest to a stamp, if it is at most ``half`` nanoseconds away."""
+        """People in the frame nearest to a stamp; empty if it is more than ``half`` nanoseconds away."""
         if not len(self.poses.times):
             return []
         row = int(np.argmin(np.abs(self.poses.times - stamp)))
@@ -407,7 +406,7 @@ class Estimate:
 
 
 def people_of(frame: PoseFrame, person: str | None, options: LiveOptions) -> list[Pose]:
-    """People of a message, in ``map`` and metres.
+    """Convert the people of a message of an estimate to ``map``, metres.
 
     Args:
         frame: The message.
@@ -415,7 +414,7 @@ def people_of(frame: PoseFrame, person: str | None, options: LiveOptions) -> lis
         options: Scale and axes of the estimate.
 
     Raises:
-        EvaluationError: The positions are in another frame.
+        EvaluationError: The positions are in another frame than ``map``.
     """
     check_world(frame)
     matrix = options.scale * axes_matrix(options.axes or "z-up")
@@ -428,20 +427,21 @@ def people_of(frame: PoseFrame, person: str | None, options: LiveOptions) -> lis
 def beside_truth(
     estimate: Sequence[Pose], truth: Mapping[str, TruePoints], options: LiveOptions
 ) -> tuple[dict[str, Array], dict[str, float]]:
-    """Give people of an estimate the names of the nearest people of the truth.
+    """Match people of an estimate with the nearest people of the truth, whose names they get.
 
-    People who match nobody keep their own name after a ``?``.
+    People of the estimate without a match keep their own name, preceded by ``?``.
 
     Args:
         estimate: People of the estimate.
         truth: People of the truth by name.
-        options: Names of joints, and greatest distance of a person who is found.
+        options: Joint names, and largest distance of a match.
 
     Returns:
-        Points (K, 3) by name, and mean distance from the common joints of the truth by name, millimetres.
+        Points (K, 3) of the estimate by name; and, for matched people, the mean distance of the common joints
+        from the truth by name, millimetres.
 
     Raises:
-        EvaluationError: No joint is common.
+        EvaluationError: Estimate and truth have no joint in common.
     """
     estimate = [pose for pose in estimate if np.isfinite(pose.positions).any()]
     names = list(truth)

@@ -1,8 +1,9 @@
 """Tracks of the timeline of a page: keyframes, drops, joints, visibility and errors over all frames.
 
-They are read frame by frame in a process of their own with a lower priority than images: neither images nor
-poses of the page wait for them. ``humansim_ros.scene`` decides what is visible, at the full size of cameras;
-``humansim_ros.data.evaluation`` decides which people of an estimate are matched, and what their errors are.
+The tracks are read frame by frame in another process with a lower priority than images, so that neither
+images nor poses of the page wait for tracks. ``humansim_ros.scene`` decides what is visible, at the full size
+of cameras; ``humansim_ros.data.evaluation`` decides which people of an estimate are matched, and what their
+errors are.
 """
 
 from __future__ import annotations
@@ -37,41 +38,40 @@ from humansim_ros.scene.truth import OCCLUDED, VISIBLE
 from humansim_ros.types import Float32Array, Indices
 
 _LOG = logging.getLogger(__name__)
-#: Most frames with joints that are read, or with an estimate that is compared, and most with images that are
-#: looked at.
+#: Most frames in which joints are read or an estimate is compared; most frames with visibility.
 MOST_MOTION, _MOST_VIEWS = 600, 120
-#: Most marks of a track: more than a page has columns of pixels.
+#: Most marks of a track. More would fall on the same columns of pixels.
 _MOST_MARKS = 2000
-#: Frames of a request for joints.
+#: Number of frames in one request for joints.
 _CHUNK = 30
-#: Added to the niceness of the page: images have 5, and go first.
+#: Niceness of the process, relative to the page. Images have 5, and so a higher priority.
 _NICE = 10
 #: A source must be shown for this number of seconds before its tracks are read, since an editor changes the
 #: source several times. Then the reader waits for the first images, but at most the second number of seconds.
 _QUIET, _PATIENCE = 1.0, 20.0
-#: For a running graph, nanoseconds: the span that is shown; the time between two frames with joints and
-#: visibility that are read. Most frames.
+#: For a running graph: time that the timeline shows, and time between two frames in which joints and
+#: visibility are read, nanoseconds; most frames.
 _LIVE_SPAN, _LIVE_STEP, _MOST_LIVE = 60 * 10**9, 240_000_000, 6000
-#: Seconds between looks at what has arrived, and between two messages to the page.
+#: Seconds between two checks for answers of the process, and between two updates of the page.
 _TICK, _PUBLISH = 0.2, 0.7
 
 
 @dataclass(frozen=True)
 class TrackOutline:
-    """What a timeline has before any frame is looked at; frames are numbers.
+    """Content of a timeline that is known before any frame is read. Frames are given by their numbers.
 
     Attributes:
         frames: Number of frames.
         period: Nanoseconds between frames.
         cameras: Names of the cameras.
         joints: Names of the joints by person.
-        spans: First and last frames of the intervals with the person, by person.
-        keys: Frames of keyframes by person or object; absent without keyframes.
-        drops: Frames with a lost image, by camera. A camera without lost images is absent.
-        projected: Cameras that do not say what is occluded: their joints are projected.
-        has_views: Visibility can be read.
-        most_views: Most frames with a visibility that is read.
-        has_errors: There is an estimate.
+        spans: First and last frame of each interval in which a person is there, by person.
+        keys: Frames that have a keyframe, by person or object. Those without keyframes are absent.
+        drops: Frames with a lost image, by camera. Cameras without lost images are absent.
+        projected: Cameras whose data do not tell which joints are occluded, so that joints are projected.
+        has_views: Whether the visibility of joints can be read.
+        most_views: Most frames in which visibility is read.
+        has_errors: Whether there is an estimate.
     """
 
     frames: int
@@ -89,12 +89,11 @@ class TrackOutline:
 
 @dataclass(frozen=True)
 class TrackSample:
-    """Values of one frame.
+    """Values of the tracks in one frame.
 
     Attributes:
         joints: Positions (J, 3) in ``map`` by person, metres, in the order of :attr:`TrackOutline.joints`.
-        seen: Shares of the joints that are visible and that are occluded, by person and camera; the others
-            are outside the image.
+        seen: Shares of visible and of occluded joints, by person and camera. The rest is outside the image.
     """
 
     joints: Mapping[str, Float32Array] = field(default_factory=dict)
@@ -103,13 +102,13 @@ class TrackSample:
 
 @dataclass(frozen=True)
 class ErrorTrack:
-    """Errors of an estimate.
+    """Errors of an estimate of a tracker over time.
 
     Attributes:
         frames: Numbers of the compared frames.
-        errors: For each, mean distance of the joints of an estimate from the truth by person, millimetres;
-            people who are not found have none.
-        note: What the user should know about the estimate; empty for nothing.
+        errors: For each compared frame, mean distance of the joints from the truth by person, millimetres.
+            People whom the estimate lacks are absent.
+        note: Message for the user about the estimate; empty if there is none.
     """
 
     frames: Sequence[int] = ()
@@ -118,33 +117,33 @@ class ErrorTrack:
 
 
 class TrackWorker(Protocol):
-    """Reads the values of a source, in its own process."""
+    """Reads the tracks of a source. It runs in a process of its own."""
 
     def outline(self) -> TrackOutline:
-        """What is known without looking at frames."""
+        """Return what is known without reading frames."""
 
     def motion(self, index: int) -> TrackSample:
-        """Joints of a frame."""
+        """Read the positions of the joints in a frame."""
 
     def views(self, index: int) -> TrackSample:
-        """Visibility of a frame."""
+        """Read the visibility of the joints in a frame."""
 
     def errors(self) -> ErrorTrack:
-        """Errors of the estimate. Raises EvaluationError if it cannot be compared."""
+        """Compute the errors of the estimate. Raises EvaluationError if it cannot be compared."""
 
     def close(self) -> None:
-        """Free what it has opened."""
+        """Close files and renderers."""
 
 
 def seen_shares(visible: NDArray[np.uint8]) -> tuple[float, float]:
-    """Shares of visible and of occluded joints, of their states (J,) in the truth of a camera."""
+    """Shares of visible and of occluded joints. ``visible``: states (J,) of the joints in a camera."""
     if not len(visible):
         return 0.0, 0.0
     return float(np.mean(visible == VISIBLE)), float(np.mean(visible == OCCLUDED))
 
 
 def coarse_to_fine(frames: int, most: int) -> list[int]:
-    """At most ``most`` frames at even distances: first and last, then the middles between them."""
+    """At most ``most`` evenly spaced frame numbers, coarse to fine: first and last, then the middles."""
     chosen = np.unique(np.linspace(0, frames - 1, min(frames, most)).round().astype(int)).tolist()
     order: dict[int, None] = dict.fromkeys((0, len(chosen) - 1))
     for power in reversed(range(len(chosen).bit_length())):
@@ -157,15 +156,15 @@ def coarse_to_fine(frames: int, most: int) -> list[int]:
 
 @dataclass(frozen=True)
 class ErrorPlan:
-    """Frames of a page in which an estimate is compared: a frame with an estimate, or a gap between them.
+    """Frames of a page in which an estimate is compared with the truth, or in which the estimate has a gap.
 
     Attributes:
-        frames: (N,) their numbers, increasing; at most :data:`MOST_MOTION`.
-        own: (N,) int64 stamps of the estimate, nanoseconds; -1 where it has none.
+        frames: (N,) increasing numbers of these frames; at most :data:`MOST_MOTION`.
+        own: (N,) int64 stamps of the estimate in these frames, nanoseconds; -1 in a gap.
         last: Number of the last frame of the page.
         options: How the estimate is compared.
-        estimate: Its poses in these frames. If None, they are read.
-        problem: Why it cannot be compared; empty if it can.
+        estimate: Poses of the estimate in these frames. If None, they are read later.
+        problem: Why the estimate cannot be compared; empty if it can.
     """
 
     frames: Indices
@@ -179,12 +178,12 @@ class ErrorPlan:
     def of(
         cls, stamps: NDArray[np.int64], estimate: PoseSequence | NDArray[np.int64], options: LiveOptions
     ) -> ErrorPlan:
-        """Pair frames as ``humansim evaluate`` does, and choose some at even distances.
+        """Pair frames of page and estimate as ``humansim evaluate`` does, and choose some at even distances.
 
         Args:
             stamps: (F,) increasing stamps of the frames of the page, nanoseconds.
-            estimate: The estimate; or its increasing stamps, if its poses are read later.
-            options: How it is compared.
+            estimate: The estimate; or only its increasing stamps, if its poses are read later.
+            options: How the estimate is compared.
         """
         given = estimate if isinstance(estimate, PoseSequence) else None
         own = estimate.times if isinstance(estimate, PoseSequence) else estimate
@@ -205,14 +204,14 @@ class ErrorPlan:
         return cls(pairs.truth[chosen], np.where(rows < 0, -1, own[rows]), last, options, given)
 
     def compare(self, truth: PoseSequence, estimate: PoseSequence) -> ErrorTrack:
-        """Compare an estimate with the truth in these frames.
+        """Compare an estimate with the truth in the planned frames.
 
         Args:
-            truth: Poses of the N frames.
-            estimate: Its poses at their stamps ``own``, as far as there are any.
+            truth: True poses in the N frames.
+            estimate: Poses of the estimate at the stamps ``own``; some may be missing.
 
         Raises:
-            EvaluationError: They have no joint in common, or differ in unit or axes.
+            EvaluationError: Truth and estimate have no joint in common, or seem to differ in unit or axes.
         """
         rows = np.searchsorted(estimate.times, self.own)
         rows = np.where(rows < len(estimate.times), rows, 0)
@@ -229,7 +228,7 @@ class ErrorPlan:
 
 
 def _note(found: PersonErrors, gate: float) -> str:
-    """What the user should know about people of an estimate."""
+    """Message for the user about people of an estimate who match nobody; empty if there is none."""
     if not any(found.frames):
         return f"no person of the estimate is within {gate:g} m of the truth; are both in map?"
     if found.strangers:
@@ -245,13 +244,13 @@ def _note(found: PersonErrors, gate: float) -> str:
 
 @dataclass(frozen=True)
 class SceneTracks:
-    """Tracks of a scene, as a job.
+    """Job that computes the tracks of a scene, in another process.
 
     Attributes:
         scene: The scene.
         frames: Number of frames of the page.
         cameras: Names of the cameras of the page.
-        plan: Frames that are compared with an estimate; None if there is no estimate.
+        plan: Frames in which an estimate is compared with the truth; None if there is no estimate.
     """
 
     scene: Scene
@@ -260,7 +259,7 @@ class SceneTracks:
     plan: ErrorPlan | None = None
 
     def start(self) -> Tracker:
-        """Begin, in the process that reads."""
+        """Start the simulation, in the process that reads the tracks."""
         return Tracker(_SceneTracks(self))
 
 
@@ -329,7 +328,7 @@ class _SceneTracks:
 
 
 def key_frames(track: KeyframeTrack, rate: float, frames: int) -> list[int]:
-    """Frames of a page, at ``rate`` per second, nearest to the keys of a track, in all rounds of its loop."""
+    """Frames of a page (``rate`` per second) nearest to the keys of a track and their repetitions."""
     timeline = track.timeline
     seconds = (track.frames - timeline.start) / timeline.rate
     repeats = timeline.loop == "repeat" and timeline.duration > 0
@@ -344,9 +343,7 @@ def key_frames(track: KeyframeTrack, rate: float, frames: int) -> list[int]:
 
 @dataclass(frozen=True)
 class _Asked:
-    """A request: ``outline`` or ``errors``, or ``motion`` or ``views`` of some frames, for the source of a
-    number.
-    """
+    """A request to a :class:`Tracker`. ``kind`` is ``outline``, ``errors``, ``motion`` or ``views``."""
 
     source: int
     kind: str
@@ -354,14 +351,14 @@ class _Asked:
 
 
 class Tracker:
-    """Answers requests with a worker."""
+    """Answers requests of the page in the other process, with a worker."""
 
     def __init__(self, worker: TrackWorker) -> None:
         self.costs = Costs()
         self._worker = worker
 
     def work(self, asked: _Asked) -> FrameResult:
-        """Answer a request."""
+        """Answer a request. Errors of the comparison with an estimate become a note."""
         if asked.kind == "outline":
             return FrameResult(self._worker.outline())
         if asked.kind == "errors":
@@ -373,7 +370,7 @@ class Tracker:
         return FrameResult({index: read(index) for index in asked.frames})
 
     def close(self) -> None:
-        """Free what the worker has opened."""
+        """Close the worker."""
         self._worker.close()
 
 
@@ -392,20 +389,20 @@ class Tracks:
         self.views_plan = coarse_to_fine(outline.frames, outline.most_views) if outline.has_views else []
 
     def take(self, kind: str, samples: Mapping[int, TrackSample]) -> None:
-        """Add values of frames."""
+        """Add values, by number of the frame. ``kind``: ``motion`` (joints) or ``views`` (visibility)."""
         (self._motion if kind == "motion" else self._views).update(samples)
 
     @property
     def is_whole(self) -> bool:
-        """Whether everything has been read."""
+        """Whether all planned frames have been read."""
         return len(self._views) == len(self.views_plan) and len(self._motion) == len(self.motion_plan)
 
     def table(self) -> dict[str, Any]:
-        """Everything but joints, for the script of the page (``page/timeline.js``).
+        """Tracks (without joint positions) as plain data for the script of the page (``page/timeline.js``).
 
-        ``visible`` and ``occluded`` are percent by person and camera, lists with a value for each frame of
-        ``sampled``; ``errors`` are millimetres by person for its own ``frames``; None where there is none.
-        Tracks of long recordings are thinned out, and ``dropped`` has the numbers of all lost images.
+        ``visible`` and ``occluded`` have, by person and camera, the percentage of joints in each frame of
+        ``sampled``. ``errors`` has millimetres by person for its own list ``frames``. Missing values are
+        None. ``drops`` of long recordings are thinned out; ``dropped`` counts all lost images.
         """
         outline, sampled = self.outline, sorted(self._views)
         samples = [self._views[index] for index in sampled]
@@ -446,7 +443,7 @@ class Tracks:
         }
 
     def curve(self, person: str, joint: str) -> dict[str, Any] | None:
-        """Positions of a joint in ``map``, metres, over the frames that have been read; None without it."""
+        """Positions of a joint in ``map``, metres, in the frames read so far; None if it does not exist."""
         names = list(self.outline.joints.get(person, ()))
         if joint not in names:
             return None
@@ -461,7 +458,7 @@ class Tracks:
 
 
 def _thinned(frames: Sequence[int], count: int) -> list[int]:
-    """Some of the frames of a recording that has ``count``: all, or one in each of many equal parts."""
+    """Thin out the numbers ``frames`` of a recording of ``count`` frames, to ``_MOST_MARKS`` at most."""
     if len(frames) <= _MOST_MARKS:
         return list(frames)
     _, first = np.unique(np.asarray(frames) * _MOST_MARKS // count, return_index=True)
@@ -469,7 +466,7 @@ def _thinned(frames: Sequence[int], count: int) -> list[int]:
 
 
 def _joined(spans: Sequence[tuple[int, int]], count: int) -> list[tuple[int, int]]:
-    """Spans of a recording that has ``count`` frames; across gaps that nobody can see, if there are many."""
+    """Spans of a recording of ``count`` frames. If there are many, invisibly small gaps are closed."""
     if len(spans) <= _MOST_MARKS:
         return list(spans)
     found = [spans[0]]
@@ -499,10 +496,10 @@ class TrackReader:
         self._thread: threading.Thread | None = None
 
     def show(self, job: FrameJob | None) -> int:
-        """Read other tracks instead, once :meth:`begin` is called. If None, there are none.
+        """Read the tracks of another source once :meth:`begin` is called. If ``job`` is None, there are none.
 
         Returns:
-            Number of the source.
+            Number of the source, which ``publish`` gets.
         """
         with self._condition:
             self._number, self._job, self._since = self._number + 1, job, time.monotonic()
@@ -511,7 +508,7 @@ class TrackReader:
             return self._number
 
     def begin(self) -> None:
-        """The page has its first images: tracks may be read."""
+        """Start to read the tracks. The page calls this when it has its first images."""
         if self._is_ready:
             return
         with self._condition:
@@ -552,7 +549,7 @@ class TrackReader:
             workers.close()
 
     def _next(self, read: int) -> tuple[int, FrameJob] | None:
-        """Number and job of the next source to read; None at the end."""
+        """Wait for the next source to read. Returns its number and job; None after :meth:`close`."""
         with self._condition:
             while not self._has_ended:
                 left = self._since + (_QUIET if self._is_ready else _PATIENCE) - time.monotonic()
@@ -591,7 +588,7 @@ class TrackReader:
         self._publish(number, tracks)
 
     def _answer(self, workers: Workers, asked: _Asked) -> Any:
-        """Answer to a request; None if the source has been replaced."""
+        """Wait for the answer to a request; None if the source has been replaced meanwhile."""
         sent = False
         while not self._is_replaced(asked.source):
             sent = sent or workers.ask(asked)
@@ -606,14 +603,14 @@ class TrackReader:
 
 
 def spans_of(present: Iterable[bool]) -> list[tuple[int, int]]:
-    """First and last frames of the stretches in which something is there."""
+    """First and last frame of each interval in which ``present`` (one value per frame) is true."""
     flags = np.concatenate([[False], np.fromiter(present, bool), [False]])
     edges = np.flatnonzero(flags[1:] != flags[:-1]).reshape(-1, 2)
     return [(int(first), int(last) - 1) for first, last in edges]
 
 
 def has_message(stamps: NDArray[np.int64], own: NDArray[np.int64], half: int) -> NDArray[np.bool_]:
-    """Whether frames have a message (F,): one within half a period.
+    """Whether each frame (F,) has a message: one with a stamp within half a period of the frame.
 
     Args:
         stamps: (F,) stamps of the frames, nanoseconds.
@@ -628,8 +625,8 @@ def has_message(stamps: NDArray[np.int64], own: NDArray[np.int64], half: int) ->
 
 
 def lost_frames(present: NDArray[np.bool_]) -> list[int]:
-    """Frames with an image that is lost: between two images that are farther apart than most. ``present``:
-    (F,) whether a frame has an image."""
+    """Numbers of frames with a lost image: missing images between two that are farther apart than usual.
+    ``present``: (F,) whether a frame has an image."""
     having = np.flatnonzero(present)
     steps = np.diff(having)
     if not len(steps):
@@ -646,14 +643,14 @@ def lost_frames(present: NDArray[np.bool_]) -> list[int]:
 
 @dataclass(frozen=True)
 class ArrivedFrame:
-    """What has arrived of a frame of a running graph.
+    """Messages of a running graph that have arrived for a frame.
 
     Attributes:
         stamp: Nanoseconds.
         people: Names of the people with joints that have arrived.
-        images: Whether the image of a camera has arrived, for the cameras with images that are received.
-        sample: Joints and visibility; None for the frames between samples.
-        projected: Cameras for which the visibility in the sample is of projected joints.
+        images: Whether the image of a camera has arrived, by camera; only cameras with a subscribed image.
+        sample: Joints and visibility; None if they were not read in this frame.
+        projected: Cameras for which the joints of the sample were projected, so that none counts as occluded.
         errors: Errors of an estimate by person, millimetres.
     """
 
@@ -666,10 +663,10 @@ class ArrivedFrame:
 
 
 class LiveTracks:
-    """Tracks that grow while a graph runs. They cover only its newest frames.
+    """Tracks of a running graph, which cover only its newest frames.
 
     Attributes:
-        newest: Stamp of the newest frame; -1 without frames.
+        newest: Stamp of the newest frame, nanoseconds; -1 without frames.
     """
 
     def __init__(self) -> None:
@@ -681,12 +678,12 @@ class LiveTracks:
         return self._frames[-1].stamp if self._frames else -1
 
     def wants_sample(self, stamp: int) -> bool:
-        """Whether joints and visibility of a frame should be read."""
+        """Whether it is time to read joints and visibility again, in the frame at ``stamp``."""
         last = next((each.stamp for each in reversed(self._frames) if each.sample is not None), None)
         return last is None or stamp - last >= _LIVE_STEP
 
     def add(self, frame: ArrivedFrame) -> None:
-        """Add a frame. Those that are too old, and those of an earlier run, are forgotten."""
+        """Add a frame. Frames that are too old, or of an earlier run (later stamps), are removed."""
         if frame.stamp <= self.newest:
             self._frames.clear()
         self._frames.append(frame)
@@ -701,14 +698,14 @@ class LiveTracks:
         projected: Sequence[str] = (),
         has_errors: bool = False,
     ) -> Tracks:
-        """Tracks of the frames; frame 0 is the oldest one.
+        """Return the tracks of the present frames. Frame 0 is the oldest frame.
 
         Args:
             period: Nanoseconds between frames.
             joints: Names of the joints by person.
             cameras: Names of the cameras.
-            projected: Cameras that do not say what is occluded.
-            has_errors: There is an estimate.
+            projected: Cameras whose data do not tell which joints are occluded.
+            has_errors: Whether there is an estimate.
         """
         frames = list(self._frames)
         first = frames[0].stamp if frames else 0
@@ -746,7 +743,7 @@ class LiveTracks:
 
 
 def _lost_of(camera: str, frames: Sequence[ArrivedFrame], numbers: Sequence[int]) -> list[int]:
-    """Numbers of the frames with an image that is lost, while the images of a camera are received."""
+    """Numbers of the frames in which an image of a camera was lost, while its images were subscribed."""
     found: list[int] = []
     for first, last in spans_of(camera in each.images for each in frames):
         present = np.array([each.images[camera] for each in frames[first : last + 1]])
@@ -755,7 +752,7 @@ def _lost_of(camera: str, frames: Sequence[ArrivedFrame], numbers: Sequence[int]
 
 
 def _spans_at(numbers: Sequence[int], present: Sequence[bool]) -> list[tuple[int, int]]:
-    """Spans of frames with numbers; a gap in the numbers ends one if it is longer than one lost frame."""
+    """Intervals (first, last number) in which ``present`` is true. A gap of two frames ends an interval."""
     found: list[tuple[int, int]] = []
     for first, last in spans_of(present):
         begin = numbers[first]

@@ -39,7 +39,7 @@ class Camera(Pictured):
 
     Args:
         size: Width and height of the image in pixels.
-        K: Intrinsics, (3, 3), upper triangular. The skew is applied after the lens.
+        K: Intrinsics, (3, 3), upper triangular. The skew acts on distorted points.
         R: Rotation from the world to the optical frame, (3, 3). An error of orthonormality below 1e-3 is
             corrected, with a HumansimWarning from 1e-5.
         t: Translation from the world to the optical frame, (3,) metres.
@@ -124,7 +124,7 @@ class Camera(Pictured):
             up: Direction that points up in the image, (3,).
 
         Returns:
-            Camera with square pixels and principal point ((width - 1) / 2, (height - 1) / 2).
+            Camera with square pixels and the principal point at ((width - 1) / 2, (height - 1) / 2).
 
         Raises:
             CameraError: ``position`` equals ``target``, ``up`` is parallel to the view direction, or ``fov``
@@ -166,14 +166,14 @@ class Camera(Pictured):
 
     @property
     def rectification_matrix(self) -> Array:
-        """R of CameraInfo, (3, 3): rotation from the optical frame to the frame of image_rect."""
+        """R of CameraInfo, (3, 3): rotation from the optical frame to the frame of the rectified image."""
         return np.eye(3) if self.rectification is None else self.rectification
 
     @cached_property
     def rectified_projection(self) -> Array:
-        """P of CameraInfo, (3, 4): projection from the frame of image_rect to its pixels. By default, P is [K
-        | 0] of the ideal camera [thesis §9.8]: no skew, and a centred principal point. A camera without
-        distortion and skew keeps its K."""
+        """P of CameraInfo, (3, 4): projection from the frame of the rectified image to its pixels. By
+        default, P is [K | 0] of the ideal camera [thesis §9.8]: no skew, and a centred principal point. A
+        camera without distortion and skew keeps its K."""
         if self.rectified is not None:
             return self.rectified
         unchanged = not self.distorted and self.K[0, 1] == 0

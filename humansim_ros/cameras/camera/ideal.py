@@ -36,7 +36,7 @@ _SMALLEST_SCALE = 0.02
 
 @dataclass(frozen=True)
 class Ideal:
-    """A real camera and its ideal camera. Their images have the same size (width, height).
+    """A real camera and the ideal camera made from it. Both have images of the same size (width, height).
 
     For stereo rectification, the ideal camera is rotated against the real camera.
     """
@@ -83,7 +83,7 @@ class Ideal:
         return _remap(image, self.real_from_ideal, self.real.size, interpolation)
 
     def without_border(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Copy of an ideal image (H, W). Pixels outside the real image are NaN."""
+        """Copy of an ideal image (H, W) as floats. Pixels outside the real image are NaN."""
         return np.where(self._inside, image, np.float32(np.nan))
 
     @cached_property
@@ -185,7 +185,7 @@ def _outline(camera: Camera, inner: bool) -> Array:
 
 
 def _map(points: Callable[[Array], Array], size: tuple[int, int]) -> NDArray[np.float32]:
-    """Map (H, W, 2) for cv2.remap: the function ``points``, applied to all pixels of an image of ``size``."""
+    """Map (H, W, 2) for cv2.remap: the result of ``points`` for all pixels of an image of ``size``."""
     width, height = size
     out = np.empty((height, width, 2), np.float32)
     rows = max(1, _BLOCK // width)

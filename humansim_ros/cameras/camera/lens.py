@@ -23,7 +23,7 @@ MODELS = {
 }
 #: Largest angle to the optical axis, radians. Beyond it, the depth along z is almost zero.
 _MAX_ANGLE = np.radians(89.5)
-#: Number of angles and of directions at which a lens is tested for folding.
+#: Number of angles, and of directions, at which a lens is tested for folding back over itself.
 _ANGLES, _DIRECTIONS = 1000, 24
 #: Most Newton steps to invert a distortion, and tolerance of the result on the normalised image plane.
 _STEPS, _TOLERANCE = 30, 1e-10
@@ -71,7 +71,7 @@ class Lens:
 
     @property
     def ideal(self) -> bool:
-        """Whether the lens does not distort. A fisheye always distorts."""
+        """Whether the lens has no distortion. A fisheye lens always has."""
         return self.model != "equidistant" and not any(self.coefficients)
 
     def distort(self, points: ArrayLike) -> Array:

@@ -22,7 +22,7 @@ from humansim_ros.files.reading import atomic_path, read_text
 from humansim_ros.geometry import matrix_to_quaternion, quaternion_to_matrix, slerp
 from humansim_ros.types import Array
 
-#: Most cameras of a rig.
+#: Largest number of cameras of a rig.
 MAX_CAMERAS = 1000
 #: Angle between consecutive cameras of a dome, radians. It spreads them evenly.
 _GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
@@ -162,10 +162,10 @@ def _check_positive(key: str, value: float) -> None:
         raise CameraError(f"must be above zero, not {value:g}", key=key)
 
 
-#: Behaviour after the last pose: stay there, start again, or go back.
+#: What happens after the last pose: the camera stays there, starts again, or goes back.
 End = Literal["clamp", "loop", "ping_pong"]
 
-#: Largest file: more than a million poses.
+#: Largest trajectory file, bytes. It has room for a million poses.
 _MAX_BYTES = 1 << 26
 _COLUMNS = "timestamp tx ty tz qx qy qz qw"
 #: A quaternion is taken as rounded if its length differs from 1 by at most this.
@@ -302,7 +302,7 @@ class Trajectory:
         return float(self.times[-1] - self.times[0])
 
     def pose(self, seconds: float) -> tuple[Array, Array]:
-        """Extrinsics R (3, 3) and t (3,), world to optical frame. ``seconds``: time after the first pose. See
+        """Extrinsics R (3, 3) and t (3,), world to optical frame, ``seconds`` after the first pose. See
         :meth:`in_map`."""
         position, quaternion = self.in_map(seconds)
         rotation = quaternion_to_matrix(quaternion).T

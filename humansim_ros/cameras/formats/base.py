@@ -36,7 +36,7 @@ Place = str | Keys
 LARGEST = 1e15
 #: Longest line in characters. A line of COLMAP may hold a hundred thousand points of an image.
 _LONGEST_LINE = 4 << 20
-#: From the camera axes of OpenGL (x right, y up, z backward) to those of OpenCV, as a transform.
+#: Transform (4, 4) from the camera axes of OpenGL (x right, y up, z backward) to the camera axes of OpenCV.
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 #: ``OPENGL`` as a rotation (3, 3).
 FLIP = OPENGL[:3, :3]
@@ -406,9 +406,9 @@ def find_cameras(file: CalibrationFile, is_camera: Predicate, is_part: Predicate
             the same list or mapping is a camera.
 
     Returns:
-        Cameras; empty if the document has none. In a list without names, the indices are the names. If
-        several groups (such as devices with streams) have cameras of the same names, the name of the group is
-        put before each name.
+        Names and key paths; empty if the document has no cameras. In a list without names, the indices are
+        names. If several groups (such as devices with streams) have cameras of the same names, the name of
+        the group is put before each name.
     """
     if is_camera(file.document):
         return [(_name(file.document, Path(file.path).stem), ())]

@@ -46,7 +46,7 @@ from humansim_ros.geometry import nearest_rotations
 from humansim_ros.types import Array, ImageSize
 
 _MAX_BYTES = 8 << 20
-#: Suffixes of calibration files in a folder.
+#: Suffixes of the files that are read as calibrations if a folder is given.
 _SUFFIXES = (
     *(".yaml", ".yml", ".json", ".toml", ".xml", ".ini", ".txt", ".cam", ".krtd", ".npz", ".csv", ".conf"),
     *(".xcp", ".mcal", ".sfm", ".out", ".cal", ".calib", ".calibration"),
@@ -68,7 +68,7 @@ class Calibration:
 
     ``cameras``: cameras by name. ``format``: format of the file; None for a folder with files of several
     formats. ``unit``: metres per unit of the file. ``up``: axis of the file that points up. ``sizes``: image
-    sizes that the file has, by camera. ``posed``: names of the cameras with extrinsics.
+    sizes that the file states, by camera. ``posed``: names of the cameras with extrinsics.
     """
 
     cameras: dict[str, Camera]
@@ -203,7 +203,7 @@ def _parse(file: Path, size: ImageSize | None) -> CalibrationFile:
 
 
 def _half_without_poses(file: CalibrationFile) -> Path | None:
-    """Find the other half of a JSON or npz file in its folder: extrinsics for intrinsics, or the opposite."""
+    """Find the second file of a pair of JSON or npz files: extrinsics for intrinsics, or the opposite."""
     half = other_half(Path(file.path)) if file.syntax in ("json", "npz") else None
     if half is None:
         return None
@@ -353,7 +353,7 @@ def join_calibrations(read: Mapping[str, Mapping[str, Camera]]) -> dict[str, Cam
 
 
 def _unique_names(read: Mapping[str, Sequence[str]]) -> dict[tuple[str, str], str]:
-    """Find a unique name for each camera. The key is (path, name in the file)."""
+    """Find a unique name for each camera. The keys of the result are (path, name in the file)."""
     counts = Counter(name for in_file in read.values() for name in in_file)
     names: dict[tuple[str, str], str] = {}
     used: set[str] = set()

@@ -37,12 +37,12 @@ _BETTER, _SAME_SHAPE = 6.0, 0.02
 #: No lens has a principal point this far from the centre, as a fraction of the image side. The image was
 #: scaled, not cropped, if x / width and y / height of the point differ by less than the second number.
 _FAR_OFF, _SAME_SCALE = 0.2, 0.1
-#: Plausible focal lengths of the rectified image, as multiples of the focal lengths of the real image.
+#: Smallest and largest plausible focal length of the rectified image, as multiples of that of the real image.
 _ZOOM = (0.4, 2.5)
 #: Largest plausible difference between the focal lengths, and largest plausible skew, as fractions of a focal
 #: length.
 _NOT_SQUARE, _SKEWED = 0.1, 0.02
-#: Plausible focal lengths as fractions of the image width.
+#: Smallest and largest plausible focal length, as fractions of the image width.
 _FOCAL_LENGTHS = (0.1, 60)
 #: Largest and smallest plausible extent of a rig, and longest baseline, metres.
 _FAR, _NEAR, _LONG_BASELINE = 300.0, 0.05, 5.0
@@ -161,7 +161,7 @@ def note_principal_points(cameras: Mapping[str, Camera]) -> list[str]:
 
 
 def _principal_share(camera: Camera) -> Array:
-    """Principal point (2,) as fractions of the image sides."""
+    """Principal point (2,) as fractions of image width and height."""
     return np.asarray((camera.K[:2, 2] + 0.5) / camera.size)
 
 

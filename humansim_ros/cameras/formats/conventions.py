@@ -63,7 +63,7 @@ class FilePose:
 
     ``kind``: ``world`` (x = R X + t), ``camera`` (X = R x + t), ``center`` (x = R (X - t)), ``placed`` (a
     rotation with a position: ``camera`` is more likely than ``center``) or ``shelf`` (like ``center``, with a
-    warning only if the views contradict). ``clear``: whether the keys state the kind.
+    warning only if the views contradict). ``clear``: whether the keys leave no doubt about the kind.
     """
 
     R: Array
@@ -95,7 +95,7 @@ _READINGS = (
 )
 _STATED = {reading.name: index for index, reading in enumerate(_READINGS)}
 _STATED |= {"w2c": 0, "opencv": 0, "c2w": 1, "matlab": 3}
-#: Conventions that are possible for each kind of unclear keys. Without evidence, the first one is taken.
+#: Numbers of the possible conventions for each kind of unclear keys. The first one needs no evidence.
 _ALLOWED = {
     "world": (0, 1, 2, 3),
     "camera": (1, 4, 0),
@@ -196,8 +196,8 @@ def _log_likelihood(error: float, deviation: float, freedom: int) -> float:
 
 
 def _crossing(forward: Array, centers: Array) -> tuple[float, int]:
-    """Find the point nearest to all optical axes (N, 3). Returns the miss, and how many cameras look away
-    from the point."""
+    """Find the point nearest to all optical axes (N, 3). Returns how far the axes miss this point, and how
+    many cameras look away from it."""
     across = np.eye(3) - forward[:, :, None] * forward[:, None, :]
     matrix = across.sum(axis=0)
     spread = float(np.sqrt(((centers - centers.mean(axis=0)) ** 2).sum(axis=1).mean()))

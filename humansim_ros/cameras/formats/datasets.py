@@ -50,7 +50,7 @@ from humansim_ros.types import Array, ImageSize
 
 #: Image sizes of the cameras by their serial numbers.
 _H36M_SIZES: dict[str, ImageSize] = {serial: (w, h) for serial, (w, h) in IMAGE_SIZES["human36m"].items()}
-#: Keys of the lens and focal lengths of Shelf and Campus. One of them is enough to recognise a file.
+#: Keys of lens and focal lengths in files of Shelf and Campus. One of these keys identifies a file.
 _SHELF_INTRINSICS = {"k", "p", "f"}
 _PANEL_AND_NODE = re.compile(r"([0-9]{2})_([0-9]{2})")
 _SUBJECT = re.compile(r"(S[0-9]+)_(.+)", re.DOTALL)
@@ -278,7 +278,7 @@ def _read_transforms(file: CalibrationFile) -> dict[str, RawCamera]:
 
 
 def _names(file: CalibrationFile) -> list[str]:
-    """Names of the cameras, which are those of their images."""
+    """Names of the cameras, made from the names of their images."""
     names = []
     for index, _ in enumerate(file.need("frames")):
         image = str(file.get("frames", index, "file_path") or "").strip().removeprefix("./")

@@ -1,4 +1,5 @@
-"""Formats that differ from ``cameras/formats/matrices.py`` only in their keys. Each one is a row of a table.
+"""Formats that differ from ``cameras/formats/matrices.py`` only in their keys. A table has a row for each
+format.
 
 A row of ``config/calibration_layouts.json`` has ``name`` and ``title`` of the format, ``syntax``, ``known``
 (patterns of keys that a file has; for plain text, patterns of path and text), ``renamed`` (by pattern of a
@@ -85,7 +86,7 @@ def _placed(rotation: Array, center: Array) -> dict[str, Any]:
 
 
 def _nuscenes(file: CalibrationFile) -> _Cameras:
-    """Cameras named after the channels of their sensors, from the table ``sensor`` in the same folder."""
+    """Cameras of nuScenes, named after the channels in the table ``sensor`` of the same folder."""
     path = Path(file.path).with_name("sensor.json")
     table = read_document(path, _MOST_BYTES).items() if exists(path) else []
     names = {str(one.get("token")): one.get("channel") for one in table if isinstance(one, Mapping)}
@@ -94,7 +95,7 @@ def _nuscenes(file: CalibrationFile) -> _Cameras:
 
 
 def _calibu(file: CalibrationFile) -> _Cameras:
-    """Cameras with their axes ``right``, ``down`` and ``forward`` turned to those of OpenCV."""
+    """Cameras of Calibu. Their axes ``right``, ``down`` and ``forward`` are turned to the axes of OpenCV."""
     file, cameras = plain(file), []
     for at in file.elements(("rig",), "camera"):
         lens, pose = (*at, "camera_model", 0), (*at, "pose", 0, "T_wc")
@@ -157,7 +158,7 @@ def _selfcal(file: CalibrationFile) -> _Cameras:
 
 
 def _line(path: Path, number: int) -> str:
-    """Line ``number`` of a text, counted from 1. Empty if the line is missing."""
+    """Line ``number`` of a text file, counted from 1. Empty if the line is missing."""
     lines = read_text(path, CameraError, "calibration", _MOST_BYTES).splitlines() if exists(path) else []
     return lines[number - 1].strip() if 0 < number <= len(lines) else ""
 
@@ -193,7 +194,7 @@ def _captury(file: CalibrationFile) -> _Cameras:
 
 
 def _realsense(file: CalibrationFile) -> _Cameras:
-    """Cameras of all modes of the streams. The world is the depth camera."""
+    """Cameras of RealSense for all modes of all streams. The world is the frame of the depth camera."""
     start = file.text.rfind("\n", 0, file.text.index('Intrinsic of "')) + 1
     document, cameras = plain(replace(file, text=file.text[start:])).document or {}, {}
     depth = {"Depth": {"Rotation Matrix": nested(np.eye(3)), "Translation Vector": [0.0] * 3}}

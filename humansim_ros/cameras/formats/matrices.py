@@ -145,7 +145,7 @@ def read_matrices(file: CalibrationFile, other: CalibrationFile | None = None) -
 
 
 def read_poses(file: CalibrationFile) -> dict[str, RawCamera]:
-    """Read the cameras of a document that has extrinsics. K need not be there."""
+    """Read the cameras of a document that has extrinsics, with or without K."""
     file = plain(file)
     found = find_parameters(file)
     poses: dict[str, FilePose] = {}
@@ -179,7 +179,7 @@ def _leaf_cameras(found: Found, identities: list[Identity]) -> list[Identity]:
 
 
 def _name(file: CalibrationFile, found: Found, identity: Identity) -> str:
-    """Name of a camera: its key ``name``, its place in a list of names, or its key path."""
+    """Name of a camera: its value ``name``, its item in a list of names, or else its key path."""
     own = found.cameras.get(identity, {}).get("name")
     if own is not None and str(own.value).strip():
         return str(own.value).strip()
@@ -192,7 +192,7 @@ _Pairs = dict[str, tuple[dict[str, Entry], dict[str, Entry]]]
 
 
 def _pairs(file: CalibrationFile, found: Found) -> _Pairs:
-    """Intrinsics and extrinsics of each camera, by name."""
+    """Pairs of the intrinsics and the extrinsics of each camera, by name."""
     inner, outer = found.having(INTRINSIC), found.having(POSE)
     every = _leaf_cameras(found, list(dict.fromkeys((*inner, *outer))))
     if len(every) > MAX_CAMERAS:

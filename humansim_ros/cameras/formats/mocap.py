@@ -154,7 +154,7 @@ MOTIVE = calibration_format("motive", lambda file: isinstance(file.get(*_MOTIVE)
 _K = ("intrinsic", 0, "focalLengthU focalLengthV centerPointU centerPointV")
 _R = ("transform", 0, " ".join(f"r{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3)))
 _POSITION = ("transform", 0, "x y z")
-#: Coefficients in the order of ROS. Several spellings of tangential ones are in use.
+#: Keys of the coefficients in the order of ROS. Tangential coefficients have several spellings.
 _LENS_KEYS = (
     *(("radialDistortion1",), ("radialDistortion2",)),
     *(tuple(f"{word}Distortion{i}" for word in ("tangental", "tengential", "tangential")) for i in (1, 2)),
@@ -211,7 +211,7 @@ THEIA = calibration_format("theia", _is_theia, _read_theia)
 
 #: Units of focal lengths and principal points per pixel.
 _SUBPIXELS = 64.0
-#: Windows of the video in the sensor, in order of precedence.
+#: Elements with the window of the video on the sensor. The first one that a file has counts.
 _WINDOWS = ("fov_video", "fov_video_max", "fov_marker", "fov_marker_max")
 
 

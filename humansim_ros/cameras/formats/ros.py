@@ -208,7 +208,7 @@ INI = calibration_format("ini", _is_ini, _read_ini, values=_ini_values)
 #: Rounding explains errors of orthonormality up to this.
 _ROUNDING = 1e-3
 _CAMERA = re.compile(r"cam[0-9]+")
-#: Extrinsics of the IMU: from the IMU to the camera, and the inverse.
+#: Keys of the transforms from the IMU to the camera, and from the camera to the IMU.
 _IMU = ("T_cam_imu", "T_imu_cam")
 _MODELS = {"radtan": "plumb_bob", "equidistant": "equidistant", "equi": "equidistant", "none": None}
 
@@ -333,7 +333,7 @@ def _is_opencv_json(file: CalibrationFile, table: _Table) -> bool:
 
 
 def _table(files: Sequence[CalibrationFile]) -> _Table:
-    """Entries by parameter, then by suffix of the camera name."""
+    """Entries of files by parameter, then by the end of the key, which names the camera."""
     ranked: dict[str, dict[str, tuple[int, Entry]]] = {part: {} for part in _OPENCV_NAMES}
     for file in files:
         for key in file.document if isinstance(file.document, dict) else ():
@@ -421,7 +421,7 @@ _Value = int | str | list[str] | Array
 
 
 def _entries(cameras: Mapping[str, Camera]) -> dict[str, _Value]:
-    """Names and values of all entries. Matrices are arrays (rows, cols)."""
+    """Names and values of all entries of a file to write. Matrices are arrays (rows, cols)."""
     if len(cameras) == 1:
         ((name, camera),) = cameras.items()
         return {
@@ -457,7 +457,7 @@ def _entries(cameras: Mapping[str, Camera]) -> dict[str, _Value]:
 
 
 def _is_single_camera_key(key: str) -> bool:
-    """Whether a reader would take a key, such as dist_coeffs, for a parameter of a single camera."""
+    """Whether readers would take a key, such as dist_coeffs, for a parameter of an only camera."""
     matches = (pattern.fullmatch(key) for pattern in _PATTERNS.values())
     return any(matched and not (matched[2] or matched[3]) for matched in matches)
 

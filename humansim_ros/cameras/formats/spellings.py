@@ -31,7 +31,7 @@ from humansim_ros.types import Array, ImageSize
 
 
 def words(text: str) -> frozenset[str]:
-    """Words of a text."""
+    """Set of the words of a text, separated by blanks."""
     return frozenset(text.split())
 
 
@@ -100,7 +100,7 @@ _ENDS = (
     *((set(ends.split()), "t center") for ends in ("1 2 3", "0 1 2", "11 21 31")),
     *(({str(i + first) for i in range(n)}, "distortion") for n in (4, 5, 8) for first in (0, 1)),
 )
-#: Keys of these vectors and quaternions, by parameter and number of components.
+#: Keys of vectors and quaternions with components as separate keys, by parameter and number of components.
 _TURNED = {
     **dict.fromkeys((("R", 4), ("quaternion", 4)), "quaternion_xyzw"),
     ("R", 3): "rxyz",
@@ -153,7 +153,7 @@ class Entry:
 
     @property
     def word(self) -> str:
-        """Value in the file as a word in lower case."""
+        """Value in the file as a text in lower case."""
         return str(self.value).strip().lower()
 
     @property
@@ -213,7 +213,7 @@ def role_of(key: Key) -> str | None:
 
 
 def split_unit(key: str) -> tuple[str, float | None]:
-    """Key of a translation without the unit at its end, and metres per unit (None if the key has no unit)."""
+    """Key of a translation without the unit at the end, and metres per unit; None if the key has no unit."""
     match = _UNIT.fullmatch(key) if len(key) < 60 else None
     moved = match and (_PART.fullmatch(match[1]) or any(r in _MOVED for r, _ in _candidates(match[1])))
     return (match[1], metres_of(match[2].lower())) if match and moved else (key, None)

@@ -267,7 +267,7 @@ def _parse_xml(path: str, text: str) -> Any:
 
 
 def _attributes(element: Element, path: str, depth: int = 0) -> dict[str, Any]:
-    """Attributes of an element, and lists of its children by tag."""
+    """XML element as a mapping: its attributes, and lists of its children by tag."""
     if depth > _MAX_DEPTH:
         raise CameraError("the elements are nested too deeply", path=path, key=element.tag[:40])
     content: dict[str, Any] = {}
@@ -306,7 +306,7 @@ _SETTING = re.compile(r"([A-Za-z][^=:,;\t]{0,59}?)\s*[=:]\s*(.*)|([A-Za-z][\w.]{
 _COMMENT = re.compile(r"(?:\s|^)(?:#|//|%).*")
 #: Separators of the numbers of a matrix. They are replaced by blanks.
 BRACKETS = str.maketrans("[](){},;", " " * 8)
-#: A table has at least this many columns, and at least this many of them are camera parameters.
+#: A table has at least the first number of columns; at least the second number are camera parameters.
 _COLUMNS, _KNOWN = 5, 4
 
 _Values = Iterator[tuple[Keys, Any, int]]
@@ -362,7 +362,7 @@ def _cells(
 
 
 def _assignments(file: CalibrationFile, role_of: RoleOf) -> _Values:
-    """Key path, value and line of each assignment."""
+    """Key path, value and line of each assignment in a plain text."""
     section: Keys = ()
     last: tuple[Keys, Any, int] | None = None
     for line, text in islice(file.lines(), _MOST_LINES):

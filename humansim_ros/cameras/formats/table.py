@@ -44,9 +44,9 @@ class CalibrationFormat:
         title: Name in messages.
         suffix: Suffix of its files.
         syntax: ``text``, ``yaml``, ``json``, ``toml``, ``xml`` or ``npz``.
-        matches: Whether a file of this syntax has this format.
-        read: Cameras of a file by name.
-        write: Content of each file by file name. If the format has one file, its name is "".
+        matches: Function that tells whether a file of this syntax has this format.
+        read: Function that returns the cameras of a file by name.
+        write: Function that returns the content of each file by file name. A single file has the name "".
         multiple: Whether a file holds more than one camera.
         unit: Metres per unit of the file.
         up: Axis of its world that points up.
@@ -54,7 +54,7 @@ class CalibrationFormat:
             camera.
         lenses: Distortion models that the format can store, with the number of their coefficients.
         sizes: Usual image sizes of a format that does not store the size.
-        find_unit: Finds the metres per unit of a file, if the format does not define the unit.
+        find_unit: Function that finds the metres per unit of a file, if the format does not define the unit.
         also: Other syntaxes in which the format can be read. It is tried after the formats of that syntax.
     """
 
@@ -210,7 +210,7 @@ def number(value: float) -> str:
 
 
 def row(values: Iterable[float], between: str = " ") -> str:
-    """Numbers on one line."""
+    """Text of numbers on one line."""
     return between.join(number(v) for v in values)
 
 

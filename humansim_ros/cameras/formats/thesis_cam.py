@@ -286,7 +286,7 @@ def _camera(file: CalibrationFile, name: str) -> RawCamera:
 
 
 def _matrices(file: CalibrationFile, at: Keys, size: ImageSize) -> tuple[Array, Array, Array]:
-    """K, R and t, from whichever keys define them."""
+    """K, R and t of a camera of a scene file, from any keys that define them."""
     try:
         if file.has(*at, "P"):
             camera = Camera.from_projection_matrix(file.numbers((3, 4), *at, "P"), size)

@@ -50,7 +50,7 @@ Z_UP_FROM_FILE: Mapping[str, Array] = {
     "x": np.array([[0.0, 0, -1], [0, 1, 0], [1, 0, 0]]),
     "-x": np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]),
 }
-#: Formats by the usual ends of their file names, where the suffix does not decide.
+#: Formats by usual ends of file names, for names with a suffix that several formats share.
 _USUAL_NAMES = {"par.txt": "middlebury", ".qca.txt": "qualisys", "transforms.json": "transforms", ".txt": "p"}
 _SKEW_TOLERANCE = 1e-9
 #: All formats in the order in which they are tried. The first one that recognises a file reads it.
@@ -169,7 +169,7 @@ def _losses(cameras: Mapping[str, Camera], format: CalibrationFormat) -> Iterato
 
 
 def _texts(target: Path, cameras: Mapping[str, Camera], format: CalibrationFormat) -> dict[Path, str | bytes]:
-    """Content of each file, by path."""
+    """Content of each file to write, by path."""
     with located(path=target):
         if format.multiple or (len(cameras) == 1 and target.suffix and not target.is_dir()):
             texts = format.write(cameras)

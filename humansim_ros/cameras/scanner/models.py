@@ -25,7 +25,7 @@ from humansim_ros.types import Array, Indices
 _SECOND = 1_000_000_000
 #: Number of rays that sample a beam.
 SUBRAYS = 7
-#: Number of parts of a sweep for which a :class:`RayIndex` is cached.
+#: Most parts of sweeps with a cached :class:`RayIndex`.
 _MAX_INDICES = 32
 
 
@@ -38,7 +38,7 @@ class Rays:
         times: (N,) int64 nanoseconds from the start of the sweep, ascending.
         rings: (N,) uint16 number of the laser, of the row or of the line, as the driver of the model counts
             them. In patterns without a driver, 0 is the lowest laser.
-        grid: (rings, columns) if the rays form such a table, column after column. Else None.
+        grid: (rings, columns) if the rays form a table with this shape, column after column. Else None.
         azimuths: First azimuth and step in radians if all rays are in one plane. Else None.
     """
 
@@ -73,8 +73,9 @@ class Rays:
         return self._indices[key]
 
     def spread(self, divergence: float) -> Rays:
-        """Rays that sample the beams: for each beam its middle, and :data:`SUBRAYS` - 1 rays around it.
-        ``divergence``: opening angle of a beam in radians. The outer rays are at 0.35 of this angle."""
+        """Rays that sample the beams: for each beam one ray in the middle, and :data:`SUBRAYS` - 1 rays
+        around it. ``divergence``: opening angle of a beam in radians. The outer rays are at 0.35 of this
+        angle."""
         around = np.arange(SUBRAYS - 1) * (2 * np.pi / (SUBRAYS - 1))
         middle = self.directions
         sideways = np.stack([-middle[:, 1], middle[:, 0], np.zeros(len(middle))], axis=-1)

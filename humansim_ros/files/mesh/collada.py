@@ -42,7 +42,7 @@ _MAX_PARTS, _MAX_NODES, _MAX_READ, _MAX_KEYS, _MAX_JOINTS = 2_000_000, 50_000, 5
 _RATE, _POINTS = 60.0, 16
 #: Times that differ by at most this (seconds) differ only by rounding; largest number of a transform.
 _SAME_TIME, _LARGEST = 1e-5, 1e12
-#: Rotations from the up axes of files to y up.
+#: Rotations to y up, by the up axis of the file.
 _TO_Y_UP: dict[str, Array] = {
     "X_UP": np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]),
     "Y_UP": np.eye(3),
@@ -156,12 +156,12 @@ class _Conversion(GlbBuilder):
             raise MeshError(f"more than {_MAX_READ} numbers with all repetitions: simplify the mesh")
 
     def input(self, element: Element, semantic: str) -> Element:
-        """The ``input`` of an element with a semantic."""
+        """The child ``input`` of an element that has a semantic, such as ``VERTEX``."""
         self.spend(len(element))
         return self.child(element, f"input[@semantic='{semantic}']")
 
     def numbers(self, element: Element, kind: type[Any] = float) -> NDArray[Any]:
-        """Numbers (N,) in the text of an element."""
+        """Parse the numbers (N,) in the text of an element."""
         with warnings.catch_warnings():
             warnings.simplefilter("error")  # older NumPy only warns of other text
             out = np.fromstring((element.text or "").strip(), kind, sep=" ")
@@ -226,7 +226,7 @@ class _Conversion(GlbBuilder):
                     pending.append((below, number))
 
     def matrices(self, element: Element, animated: dict[int, Array]) -> Array:
-        """Matrices (N, 4, 4) of a node in its parent. One matrix if ``animated`` is empty. ``animated``:
+        """Matrices (N, 4, 4) of a node relative to its parent: N = 1 if ``animated`` is empty. ``animated``:
         values (N, n) of animated transforms, by place in the element."""
         out = np.eye(4)[None]
         for place, each in enumerate(element):
@@ -253,7 +253,8 @@ class _Conversion(GlbBuilder):
         return np.asarray(out)
 
     def node_of(self, name: str, roots: Iterable[int | None] = ()) -> int | None:
-        """First existing node with a sid, id or name; preferably below ``roots``."""
+        """Number of the first node with this sid, id or name, preferably below ``roots``; None if there is
+        none."""
         found = [n for key in _NAMES for n in self.named.get(name, ()) if self.nodes[n][0].get(key) == name]
         for number in found if roots else ():
             above = number
@@ -459,7 +460,7 @@ class _Conversion(GlbBuilder):
             yield names[0] if len(names) == 1 else "", (-np.inf, np.inf), list(curves_of.values())
 
     def curves(self, animation: Element, lost: list[str]) -> Iterator[_Curve]:
-        """Curves of an animation and of animations inside it."""
+        """Curves of an animation, and of the animations inside this animation."""
         for channel in animation.iter("channel"):
             target = channel.get("target", "")
             found = _TARGET.fullmatch(target)
@@ -562,7 +563,8 @@ def _triangles(sizes: Indices, strips: bool) -> Indices:
 
 
 def _decomposed(matrices: Array) -> dict[str, Array]:
-    """Translations (N, 3), rotations (N, 4) and scales (N, 3) of matrices (N, 4, 4)."""
+    """Decompose matrices (N, 4, 4) to translations (N, 3), rotations (N, 4) xyzw and scales (N, 3), by
+    name."""
     axes = matrices[:, :3, :3]
     scales = np.linalg.norm(axes, axis=1)
     scales[np.linalg.det(axes) < 0, 0] *= -1

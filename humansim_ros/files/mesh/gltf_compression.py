@@ -23,7 +23,7 @@ Bytes = NDArray[np.uint8]
 _GROUP, _MAX_BLOCK = 16, 256
 #: Bits of a delta by mode of its group: in version 0, and in version 1 by the control mode of the byte.
 _MODE_BITS = ((0, 2, 4, 8), (0, 1, 2, 4), (1, 2, 4, 8))
-#: Deltas in a packed byte, by number of bits. Single bits begin at the lowest bit.
+#: Deltas in each of 256 packed bytes, by bits per delta. Deltas of one bit begin at the lowest bit.
 _UNPACKED = {
     1: tuple(bytes((byte >> shift) & 1 for shift in range(8)) for byte in range(256)),
     2: tuple(bytes((byte >> shift) & 3 for shift in (6, 4, 2, 0)) for byte in range(256)),
@@ -137,7 +137,7 @@ def _bytes(values: bytes | bytearray) -> Bytes:
 
 
 def _integrated(deltas: Bytes, last: Bytes, kind: int) -> Bytes:
-    """Bytes (N, 4) of a channel, from its deltas (4, N) and the previous bytes (4,)."""
+    """Bytes (N, 4) of a channel: its deltas (4, N), accumulated from the previous bytes (4,)."""
     rotation, kind = kind >> 4, kind & 15
     if kind > 2 or (rotation and kind < 2):
         raise ValueError(f"channel mode {kind}")
@@ -293,7 +293,7 @@ def _quaternion(elements: Bytes) -> Bytes:
 
 
 def _exponential(elements: Bytes) -> Bytes:
-    """Floats from an exponent (8 bits) and a mantissa (24 bits)."""
+    """Floats, each from an integer with an exponent (8 bits) and a mantissa (24 bits)."""
     values = np.ascontiguousarray(elements).view("<i4")
     with np.errstate(over="ignore"):  # infinities are refused later, where the floats are read
         floats = np.ldexp(((values << 8) >> 8).astype(np.float64), values >> 24).astype("<f4")
@@ -319,7 +319,7 @@ def _color(elements: Bytes) -> Bytes:
 
 
 def _components(elements: Bytes, name: str) -> tuple[NDArray[np.float64], int]:
-    """Signed components (N, 4) as floats, and the largest possible component."""
+    """Convert signed integer components (N, 4) to floats. Returns also the largest possible component."""
     width = elements.shape[1] // 4
     if width not in (1, 2):
         raise ValueError(f"filter {name} needs elements of 4 or 8 bytes")

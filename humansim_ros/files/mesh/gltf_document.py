@@ -177,7 +177,7 @@ class Gltf:
 
     @cached_property
     def at_rest(self) -> Array:
-        """Transforms (N, 4, 4) of the nodes in the scene, without animation."""
+        """Transforms (N, 4, 4) of the nodes to the scene, without animation."""
         return self.world()
 
     @cached_property
@@ -276,7 +276,7 @@ class Gltf:
         return self._draco_meshes[packed.bufferView], packed
 
     def image(self, number: int) -> bytes:
-        """Content of an image file."""
+        """Encoded content of image ``number``: a PNG or JPEG file."""
         image = self._item(self.document.images, number, f"images.{number}")
         if image.bufferView is not None:
             return bytes(self._view(image.bufferView, f"images.{number}.bufferView"))
@@ -285,7 +285,7 @@ class Gltf:
         return self._fetch(image.uri, f"images.{number}.uri", MAX_IMAGE_BYTES)
 
     def texture_image(self, number: int) -> int | None:
-        """Image index of a texture."""
+        """Index of the image of a texture; None if the texture has no image."""
         return self._item(self.document.textures, number, f"textures.{number}").source
 
     def wraps(self, number: int) -> tuple[int, int]:
@@ -317,7 +317,7 @@ class Gltf:
         return skin
 
     def bind_matrices(self, number: int) -> Array:
-        """Joint frames (J, 4, 4) of a skin in the space of its mesh at bind time."""
+        """Poses (J, 4, 4) of the joints of a skin at bind time, in the space of the skinned mesh."""
         skin = self.skin(number)
         if skin.inverseBindMatrices is None:
             return np.broadcast_to(np.eye(4), (len(skin.joints), 4, 4)).copy()
@@ -384,7 +384,7 @@ class Gltf:
         return memoryview(data)[view.byteOffset : view.byteOffset + view.byteLength]
 
     def _decode(self, number: int, packed: MeshoptView, size: int) -> memoryview:
-        """Decode a meshopt buffer view to ``size`` bytes."""
+        """Decode a meshopt buffer view to ``size`` bytes. The result is cached."""
         key = f"bufferViews.{number}"
         if packed.count * packed.byteStride != size:
             raise self._error(f"{packed.count} elements of {packed.byteStride} bytes are not {size}", key)

@@ -234,13 +234,14 @@ class Document(Part):
     extensions: dict[str, Any] = Field(default_factory=dict)
 
 
-#: Component types by dtype, and types by the shape of a value.
+#: Numbers of component types by dtype, and names of accessor types by the shape of a value.
 _TYPES = {np.dtype(code): number for code, number in (("u1", 5121), ("u2", 5123), ("u4", 5125), ("f4", 5126))}
 _SHAPES = {(): "SCALAR", (2,): "VEC2", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
 
 
 class GlbBuilder:
-    """Lists of a glTF document, such as its nodes, and the buffer with its arrays."""
+    """Builder of a .glb file: the lists of its document, such as the nodes, and the buffer with its
+    arrays."""
 
     def __init__(self) -> None:
         self.lists: dict[str, list[dict[str, Any]]] = {}
@@ -267,7 +268,7 @@ class GlbBuilder:
         return self.add("accessors", accessor)
 
     def view(self, data: bytes, target: int | None = None) -> int:
-        """Add bytes to the buffer. Returns the number of their view."""
+        """Add bytes to the buffer. Returns the number of the buffer view of these bytes."""
         view: dict[str, Any] = {"buffer": 0, "byteOffset": len(self.binary), "byteLength": len(data)}
         if target is not None:
             view["target"] = target

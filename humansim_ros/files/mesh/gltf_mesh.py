@@ -93,7 +93,7 @@ def _read_alpha(gltf: Gltf, info: TextureInfo) -> Image | None:
 def _decoded(
     gltf: Gltf, info: TextureInfo, decode: Callable[[int, Callable[[], bytes]], Image | None]
 ) -> Image | None:
-    """Call ``decode`` for the image of a texture. Its errors get path and key."""
+    """Call ``decode`` for the image of a texture. Add path and key to errors of ``decode``."""
     source = gltf.texture_image(info.index)
     if source is None:
         return None
@@ -110,7 +110,7 @@ def texture_transform(gltf: Gltf, info: TextureInfo) -> TextureTransform | None:
 
 
 def _unsupported(gltf: Gltf, material: GltfMaterial, leading: TextureInfo | None) -> list[str]:
-    """Properties of a material that are ignored."""
+    """Names of the properties of a material that are ignored, for a warning."""
     parts = [f"extension {name!r}" for name in material.extensions if name != _EMISSIVE_STRENGTH]
     if material.occlusionTexture is not None:
         parts.append("the ambient occlusion map (ambient occlusion is computed)")
@@ -191,7 +191,7 @@ def read_gltf_materials(path: str | os.PathLike[str], data: bytes) -> list[Mesh]
 
 
 def _all_pieces(gltf: Gltf, skeleton: GltfSkeleton | None) -> list[_Piece]:
-    """Pieces of all nodes. If there is no skeleton, only the nodes in the scene count."""
+    """Pieces (primitives) of all nodes or, if there is no skeleton, of the nodes in the scene."""
     pieces: list[_Piece] = []
     total = 0
     for number in gltf.order:

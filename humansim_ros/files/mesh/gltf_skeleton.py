@@ -24,7 +24,7 @@ _CHAINS = (
         for side in ("left", "right")
     ),
 )
-#: Most joints that are compared with each other by their rotations.
+#: Most joints with rotations that are compared with each other.
 _MAX_COMPARED = 1000
 
 
@@ -127,7 +127,7 @@ def _nearest(gltf: Gltf, node: int, nodes: Collection[int]) -> int:
 
 
 def _common_space(changes: Array, gltf: Gltf) -> tuple[Array, float]:
-    """Similarity transform (4, 4) from bind time to the scene, and its scale.
+    """Similarity transform (4, 4) from the space at bind time to the scene, and its scale.
 
     ``changes``: (J, 4, 4) transforms of the joints. The transforms are equal if the rest pose of the nodes is
     the bind pose. Otherwise they have different rotations. So the result has the median of the scales, and
@@ -208,7 +208,7 @@ def _unshifted(gltf: Gltf, named: dict[int, str]) -> dict[int, str]:
 
 
 def _misplaced(gltf: Gltf, named: dict[int, str]) -> dict[int, str]:
-    """Human bones, by node, that are not below the bones that should be above them."""
+    """Human bones (by node) that are not below the bone that VRM puts above them."""
     node_of = {bone: node for node, bone in named.items()}
     wrong: dict[int, str] = {}
     for chain in _CHAINS:
@@ -220,7 +220,7 @@ def _misplaced(gltf: Gltf, named: dict[int, str]) -> dict[int, str]:
 
 
 def member(value: Any, *keys: str) -> Any:
-    """Member of nested objects of a JSON document; None if absent."""
+    """Value at a path of keys in nested objects of a JSON document; None if a key is absent."""
     for key in keys:
         value = value.get(key) if isinstance(value, dict) else None
     return value

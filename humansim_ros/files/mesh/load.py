@@ -135,7 +135,7 @@ _UNITS = {
 #: Packages of PyPI that formats need, and the names of their modules.
 _PACKAGES = {"dae": "pycollada lxml", "3mf": "lxml networkx"}
 _MODULES = {"dae": ("collada",), "3mf": ("lxml", "networkx")}
-#: Encodings that cannot hide a document type.
+#: Encodings of XML that keep ASCII characters, so that a search finds a document type.
 _ENCODINGS = (b"utf-8", b"us-ascii", b"ascii", b"iso-8859-1")
 
 
@@ -277,7 +277,7 @@ def _collada_up(data: bytes) -> str:
 
 
 def _metres(unit: str) -> float:
-    """Metres of a unit, with the name that trimesh uses."""
+    """Metres per unit, by the name of the unit in trimesh."""
     if unit in _UNITS:
         return _UNITS[unit]
     found = re.fullmatch(r"([0-9.eE+-]+) \* meters", unit)
@@ -358,7 +358,7 @@ def _parse_in_process(kind: str, data: bytes) -> dict[str, Any]:
     raise MeshError(f"it needs more than {needed} to read: simplify it")
 
 
-#: Exit code of the process if the file cannot be read.
+#: Exit code of the separate process for a file that cannot be read.
 _REFUSED = 3
 
 

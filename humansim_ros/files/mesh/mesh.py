@@ -54,7 +54,7 @@ MATERIALS = (
 MATERIAL_LABELS = {name: label for label, name in enumerate(MATERIALS, 1)}
 #: Label of a human's surface if its mesh has no labels.
 UNKNOWN = MATERIAL_LABELS["unknown"]
-#: Labels of skin and of hair. The texels decide between them.
+#: Labels of skin and of hair. The texels of a texture decide between these labels.
 SKIN, HAIR = MATERIAL_LABELS["skin"], MATERIAL_LABELS["hair"]
 
 
@@ -110,7 +110,7 @@ def height_to_normal_map(heights: Image, strength: float) -> Image:
 
 
 def without_maps(material: Material | None, path: str, name: str) -> Material | None:
-    """Remove the images of a material, and warn that its mesh has no texture coordinates."""
+    """Return a material without its images, and warn that the mesh has no texture coordinates for them."""
     if material is None:
         return None
     images = {"metal_rough": "metal and roughness", "normals": "normal map", "emissive_map": "emission"}

@@ -444,7 +444,7 @@ def _angles(sides: tuple[FloatArray, FloatArray, FloatArray]) -> list[FloatArray
 
 
 def _perpendicular(vectors: FloatArray, up: FloatArray) -> FloatArray:
-    """Component of vectors (3, N) perpendicular to unit vectors (3, N)."""
+    """Component of vectors (3, N) that is perpendicular to unit vectors ``up`` (3, N)."""
     perpendicular: FloatArray = vectors - np.einsum("ij,ij->j", vectors, up) * up
     return perpendicular
 

@@ -112,7 +112,8 @@ class _Mtl:
         return height_to_normal_map(image[..., 0], 4 * float(given))
 
     def _alpha(self) -> Image | None:
-        """Opacity (H, W) of ``map_d``: its alpha channel, or its grey values if it has none."""
+        """Opacity (H, W) from the image ``map_d``: its alpha channel or, for an image without one, its grey
+        values."""
         image = self._map("map_d", "the material is opaque")
         file = None if image is None else self._file("map_d")
         if image is None or file is None:
@@ -176,13 +177,13 @@ def _numbers(rows: list[list[str]], lines: list[int], width: int, keyword: str, 
     raise MeshError(f"'{keyword}' lines cannot be read", path=path)
 
 
-#: Colour of materials that are missing in the material library.
+#: Colour of faces with a material that the material library does not have.
 _GREY = (0.6, 0.6, 0.6)
 #: Largest OBJ file, bytes. Parsing needs about ten times its size in memory.
 _MAX_OBJ_BYTES = 1 << 28
 #: Most corners of a polygon. It becomes a fan of triangles, which is correct only for convex polygons.
 _MAX_CORNERS = 50_000
-#: A longer normal is treated as unknown.
+#: Largest length of a normal. A longer normal is treated as unknown.
 _LARGEST_NORMAL = 1e30
 
 

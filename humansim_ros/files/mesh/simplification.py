@@ -51,7 +51,7 @@ class Simplification:
 
     @cached_property
     def counts(self) -> Indices:
-        """(K + 1,) number of vertices of each level."""
+        """(K + 1,) number of vertices of each level, of the mesh itself first."""
         return np.array([int((self.removed_at > number).sum()) for number in range(len(self.errors))])
 
     def level(

@@ -363,7 +363,8 @@ class JointPoses:
         Args:
             names, rotations: K names, and (K, 4) xyzw.
             angular: Angular velocities (K, 3). They are not used if the pose has no velocities.
-            positions, linear: Positions and velocities (K, 3). If None, those of the first joint.
+            positions, linear: Positions and velocities (K, 3). If None, the values of the first joint are
+                used.
         """
         if positions is None or linear is None:
             positions, linear = self.at_first_joint(len(names))

@@ -142,9 +142,9 @@ class LooseParts:
         outwards: (K, 3) unit direction away from the body at each end, at rest.
         rows: (M,) vertices that follow, each once.
         nodes: (M, 2) the two ends that each vertex follows.
-        shares: (M, 2) shares of the swing of these two ends.
-        gather: (M, 3) metres by which cloth moves when its wearer sits, in the rest pose.
-        left: (M,) share of ``gather`` that follows the left leg. The rest follows the right leg.
+        shares: (M, 2) shares of the swings of these two ends that each vertex takes.
+        gather: (M, 3) offsets of gathered cloth in the rest pose, metres: the cloth of a wearer who sits.
+        left: (M,) share of ``gather`` that follows the left leg. The right leg takes the remaining share.
     """
 
     kinds: NDArray[np.uint8]

@@ -222,8 +222,8 @@ class Skeleton:
 
     @cached_property
     def ends(self) -> tuple[int, ...]:
-        """Bones with tails that are joints, too: bones without children; and head, hands and feet, even if
-        these have bones of fingers, toes, jaw and eyes."""
+        """Bones with a tail that counts as a joint: bones without children; and head, hands and feet,
+        although these may have bones of fingers, toes, jaw and eyes."""
         extremities = (bone for bone, name in enumerate(self.names) if name in _EXTREMITIES)
         return tuple(sorted({*self.leaves, *extremities}))
 

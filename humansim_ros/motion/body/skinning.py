@@ -205,9 +205,9 @@ class LinearBlend(SkinningFunction):
 class DualQuaternion(SkinningFunction):
     """Dual quaternion linear blending [Kavan 2008]: bent and twisted limbs keep their thickness.
 
-    T must be rigid, up to one scale that all bones of a frame share. Each bone has two quaternions, q and -q.
-    A vertex takes the one nearer to that of the bone with its largest weight (the first bone, if weights are
-    equal).
+    T must be rigid, up to one scale that all bones of a frame share. The rotation of a bone has two
+    quaternions, q and -q. A vertex takes the quaternion that is nearer to the quaternion of its main bone:
+    the bone with its largest weight (the first bone, if weights are equal).
     """
 
     def __init__(

@@ -52,9 +52,9 @@ class _Bone:
 def read_acclaim(path: str | os.PathLike[str], skeleton: str | None = None) -> Motion:
     """Read an .amc file with its .asf file.
 
-    ``skeleton``: name of the .asf file in the folder of the .amc file or below. If None, it is the .asf file
-    with the same name, else with the beginning of the name (``07.asf`` for ``07_01.amc``), else the only .asf
-    file of the folder.
+    ``skeleton``: name of the .asf file in the folder of the .amc file or below. If None, these are tried: the
+    .asf file with the same name; an .asf file with the beginning of the name (``07.asf`` for ``07_01.amc``);
+    the only .asf file of the folder.
 
     Each joint is at the start of a bone and has the name of the bone. Lengths stay in the unit of the file.
     The unit is known only for files of CMU: there ``length`` is 0.45, and the unit is 1/0.45 inch. Files

@@ -115,7 +115,7 @@ class BvhText:
         self.line -= 1
 
     def blocks(self) -> Iterator[str]:
-        """Return the rest of the file in blocks of whole lines, or of words of a line that is too long."""
+        """Return the unread text in blocks of whole lines; a line that is too long is split between words."""
         rest, self._unread, n_read = self._unread, "", 0
         while text := self._file.read(min(max(_BLOCK_SIZES[0], n_read // 16), _BLOCK_SIZES[1])):
             n_read += len(text)
@@ -273,8 +273,8 @@ _STEADY = 45.0
 
 @dataclass(frozen=True)
 class _BadLine:
-    """A line that is not a row: its number, the index of its first value, its number of values, the reason,
-    the first ``word`` if it has no number, and the number of such lines one after another."""
+    """A line that is not a row of numbers: its number, the index of its first value, its number of values,
+    the reason; the first ``word``, if it has no number; and how many such lines follow one another."""
 
     line: int
     start: int
@@ -306,7 +306,7 @@ class _Rows:
         self.has_points = False
 
     def read(self) -> Array:
-        """Channel values (F, C) of the rest of the file."""
+        """Read all rows that are left in the file: channel values (F, C)."""
         parts: list[Array] = [np.empty(0)]
         for block in self.text.blocks():
             if self.n_channels == 0 and block.strip():

@@ -107,7 +107,7 @@ def read_motion(path: str | os.PathLike[str], positions: PositionChannels = "aut
 
 
 def _one_person(motion: Motion, root: str | None) -> Motion:
-    """Keep the joints below a root of a motion. If ``root`` is None, those of the first person of several."""
+    """Keep the joints below a root of a motion. If ``root`` is None, keep the first of several people."""
     trees: dict[str, list[int]] = {}
     tree_of: list[list[int]] = []
     for joint, parent in enumerate(motion.parents.tolist()):

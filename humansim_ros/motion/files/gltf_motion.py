@@ -42,8 +42,8 @@ def read_gltf_motion(path: str | os.PathLike[str], animation: str | None = None)
     moves a skeleton.
 
     The rest pose is the pose in which the skin was bound, so that a figure of the same file moves exactly as
-    authored. If there is no skin, it is the rest pose of the nodes. Evenly spaced keys become frames, with
-    further frames between them. Other keys are resampled.
+    authored. Without a skin, it is the pose of the nodes at rest. If the keys are evenly spaced, they become
+    frames, and more frames are added between them. Otherwise the keys are resampled.
 
     Raises:
         MotionError: The file is not valid, or has no skeleton or no such animation.

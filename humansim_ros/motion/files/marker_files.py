@@ -107,7 +107,8 @@ class _C3dFile:
         return max(int(self._number("TRIAL:ACTUAL_START_FIELD") or self._header[3]) - 1, 0)
 
     def _block(self, *numbers: float) -> int:
-        """First byte of the first of these blocks that is after the header; else the end of the file."""
+        """Byte at which data begin: the first block of ``numbers`` after the header, or the end of the
+        file."""
         starts = (_BLOCK * (int(number) - 1) for number in numbers if number > self._data[0])
         return next((start for start in starts if start < len(self._data)), len(self._data))
 

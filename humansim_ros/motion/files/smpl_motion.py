@@ -32,8 +32,8 @@ _THIGH_CHANGE = 0.1
 
 
 def _people_of(tree: Any, names: Collection[str]) -> dict[str, Arrays]:
-    """Find the arrays of the people of a file, by the keys that lead to them. Arrays in world axes are
-    preferred.
+    """Find the arrays of each person in a file. Returns them by the keys on the way to the person. Arrays in
+    world axes are preferred.
 
     Args:
         tree: Content of the file: arrays, numbers, texts, lists and dictionaries.

@@ -164,9 +164,9 @@ class FileFrame:
         unit_name: Name of the unit. ``unknown`` if no known unit gives the height of a person. Then a height
             of 1.7 m is assumed.
         world_from_file: (3, 3) rotation after which the person in the rest pose faces +x.
-        rest_from_body: Body axes in the rest pose of the file, (3, 3). If the OFFSETs are not a standing
-            person, the straightest frame is the rest pose, and these are the body axes in the axes of each
-            joint, (J, 3, 3).
+        rest_from_body: Body axes (3, 3) in the rest pose of the file. If the OFFSETs are not a standing
+            person, the straightest frame is the rest pose. Then: body axes (J, 3, 3) in the axes of each
+            joint.
         ankle_to_head: Height in file units.
         confidence: Confidence in the up axis, 0 to 1. It is lower if there is a warning.
         warning: Message to the user: what contradicts the up axis, or why the axis is unlikely.
@@ -386,7 +386,7 @@ class _UpEvidence:
         )
 
     def _is_sure(self, mean: Array, witness: Array) -> bool:
-        """Whether more than the required share of the frames shows that the mean direction is up."""
+        """Whether usual axes, movement or the floor confirm that ``mean``, not ``witness``, is up."""
         if _is_usual(mean) != _is_usual(witness) or self._moves_off(witness, mean):
             return True
         return self._is_on_floor(mean) and not self._is_on_floor(witness)
@@ -445,7 +445,7 @@ def _is_usual(up: Array) -> bool:
 
 
 def _is_turned_rest(transforms: Array, roles: Mapping[str, int]) -> bool:
-    """Whether a pose (J, 4, 4) is the rest pose, turned as a whole."""
+    """Whether a pose (J, 4, 4) is the rest pose, rotated only as one rigid body."""
     turns = transforms[roles["Hips"], :3, :3].T @ transforms[list(roles.values()), :3, :3]
     traces = np.trace(turns, axis1=-2, axis2=-1)
     return bool((traces >= 1 + 2 * np.cos(np.radians(_EXACT_ANGLE))).all())

@@ -234,7 +234,7 @@ class JointMatch:
 
 
 def match_roles(table: JointTable, roles: Mapping[str, int], joint_names: Sequence[str]) -> JointMatch:
-    """Match bones to joints (role -> joint index). A bone without a driver of its own takes a fallback."""
+    """Match bones to joints. ``roles``: role -> joint. Bones without a link take the rotation of a joint."""
     parallel, difference = {}, {}
     ends = {name: number for number, name in enumerate(joint_names)}
     for bone, (start, end) in table.parallel.items():

@@ -193,8 +193,9 @@ class BoneDrivers:
 
     @cached_property
     def _transferred(self) -> tuple[DrivenBones, DrivenBones, list[tuple[Indices, DrivenBones]]]:
-        """Return bones that have a link and take the rotation of its joint; bones that take the rotation of a
-        joint, but have no link; and, for each level, bones that inherit their rotation, with their links."""
+        """Return three groups of bones: bones with a link that take the rotation of a joint; bones without a
+        link that take the rotation of a joint; and, for each level, bones that inherit their rotation, with
+        their links."""
         links, joints = self.driven
         is_loose = np.array([self.skeleton.names[bone] in self.loose for bone in links.bones], dtype=bool)
         links, loose = links.among(~is_loose), links.among(is_loose)
@@ -223,9 +224,9 @@ class BoneDrivers:
 
     @cached_property
     def _from_links(self) -> Array | None:
-        """Rotations (B, 3, 3) from a bone along its link to a bone with its angle to the link at rest; to
-        multiply on the right. The identity for bones that are parallel to their links. None without
-        ``rest_links``."""
+        """Rotations (B, 3, 3) that give a bone its angle to the link at rest: turn the bone along its link
+        first, then multiply its rotation by them on the right. Identity for bones that are parallel to their
+        links. None without ``rest_links``."""
         if not self.rest_links:
             return None
         out = np.tile(np.eye(3), (len(self.skeleton), 1, 1))

@@ -1,9 +1,9 @@
 """Joint limits of a skeleton: measure poses with a table of ranges, report violations, and clamp.
 
-Angles are anatomical (docs/limits.md). They depend neither on the rest pose of the skeleton nor on the rolls
-of its bones; only angles of fingers and toes count from the axes of their bones at rest. Hinges and the spine
-rotate about three axes, one after the other [Grood 1983]. The direction of shoulders and hips must be within
-a cone [Wilhelms 2001].
+Angles are anatomical (docs/limits.md). They do not depend on the rest pose of the skeleton or on the rolls of
+its bones. Only the angles of fingers and toes are measured from the axes of their bones at rest. Hinges and
+the spine rotate about three axes, one after the other [Grood 1983]. The direction of shoulders and hips must
+be within a cone [Wilhelms 2001].
 """
 
 from __future__ import annotations
@@ -406,7 +406,7 @@ class LimitViolation:
 @dataclass(frozen=True)
 class JointLimits:
     """A table of ranges, applied to a skeleton in any rest pose. Bones that the skeleton lacks are left out.
-    Rotations are (N, B, 4) quaternions xyzw in bone space, as from ``Retargeter.apply``."""
+    Rotations are (N, B, 4) quaternions xyzw in bone space, as ``Retargeter.apply`` returns them."""
 
     table: LimitTable
     skeleton: Skeleton

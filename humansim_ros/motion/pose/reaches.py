@@ -1,5 +1,5 @@
-"""Hands that reach for something and stay there, as corrections of the arms of a motion; and the queries
-about humans, objects and cameras of a scene that reaches need."""
+"""Hands that reach for something and stay there, as corrections of the arms of a motion. Reaches ask a
+:class:`SceneQuery` where humans, objects and cameras of the scene are."""
 
 from __future__ import annotations
 

@@ -282,8 +282,8 @@ class Capsules:
 
     @cached_property
     def _pair_table(self) -> tuple[Indices, Indices, Indices]:
-        """Pairs of bones (P, 2); pairs of capsules (Q, 2), sorted by their pair of bones; and, for each pair
-        of bones, the index (P,) of its first pair of capsules."""
+        """Return three arrays: pairs of bones (P, 2); pairs of capsules (Q, 2), sorted by their pair of
+        bones; and the index (P,) of the first pair of capsules of each pair of bones."""
         capsules = np.stack(np.triu_indices(len(self.bones), 1), axis=1)
         bones = np.sort(self.bones[capsules], axis=1)
         order = np.lexsort(bones.T[::-1])

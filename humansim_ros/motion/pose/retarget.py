@@ -137,7 +137,7 @@ def collar_links(
 
     Args:
         skeleton, poses, match: Skeleton that is posed, joint poses, and joints that drive the bones.
-        loose: Bones with the mean direction of their links relative to the chest.
+        loose: Bones that do not use joint rotations. Their links get a mean direction relative to the chest.
     """
     chest = line_rotations(poses, match)[:, LINE_ROTATIONS.index("chest")]
     at_zero = link_directions_at_rest(poses, match)
@@ -466,8 +466,8 @@ class Retargeter:
         return transform(rotations, heads + translation[:, None])
 
     def _solve(self, poses: JointPoses, hands: Mapping[str, Array]) -> tuple[Array, Array, Array]:
-        """Rotations (N, B, 3, 3) and heads (N, B, 3) of the bones, in ``map`` axes, before the body is
-        placed; and the translation (N, 3) that places the body."""
+        """Pose the bones. Returns rotations (N, B, 3, 3) and heads (N, B, 3) in ``map`` axes, before the body
+        is moved to its place; and the translation (N, 3) that moves the body to its place."""
         joint_rotations = quaternion_to_matrix(poses.rotations)
         if self._drivers.loose:
             joint_rotations = np.append(joint_rotations, line_rotations(poses, self.match), axis=1)
@@ -567,8 +567,8 @@ def _root_scale(
 
 
 def _leg_scale(poses: JointPoses, match: JointMatch, skeleton: Skeleton) -> float:
-    """Ratio of the leg lengths of the skeleton and of the joints (median over the poses), from hip to ankle,
-    or to the knee if the ankle is unknown."""
+    """Ratio of leg lengths, of the skeleton to the joints (median over the poses). A leg goes from hip to
+    ankle, or to the knee if the ankle is unknown."""
     bones, links = 0.0, np.zeros(len(poses.positions))
     for side, prefix in (("Left", "l"), ("Right", "r")):
         for start, end, bone in (("Hip", "Knee", "hip"), ("Knee", "Ankle", "knee")):

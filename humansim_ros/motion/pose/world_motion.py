@@ -70,9 +70,9 @@ def find_jumps(path: Array, frame_time: float) -> tuple[Jump, ...]:
 def leading_rest(motion: Motion, jumps: Sequence[Jump]) -> int:
     """Number of frames of a rest pose before the first jump. 0 if the first frames are no rest pose.
 
-    Some programs write the rest pose at the origin as the first frame, and the person elsewhere. Frames are a
-    rest pose if all rotations are zero; or if the root is at or above the origin of the file in fewer than
-    half of the frames.
+    Some programs write a rest pose at the origin as the first frames; the person is elsewhere. Frames are a
+    rest pose if all rotations are zero. They are also a rest pose if the root is at or above the origin of
+    the file, and they are fewer than half of the frames.
     """
     first = jumps[0].frame if jumps else 0
     before = motion.values[:first]
@@ -145,8 +145,8 @@ class WorldMotion:
         match: Joints of the motion that drive bones.
         frame: Coordinate frame of the file.
         placement: Place of the motion in ``map``.
-        loop: ``none`` holds the last frame, ``repeat`` jumps to the first, ``continue`` goes on from the last
-            position and heading, so that a walk cycle walks on.
+        loop: ``none`` holds the last frame. ``repeat`` jumps to the first frame. ``continue`` goes on from
+            the last position and heading, so that a walk cycle walks on.
         start: Start of the part of the file to play, seconds of the file.
         end: End of that part, seconds of the file. If None, the last frame.
         speed: Seconds of the file that are played in a second.

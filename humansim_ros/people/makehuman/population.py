@@ -375,7 +375,7 @@ def bmi_of(age: float, sex: Sex, score: float) -> float:
 
 
 def _race(tone: int, uniform: Callable[[], float]) -> dict[Race, float]:
-    """Shares of MakeHuman's races. The darker the skin, the more African; the rest is divided at random."""
+    """Shares of MakeHuman's races: more African for darker skin; the remaining share is divided at random."""
     african = min(max((tone - 5) / 4 + 0.4 * (uniform() - 0.5), 0.0), 1.0)
     asian = uniform()
     rest = 1 - african
@@ -456,9 +456,9 @@ def _worn_colors(outfit: Outfit, clothes: Attire, age: float, uniform: Callable[
 def skin_color(tone: int) -> tuple[int, int, int]:
     """Colour (sRGB) of the skin texture for a tone of the Monk scale.
 
-    The scale shows how skin looks next to white. Skin reflects less than that and reddens the light that it
-    scatters; the factors were chosen from rendered faces. The darkest swatches of the scale are grey, but the
-    darkest skin is brown, since red light is scattered deepest.
+    The scale shows how skin looks next to white. Skin reflects less light than its swatch, and reddens the
+    light that it scatters; the factors were chosen from rendered faces. The darkest swatches of the scale are
+    grey, but the darkest skin is brown, since red light is scattered deepest.
     """
     swatch = np.array(MONK_TONES[tone - 1]) / 255
     albedo = np.array([0.045, 0.022, 0.014]) + 0.66 * np.array([1.0, 0.84, 0.75]) * swatch**2.2

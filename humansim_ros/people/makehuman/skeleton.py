@@ -1,8 +1,8 @@
 """Bones at the joints of a MakeHuman body, with the weights of its artists, and the T pose.
 
-The first 22 bones are those of [thesis table 4.1]. ``DETAIL_BONES`` are fingers, toes, jaw and eyes. Each is
-a detail of one of the 22 bones and takes a share of its weights, so that together they move the skin as that
-bone alone does.
+The first 22 bones are the bones of [thesis table 4.1]. ``DETAIL_BONES`` are fingers, toes, jaw and eyes. Each
+detail belongs to one of the 22 bones and takes a share of its weights. A bone and its details together move
+the skin as the bone alone would.
 """
 
 from __future__ import annotations
@@ -291,8 +291,8 @@ _THUMB_CLOSING = 14.0
 
 
 def relaxed_fingers(points: Mapping[str, Array]) -> tuple[dict[str, Array], dict[str, Array]]:
-    """Transforms (4, 4) of finger bones from the body to a relaxed hand, and their axes (3,) of flexion in
-    this hand, both by bone name. A positive angle about the axis flexes a bone. ``points``: landmarks (see
+    """Relax the hands: transforms (4, 4) of finger bones, and their axes (3,) of flexion after that, both by
+    name of the bone. A positive angle about the axis flexes a bone. ``points``: landmarks (see
     ``skeleton.landmarks``)."""
     transforms, hinges = {}, {}
     for side in "lr":
@@ -305,8 +305,8 @@ def relaxed_fingers(points: Mapping[str, Array]) -> tuple[dict[str, Array], dict
 
 
 def finger_shares(source: MakeHumanData, count: int) -> Array:
-    """Weights (N, 31) of the artists: first that of all bones except fingers, then those of the finger bones,
-    in the order of :func:`relaxed_fingers`. ``count``: number of vertices N."""
+    """Weights (N, 31) of the artists: first the weight that fingers leave to all other bones, then the
+    weights of the finger bones, in the order of :func:`relaxed_fingers`. ``count``: number of vertices N."""
     shares = np.zeros((count, 1 + 2 * 3 * len(FINGERS)))
     names = [f"{side}_{name}{joint}" for side in "lr" for name in FINGERS for joint in (1, 2, 3)]
     for column, name in enumerate(names, 1):

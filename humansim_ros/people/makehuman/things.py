@@ -51,7 +51,7 @@ def worn_parts(config: MakeHumanConfig, wearer: Wearer) -> list[WornPart]:
 def _around_head(
     wearer: Wearer, thickness: Array, material: PartMaterial, reach: Array | None = None
 ) -> WornPart:
-    """Surface around the head. All bodies have the same faces. What is not shown is hidden in the head."""
+    """Surface around the head, with the same faces on all bodies. Hidden places of it lie inside the head."""
     dome, shown = wearer.head, thickness > 0
     points = dome.points(thickness, None if reach is None else np.where(shown, reach, dome.reach))
     near = cv2.dilate(np.pad(shown, ((1, 1), (1, 1)), "wrap").astype(np.uint8), np.ones((3, 3), np.uint8))

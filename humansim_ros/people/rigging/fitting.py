@@ -38,8 +38,8 @@ _AXES = {"x": 0, "y": 1, "z": 2}
 def body_from_file(mesh: Mesh, up: str | None = None, facing: str | None = None) -> Array:
     """Rotation (3, 3), a permutation of axes, from the space of the mesh to y up, facing +z, x to the left.
 
-    ``up``, ``facing``: axes of the file, such as ``z`` or ``-y``. Missing axes are detected: a person is
-    symmetric left-right and taller than deep, the head is over the middle, the feet are left and right of the
+    ``up``, ``facing``: axes of the file, such as ``z`` or ``-y``. Missing axes are detected. The person must
+    be symmetric left-right and taller than deep, with the head over the middle, the feet on both sides of the
     middle, and the toes in front of the shins. If the detection fails, MeshError says what to do.
     """
     upward, forward = _axis(up, "up"), _axis(facing, "facing")

@@ -57,11 +57,11 @@ _TRUNK = ("HumanoidRoot", "sacroiliac", "vl5")
 def heat_weights(mesh: Mesh, skeleton: Skeleton) -> sparse.csr_matrix:
     """Compute weights (V, B) of a mesh in the rest pose. A vertex has at most four bones. Rows sum to one.
 
-    Solves ``(L + M H) w_b = M H p_b`` for each bone: L is the cotangent Laplacian, M the vertex areas, H the
-    heat transfer (inverse square of the distance), p_b 1 where bone b is the heat source. In [Baran 2007] the
-    nearest bone is the source. Here the source is the bone with the largest viewing angle [thesis §5] that is
-    on the right side of planes through hips, shoulders and trunk joints, and under the skin. The mesh may be
-    open, non-manifold, or in many pieces.
+    Solves ``(L + M H) w_b = M H p_b`` for each bone b: L is the cotangent Laplacian, M the vertex areas, H
+    the heat transfer (inverse square of the distance). p_b is 1 where bone b is the heat source, else 0. In
+    [Baran 2007] the nearest bone is the source. Here the source is the bone with the largest viewing angle
+    [thesis §5] among bones under the skin and on the right side of planes through hips, shoulders and trunk
+    joints. The mesh may be open, non-manifold, or in many pieces.
     """
     height = float(np.ptp(mesh.vertices[:, 1]))
     if not height > 0:

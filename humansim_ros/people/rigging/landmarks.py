@@ -51,9 +51,9 @@ class Volume:
 def solid(mesh: Mesh, spacing: float) -> Volume:
     """Fill a mesh with voxels of edge length ``spacing``.
 
-    A voxel is inside if the surface encloses it in a slice across at least one axis, and if there is surface
-    in at least five of the six axis directions. So the body stays filled in spite of holes (an open neck, an
-    empty sleeve). Raises MeshError if there would be too many voxels.
+    A voxel is inside under two conditions: in a slice across at least one axis, the surface encloses the
+    voxel; and there is surface in at least five of the six axis directions. So the body stays filled in spite
+    of holes (an open neck, an empty sleeve). Raises MeshError if there would be too many voxels.
     """
     points = surface_points(mesh, 0.7 * spacing)
     low = spacing * (np.floor(points.min(0) / spacing) - 2)  # same grid left and right
@@ -264,7 +264,7 @@ def _belongs(part: Array, parts: Iterable[Array]) -> bool:
 def _measure(mesh: Mesh, whole: Volume, volume: Volume) -> Measures:
     """Measure a mesh of height 1. Raises MeshError if it has no limbs.
 
-    ``whole``: volume of the mesh. ``volume``: the parts of it that count, with bridges between them.
+    ``whole``: volume of the mesh. ``volume``: its parts that belong to the body, with bridges between them.
     """
     filled, size = whole.filled & volume.filled, volume.spacing  # slices are measured without the bridges
     xs, heights, zs = (volume.origin[k] + size * np.arange(filled.shape[k]) for k in range(3))

@@ -206,7 +206,8 @@ class SceneDocument(SceneFile):
             self._edit(set_value(self._text, found.keys, given, self._name))
 
     def remove(self, key: str | Sequence[YamlKey]) -> None:
-        """Remove a key with its value, or a person, an object or a camera. Raises SceneError if absent."""
+        """Remove a key with its value, or an item such as a person. Raises SceneError if the key is
+        absent."""
         keys = split_key(key)
         with self.step(f"Remove {'.'.join(map(str, keys))}"):
             self._edit(remove_value(self._text, keys, self._name))
@@ -312,7 +313,7 @@ class SceneDocument(SceneFile):
 
         Args:
             kind: Section.
-            name: Name in it.
+            name: Name of the item.
             position: (3,) in ``map``, metres; (2,) for the same height. A person stays on the floor.
             yaw_deg: Heading in ``map``, degrees, counter-clockwise from +x.
             quaternion: Rotation (4,) xyzw instead of ``yaw_deg``, as :meth:`pose` gives it.
@@ -351,7 +352,7 @@ class SceneDocument(SceneFile):
 
         Args:
             kind: Section of the item.
-            name: Name in it.
+            name: Name of the item.
             seconds: Scene time of the pose, if the item has keyframes.
 
         Raises:
@@ -388,7 +389,7 @@ class SceneDocument(SceneFile):
 
     @property
     def lacks_cameras(self) -> bool:
-        """Whether the scene has no cameras yet. It cannot run then, but the page shows it."""
+        """Whether the scene has no cameras yet. Such a scene cannot run, but the page can show it."""
         try:
             data = self._values()
         except SceneError:
@@ -504,7 +505,7 @@ class SceneDocument(SceneFile):
             return SceneCamera.build(name, self.config("cameras", name), self.source).whole
 
     def track(self, kind: SectionName, name: str) -> KeyframeTrack | None:
-        """Keyframes of a person or an object; None if it has none. Raises HumansimError if they are wrong."""
+        """Keyframes of a person or an object, or None. Raises HumansimError if the keyframes are wrong."""
         keyframes: KeyframesConfig | None = self.config(kind, name).keyframes
         if keyframes is None:
             return None

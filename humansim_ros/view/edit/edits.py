@@ -273,7 +273,7 @@ def set_keyframe(
     keys = _table(track)
     before = keys[max(0, int(np.searchsorted(keys[:, 0], frame)) - 1), 4:7] if len(keys) else np.zeros(3)
     angles = np.round(RigPlacement(rotation).rotation_deg, 2) + 0.0
-    # the shorter way from the key before
+    # add full turns, so that the angles are nearest to those of the previous key
     angles = angles + 360 * np.round((before - angles) / 360)
     place = np.round(wanted.position - rotation @ (size * own.position), 4) + 0.0
     keys = np.vstack([keys[keys[:, 0] != frame], [frame, *place, *angles, *size]])
@@ -283,7 +283,7 @@ def set_keyframe(
 
 
 def remove_keyframe(document: SceneDocument, kind: SectionName, name: str, seconds: float) -> None:
-    """Remove the keyframe nearest to a time. If it is the last one, the key ``keyframes`` is removed, too.
+    """Remove the keyframe nearest to a time, and after the last keyframe also the key ``keyframes``.
 
     Args:
         document: The scene.

@@ -421,7 +421,7 @@ def free_view(
     Returns:
         Place (3,): among those that see most points, the one with the direction farthest from other cameras.
     """
-    # seen from above: else a camera that is far away, which looks more level, would be in a freer direction
+    # directions are compared from above, so that the distance of a camera does not change its direction
     offsets = (cameras - target)[:, :2]
     others = offsets / np.maximum(np.linalg.norm(offsets, axis=1, keepdims=True), 1e-9)
     places: list[tuple[tuple[float, float, float], Array, NDArray[np.bool_]]] = []
@@ -438,7 +438,7 @@ def free_view(
             nearest = float((others @ across).max(initial=-1.0))  # cosine
             places.append(((_share(within), round(-nearest, 3), -distance), place, within))
     best, found = (-1.0, -np.inf, 0.0), np.array([target[0] + 3.0, target[1], height])
-    # an obstacle only makes a rating worse: places that were worse without are not looked at
+    # obstacles only lower a rating, so places with a lower rating than the best need no check
     for rating, place, within in sorted(places, key=lambda each: each[0], reverse=True):
         if rating <= best:
             break

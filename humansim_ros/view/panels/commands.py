@@ -163,7 +163,7 @@ class CommandsPanel:
         return path if mine and path.is_file() else None
 
     def _links(self) -> str:
-        """Markdown links to the files that the command has written, or to the page that it serves."""
+        """Markdown links to the files that a command has written, or to the page that a command serves."""
         if self.job is None:
             return ""
         if self.job.code is None:

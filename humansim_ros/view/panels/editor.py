@@ -150,7 +150,7 @@ class EditorPanel:
         self.edit(self.document.redo)
 
     def set(self, keys: tuple[YamlKey, ...], value: Any) -> None:
-        """Set a key of the file, or remove it if the value is None. Raises HumansimError."""
+        """Set a key of the file; None removes the key. Raises HumansimError if the key or value is wrong."""
         if value is not None:
             check_value(self.document.folder, value)
             with self.document.step(f"Set {'.'.join(map(str, keys))}", continues=True):
@@ -266,7 +266,8 @@ class EditorPanel:
         self._show_status()
 
     def refresh(self) -> None:
-        """Show the scene of the document, or, if it is not valid, its errors and the last valid scene."""
+        """Show the scene of the document. If the scene is not valid, show its errors and the last valid
+        scene."""
         faults = self.document.errors()
         if self.document.version != self._shown and (not faults or self.document.lacks_cameras):
             with suppress(SceneError):  # the status says it
@@ -305,7 +306,7 @@ class EditorPanel:
         self.place_gizmo()
 
     def place_gizmo(self) -> None:
-        """Put the gizmo at the selected item, or remove it if this item cannot be moved."""
+        """Put the gizmo at the selected item, or remove the gizmo if this item cannot be moved."""
         if self._gizmo is not None:
             self._gizmo.remove()
             self._gizmo = None
@@ -515,7 +516,8 @@ class CalibrationTools:
         self._ideal.on_update(by_user(app.post, lambda: self.idealize(bool(self._ideal.value))))
 
     def describe(self, file: str) -> None:
-        """Show what is in a calibration file, with a box for each camera. Raises HumansimError."""
+        """Show the cameras of a calibration file, each with a box. Raises HumansimError if it cannot be
+        read."""
         for box in self._boxes.values():
             box.remove()
         self._boxes, self._facts.content, self._cameras.visible = {}, "", False

@@ -123,8 +123,8 @@ class HumanPanel:
     # --- the steps (in the thread of the page)
 
     def read(self, name: str | None = None) -> None:
-        """Read the chosen mesh, and fit a skeleton to it. ``name``: file name, which names the person,
-        too."""
+        """Read the chosen mesh, and fit a skeleton to it. ``name``: file name that gives the person's
+        name."""
         if not self.mesh.value:
             return
         given = {
@@ -142,8 +142,7 @@ class HumanPanel:
         self._work(f"reading {self.mesh.value}", lambda: PersonDraft.of(folder, options))
 
     def move(self, joint: str, place: Array, *, keep: bool = True) -> None:
-        """Move a joint to ``place`` (3,) in body space, metres. ``keep``: whether this is an undo step, not
-        just part of a drag."""
+        """Move a joint to ``place`` (3,) in body space, metres. ``keep``: make this an undo step."""
         self._take(self._need().moved(joint, place, bool(self._both.value), keep=keep), drag=not keep)
 
     def rig(self, then: Callable[[], None] | None = None) -> None:
@@ -153,7 +152,7 @@ class HumanPanel:
         self._work("computing weights", lambda: draft.rigged(**changes), then)
 
     def add(self) -> None:
-        """Write the files of the person (after computing missing weights), and add it to the scene."""
+        """Compute missing weights, write the files of the person, and add the person to the scene."""
         draft, name = self._need(), str(self._name.value).strip()
         changes: dict[str, Any] = {"rigging": self._rigging.value, "outfits": self._outfits()}
         written: list[str] = []
@@ -341,7 +340,7 @@ class HumanPanel:
         threading.Timer(_SETTLED, lambda: self._app.post(lambda: self._look(views, times))).start()
 
     def _look(self, views: Mapping[int, Array], times: int) -> None:
-        """Turn browsers to the person if they still have the old view, ``views`` (3,) by browser."""
+        """Show the person in browsers whose view has not moved from ``views``, positions (3,) by browser."""
         if self._background.closed or self._source is None or self._app.source is not self._source:
             return
         for number, client in self._clients():
@@ -407,7 +406,8 @@ class HumanPanel:
 
 
 def _same(draft: PersonDraft, changes: dict[str, Any]) -> bool:
-    """Whether the weights of a draft were computed with these values of ``rigging`` and ``outfits``."""
+    """Whether the skinning weights of a draft were computed with these values of ``rigging`` and
+    ``outfits``."""
     told = draft.settings.model_dump(mode="json")
     outfits = {
         name: {key: one[key] for key in changes["outfits"].get(name, one)}

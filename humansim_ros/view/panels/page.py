@@ -23,11 +23,11 @@ class Player:
     """Playback: computes from the wall clock which frame is shown.
 
     Attributes:
-        frames: Number of frames; None for a live source, which has no time of its own.
+        frames: Number of frames; None for a live source, which has no fixed number.
         period: Nanoseconds between frames.
         playing: Whether the player plays; otherwise it is paused.
         speed: Seconds of scene time per second of real time.
-        loop: Whether to start again after the last frame; otherwise the player pauses there.
+        loop: Whether to start again after the last frame. Otherwise the player pauses at the last frame.
     """
 
     frames: int | None
@@ -134,7 +134,7 @@ class Page(Protocol):
         """Show another source, at the same frame number if the source has that frame."""
 
     def compare(self, path: Path | None) -> None:
-        """Show the estimate of a tracker next to the truth of the scene. If ``path`` is None, hide it."""
+        """Show the estimate of a tracker next to the truth of the scene. ``path`` None hides the estimate."""
 
     def saved(self, path: Path) -> None:
         """Watch the file that the scene has just been saved to, to see changes by other programs."""
@@ -154,7 +154,7 @@ class Background:
 
     Args:
         app: The page. All methods are called in its thread.
-        tell: Function that shows the text of the running step; it gets an empty text when the step has ended.
+        tell: Function that shows a text about the running step. An empty text hides it at the end.
     """
 
     def __init__(self, app: Page, tell: Callable[[str], None]) -> None:
@@ -174,7 +174,7 @@ class Background:
             what: Description of the step for the user.
             step: Function that does the work, in the background thread.
             done: Function that gets the result of the step, in the thread of the page.
-            failed: Function that gets the error of the step, in the thread of the page, which also shows it.
+            failed: Function that gets the error of the step. The page also shows the error.
 
         Raises:
             HumansimError: The previous step is still running.

@@ -315,7 +315,7 @@ class TracksPanel:
         self._publish({"frames": frames, "period": self._app.source.period * 1e-9})
 
     def update(self, frame: ViewFrame) -> None:
-        """Start to read the tracks once the page has shown its first images, which come first."""
+        """Start to read the tracks once the page has shown its first images, which have priority."""
         app = self._app
         now = time.monotonic()
         if frame.image_index is not None:  # the browser begins to draw now

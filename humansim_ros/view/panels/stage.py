@@ -103,7 +103,7 @@ class Stage:
                 name: self._scene.add_glb(f"/objects/{name}", glb_of([mesh]))
                 for name, mesh in source.objects.items()
             }
-            # viser's own lights shine from one side: without a room, the other side of people were black
+            # viser's own lights shine from one side, so the other side of people would be black
             self._scene.add_light_ambient("/light", intensity=1.2)
             self._axes = self._scene.add_frame("/map", axes_length=0.5, axes_radius=0.008)
             self._frusta = {name: self._add_camera(name, camera) for name, camera in source.cameras.items()}
@@ -182,7 +182,7 @@ class Stage:
             self._on_click(name, np.array(event.ray_origin), np.array(event.ray_direction))
 
     def _serve_bodies(self) -> None:
-        """Serve textures and normals of the bodies, by their colours, in place of those of earlier bodies.
+        """Serve textures and normals of the bodies; the page finds them by the colours of the bodies.
 
         The files do not depend on the sizes of the bodies.
         """

@@ -67,8 +67,8 @@ _MOST_OWN = 1 << 26
 #: Longest text and longest list in a message of a browser.
 _LONGEST_TEXT, _LONGEST_LIST = 20_000, 64
 _LARGEST = 1e12
-#: A page that has not reported for this number of seconds counts as having shown its images, because it is in
-#: the background.
+#: Images are sent without waiting for a page that has not reported for this number of seconds, because such a
+#: page is in the background.
 _SHOWN_WITHIN = 1.0
 _LOCK = threading.Lock()
 #: Scripts of every page, in this order, before viser's own.
@@ -127,7 +127,7 @@ class PageServer:
         """Serve ``files`` (MIME type and content by name) below ``folder``, such as ``people/``, instead of
         all files that were served there before."""
         kept = {path: file for path, file in self.files.items() if not path.startswith(PREFIX + folder)}
-        # one assignment: the thread of the server reads it meanwhile
+        # a single assignment, since the thread of the server reads the files at the same time
         self.files = kept | {f"{PREFIX}{folder}{name}": file for name, file in files.items()}
 
     def add_script(self, name: str, **data: float) -> None:
@@ -307,7 +307,7 @@ def is_acceptable(data: object, gate: UploadGate | None = None) -> bool:
 
 @dataclass
 class UploadGate:
-    """Filter for the uploads of one browser. Accepts only parts of announced files, and each part once.
+    """Filter for the uploads of one browser. Accepts each part of an announced file once, and nothing else.
 
     Attributes:
         refused: Function that is called with a reason for the user when an upload is refused.

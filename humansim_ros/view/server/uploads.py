@@ -168,7 +168,7 @@ def keep_file(folder: Path, name: str, content: bytes, kind: str) -> Path:
                 break
             if target.is_file() and not target.is_symlink() and target.read_bytes() == content:
                 return target
-        # next to its place, as a mesh is read with the files that it names
+        # in the same folder, because the check of a mesh also reads the files that the mesh names
         handle, temporary = tempfile.mkstemp(suffix=target.suffix, prefix=f".{target.stem}-", dir=folder)
         try:
             with os.fdopen(handle, "wb") as file:

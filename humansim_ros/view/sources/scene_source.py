@@ -113,7 +113,7 @@ class SceneViewSource(ViewSource):
         lasting = [track.timeline.duration for track in tracks if track is not None]
         lasting += [actor.motion.duration for actor in self.scene.actors.values()]
         if self.estimate is not None and len(self.estimate.poses.times):
-            # its frames, too, if the motions are played several times
+            # show all frames of the estimate, which may last longer than the motions
             first, last = (int(stamp) * 1e-9 for stamp in self.estimate.poses.times[[0, -1]])
             if first < _LONGEST:  # not of another clock
                 lasting.append(last - FIRST_STAMP * 1e-9 + self.period * 1e-9)
@@ -127,7 +127,7 @@ class SceneViewSource(ViewSource):
         sizes: dict[str, float] = {}
         faces: dict[str, Array] = {}
         for name, actor in self._playback.actors.items():
-            # without the motion of the jaw: shapes move its skin on the page
+            # the bones do not move the jaw: on the page, shapes of the face do
             body = actor.posed(shown.motions[name].contiguous())
             joints[name], sizes[name] = body.bones[0], float(body.sizes[0])
             if "face" in body.values:
@@ -223,7 +223,8 @@ class SceneViewSource(ViewSource):
         return SceneTracks(self.scene, self.frames, tuple(self.cameras), plan)
 
     def take_over(self, previous: ViewSource) -> None:
-        """Let the processes of the previous source render this scene, since a start takes them seconds."""
+        """Let the processes of the previous source render this scene, since starting new ones takes
+        seconds."""
         if isinstance(previous, SceneViewSource) and "_workers" in previous.__dict__:
             workers: ImageWorkers = previous.__dict__.pop("_workers")
             workers.use(self.scene)
@@ -402,7 +403,7 @@ class ImageWorkers:
         with self._death():
             for part, result in self._workers.arrived(timeout):
                 found = True
-                # None: the start of a job, which fails again with the first request
+                # None stands for the start of a job; if the start fails, so does the first request
                 if part is not None:
                     self._take(part, result)
         return found

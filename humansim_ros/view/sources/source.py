@@ -104,7 +104,7 @@ class ViewSource(ABC):
     """Source of what a page shows. All methods are called in one thread.
 
     Attributes:
-        renders: Whether the source renders its images itself, so that they surely come soon.
+        renders: Whether the source renders its images itself, so that images come soon after the start.
         scanners: Names of the laser scanners with points that can be shown.
         start: Stamp of the first frame, nanoseconds.
         estimate: An estimate from files that is shown next to the truth; None if there is none.

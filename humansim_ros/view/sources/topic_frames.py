@@ -67,7 +67,7 @@ Value = TypeVar("Value")
 
 #: Longest messages that are read, bytes: of images, and of estimates (except point clouds).
 _MAX_IMAGE, _MAX_POSES = 256 << 20, 256 << 10
-#: Most different texts that the user is told.
+#: Largest number of messages for the user.
 _MAX_MESSAGES = 20
 #: Encodings of colour images, and encodings of depth in millimetres.
 _COLORS, _MILLIMETRES = ("rgb8", "bgr8", "mono8", "8UC1", "bayer_rggb8"), ("16UC1", "mono16")
@@ -153,7 +153,7 @@ class TopicFrames:
         return list(self._messages)
 
     def note(self, text: str) -> None:
-        """Tell the user something. The same text is told only once."""
+        """Add a message for the user, unless the same text was added before."""
         if len(self._messages) < _MAX_MESSAGES:
             self._messages.setdefault(printable(text, 400))
 
@@ -602,7 +602,8 @@ def _vertices(data: bytes) -> Float32Array:
 
 
 def _read_calibration(message: CameraInfo) -> tuple[Camera | None, tuple[str, Camera]]:
-    """Camera at the origin (None without calibration); and its tf frame, with a camera to assume then."""
+    """Read a camera, at the origin; None if uncalibrated. Also returns its tf frame and a camera to
+    assume."""
     frame = str(message.header.frame_id)[:256]
     width, height = max(1, message.width), max(1, message.height)
     K = np.array([[width, 0, (width - 1) / 2], [0, width, (height - 1) / 2], [0, 0, 1]], float)

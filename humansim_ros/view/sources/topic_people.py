@@ -161,7 +161,7 @@ def _ends(names: Sequence[str], parents: Indices, points: Mapping[str, Array]) -
 
 
 def _parents(names: Sequence[str], poses: JointPoses) -> list[int]:
-    """Parent of each bone, as in built-in humans. Unknown names: along the shortest tree of all joints."""
+    """Parent of each bone, as in built-in humans; if a name is unknown, along the shortest tree of joints."""
     general = hanim_skeleton()
     above: dict[str, str | None] = {
         name: general.names[parent] if parent >= 0 else None
@@ -327,7 +327,7 @@ def _weights(moves: Array, rest: Array, vertices: Array) -> csr_matrix:
     """Skinning weights (V, B) by least squares, for the bones that move a vertex nearest to ``vertices``.
 
     Args:
-        moves: (F, B, 4, 4) transforms of the skin by each bone.
+        moves: (F, B, 4, 4) transforms by which each bone moves the skin from rest.
         rest: (V, 3) vertices at rest.
         vertices: (F, V, 3) vertices in the frames.
     """
@@ -427,7 +427,7 @@ def people_of(frame: PoseFrame, person: str | None, options: LiveOptions) -> lis
 def beside_truth(
     estimate: Sequence[Pose], truth: Mapping[str, TruePoints], options: LiveOptions
 ) -> tuple[dict[str, Array], dict[str, float]]:
-    """Match people of an estimate with the nearest people of the truth, whose names they get.
+    """Match people of an estimate with the nearest people of the truth, and give them these names.
 
     People of the estimate without a match keep their own name, preceded by ``?``.
 

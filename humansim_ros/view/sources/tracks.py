@@ -378,7 +378,7 @@ class Tracker:
 
 
 class Tracks:
-    """Tracks of a source, as far as they have been read."""
+    """Tracks of a source. They grow while frames are read."""
 
     def __init__(self, outline: TrackOutline) -> None:
         self.outline = outline
@@ -482,9 +482,9 @@ class TrackReader:
     """Reads the tracks of the timeline of a page in a background process, for the source that the page shows.
 
     Args:
-        publish: Called in another thread whenever more of the tracks has been read. It takes the number of
-            the source, from :meth:`show`, and the tracks as far as they have been read. If they cannot be
-            read, it takes a text with the reason instead.
+        publish: Function that is called in another thread whenever more tracks have been read, with the
+            number of the source (from :meth:`show`) and the tracks so far; or, if reading fails, a text with
+            the reason instead of the tracks.
     """
 
     def __init__(self, publish: Callable[[int, Tracks | str], None]) -> None:
@@ -592,7 +592,7 @@ class TrackReader:
         sent = False
         while not self._is_replaced(asked.source):
             sent = sent or workers.ask(asked)
-            # all of them: each step frees the memory of the one before
+            # collect all answers at once, because the next step frees the memory of the previous one
             found = dict(workers.arrived(_TICK))
             answer = found.get(asked)
             if isinstance(answer, HumansimError):
@@ -729,7 +729,7 @@ class LiveTracks:
             assert each.sample is not None
             posed = {name: pose for name, pose in each.sample.joints.items()
                      if len(pose) == len(joints.get(name, ()))}  # fmt: skip
-            # once a camera says what is occluded, projections are not shown next to it
+            # if a camera now tells what is occluded, earlier projections are not shown
             old = set(each.projected) - set(projected)
             seen = {
                 person: {name: shares for name, shares in of_person.items() if name not in old}

@@ -1,4 +1,4 @@
-"""The executables of the package."""
+"""The ROS nodes of the package, which are its executables."""
 
 from humansim_ros.lazy import lazy_exports
 

@@ -1,6 +1,6 @@
 """Run a node without an installed script: ``python -m humansim_ros.ros.nodes camera --ros-args …``.
 
-A node is imported only after its process can be stopped quietly.
+The module of a node is imported only after stop signals end this process without a traceback.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from humansim_ros.ros.processes.stop_signals import end_process_on_stop, end_wit
 
 
 def help_text(name: str) -> str:
-    """What a node does, and how its parameters are given. Nothing of it is imported."""
+    """Help on a node: what it does, and how to set its parameters. The module of the node is not imported."""
     spec = find_spec(f"humansim_ros.ros.nodes.{name}")
     assert spec is not None and spec.origin is not None
     about = ast.get_docstring(ast.parse(Path(spec.origin).read_text("utf-8"))) or name

@@ -1,10 +1,11 @@
 """Node ``bridge``: publishes the truth of a scene in the messages of other people stacks.
 
-The section ``adapters`` of a scene names them (docs/people_messages.md). The node subscribes to their inputs:
-joints and vertices of the humans, and topics of cameras such as ``<camera>/boxes``. The inputs may come from
-a bag that is played. Inputs with the same stamp are joined, and the result has this stamp. Messages without
-subscribers are not built. Latched messages are sent when they change. Images are received only while a topic
-that needs them has subscribers. Lists of ROS4HRI are sent each second while there are no frames.
+The section ``adapters`` of a scene names these messages (docs/people_messages.md). The node subscribes to
+their inputs: joints and vertices of the humans, and topics of cameras such as ``<camera>/boxes``. The inputs
+may come from a bag that is played. The node combines inputs with the same stamp, and publishes the result
+with this stamp. Messages without subscribers are not built. Latched messages are sent when they change.
+Images are received only while a topic that needs them has subscribers. Lists of ROS4HRI are sent again each
+second while no frames arrive.
 
 Node ``hri_bridge`` publishes ROS4HRI alone (docs/ros4hri.md), also for a scene without ``hri``.
 """
@@ -25,7 +26,7 @@ from humansim_ros.ros.processes.node import SceneNode
 from humansim_ros.ros.processes.runtime import run_node
 from humansim_ros.scene.core import Scene, SceneState
 
-#: Stands for a topic: bodies and objects of a frame.
+#: Name of the input with bodies and objects of a frame, next to the names of topics.
 _STATE = "state"
 #: Most frames that wait for a topic of a camera. If a stamp goes back by more than the second number,
 #: nanoseconds, a new run has begun.
@@ -35,7 +36,7 @@ _LOOK_EVERY, _AGAIN_EVERY = 0.2, 1.0
 
 
 class _Join(NamedTuple):
-    """Topics with the same inputs, and these inputs by stamp."""
+    """Published topics that need the same inputs; and these inputs, collected by stamp."""
 
     camera: str
     topics: list[AdapterTopic]
@@ -43,7 +44,7 @@ class _Join(NamedTuple):
 
 
 class BridgeNode(SceneNode):
-    """Publishes the topics of the adapters of a scene.
+    """Publishes the topics of the adapters (formats of other people stacks) of a scene.
 
     Args:
         scene: Scene of its parameter, if it is loaded already.
@@ -64,9 +65,9 @@ class BridgeNode(SceneNode):
         for topic in topics:
             if not topic.per_frame:
                 self.publish_latched(topic.build(received_frame(0, None, {}, self.scene), 0), topic.name)
-        #: By topic that is latched or sent again: its newest messages.
+        #: Newest messages by topic, of topics that are latched or sent again.
         self._newest: dict[str, list[Any]] = {}
-        #: By inputs of the topics.
+        #: Topics with the same inputs, by the names of these inputs.
         self._joins: dict[tuple[str, ...], _Join] = {}
         for topic in per_frame:
             self._join(topic)
@@ -97,7 +98,7 @@ class BridgeNode(SceneNode):
         self._joins[needed].topics.append(topic)
 
     def _update_inputs(self) -> None:
-        """Receive the topics of cameras that are needed at present."""
+        """Subscribe only to those topics of cameras that are needed at present."""
         needed = dict.fromkeys(
             name
             for names, join in self._joins.items()
@@ -128,7 +129,7 @@ class BridgeNode(SceneNode):
         self._add(_STATE, state.stamp, state)
 
     def _add(self, name: str, stamp: int, content: Any) -> None:
-        """Add content that has arrived, and publish what is complete with it."""
+        """Add the content of an input, and publish all topics that now have all inputs for this stamp."""
         for needed, join in self._joins.items():
             if name in needed and join.frames.add(name, stamp, content):
                 with self.skip_frame_on_error():

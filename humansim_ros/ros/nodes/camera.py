@@ -54,7 +54,7 @@ from humansim_ros.scene.core import (
 from humansim_ros.scene.truth import CameraTruth
 from humansim_ros.types import Image
 
-#: Most received poses that are held. Frames are a little older than the newest pose.
+#: Most received poses that are stored, since frames are a little older than the newest pose.
 _MAX_POSES = 200
 #: A pose that is ahead of a frame by this time, nanoseconds, has a stamp of another clock.
 _MAX_AHEAD = 5_000_000_000
@@ -66,11 +66,11 @@ _MOVING_FOR = 1_000_000_000
 class CameraPosePublisher:
     """Publishes ``<camera>/extrinsics`` and ``projection``, both latched, and tf.
 
-    For a static camera they are published once, for a moving camera with the stamp of every frame. A camera
-    on a robot is in tf once, in ``base_link``. ``<camera>/pose`` (optical frame in ``map``) moves any other
-    camera. Poses are interpolated, and the camera stays at the last one. A pose far ahead of a frame has a
-    stamp of another clock, so it holds from this frame on. If the calibration is wrong, these topics are
-    wrong, and ``<camera>/truth/extrinsics`` has the true pose.
+    A static camera publishes once, a moving camera with the stamp of every frame. A camera on a robot
+    publishes one transform in tf, relative to ``base_link``. Messages on ``<camera>/pose`` (optical frame in
+    ``map``) move any other camera. Poses are interpolated, and the camera stays at the last pose. A pose with
+    a stamp far ahead comes from another clock, and holds from the present frame on. If the calibration is
+    wrong, these topics are wrong, too, and ``<camera>/truth/extrinsics`` has the true pose.
     """
 
     def __init__(self, node: SceneNode, camera: SceneCamera, topics: CameraTopics) -> None:
@@ -130,8 +130,8 @@ class CameraPosePublisher:
             self._true_publisher.publish(self._true_extrinsics.build(self._camera.camera_at(pose), stamp))
 
     def _restamp_poses_ahead(self, stamp: int) -> None:
-        """Give the newest pose the stamp of a frame if its own stamp is far ahead, since it would never be
-        reached."""
+        """If the stamp of the newest pose is far ahead of a frame, replace it by the stamp of the frame,
+        since frames would never reach it."""
         newest, pose = self._poses[-1]
         if newest - stamp <= _MAX_AHEAD:
             return
@@ -187,13 +187,13 @@ class CameraPosePublisher:
         return transform
 
 
-#: Channels that need the next frame, and the previous one.
+#: Image channels that compare a frame with the next frame, and with the previous frame.
 _FORWARD, _BACKWARD = comparing_with("next_frame"), comparing_with("previous_frame")
 
 
 class CameraNode(SceneNode):
-    """One camera with its ground truth. A camera of a rig gets its ``name``, and ``scene`` and ``renderer``,
-    which all cameras of the process share. The rig calls :meth:`publish_frame`."""
+    """One camera with its ground truth. If several cameras share a process, node ``camera_rig`` passes
+    ``name``, ``scene`` and ``renderer``, and calls :meth:`publish_frame`."""
 
     def __init__(
         self, name: str = "", scene: Scene | None = None, renderer: Any = None, **options: Any
@@ -219,7 +219,7 @@ class CameraNode(SceneNode):
             self._depth = DepthSensorPublishers(self, self._topics.depth_sensor, self._driver)
         schedule = self._camera.faults
         self._freezes = schedule is not None and schedule.config.freeze is not None
-        #: Colours of the last frame that was not frozen, if faults can freeze the camera.
+        #: Colour image of the last frame before the camera froze, if faults can freeze this camera.
         self._last_colours: Image | None = None
         self._calibration = PublishedCalibration(self, self._camera)
         if url := self.text_parameter(
@@ -254,7 +254,7 @@ class CameraNode(SceneNode):
             return camera.with_calibration(read_single_camera(url, name))
 
     def _optical_frame(self, name: str) -> str:
-        """Optical frame of camera ``name`` in messages and tf. Raises RosError for one that tf2 refuses."""
+        """Name of the optical frame of a camera in messages and tf. Raises RosError if tf2 refuses this."""
         frame = self.text_parameter(
             "frame_id", "", "Optical frame of the camera; empty: <camera>_optical_frame"
         )
@@ -266,7 +266,7 @@ class CameraNode(SceneNode):
         return frame
 
     def complete(self) -> None:
-        """Send the images that faults hold back."""
+        """Send the images that simulated faults have delayed."""
         self._driver.send_held()
 
     def close(self) -> None:
@@ -275,8 +275,8 @@ class CameraNode(SceneNode):
             self._renderer.close()
 
     def publish_frame(self, state: SceneState) -> None:
-        """Render and publish the subscribed channels, and the forward flow of the previous frame. If the
-        camera has its own rate, nothing happens in frames that it does not capture."""
+        """Render and publish the subscribed channels, and the forward flow of the previous frame. Nothing
+        happens in frames that the camera does not capture because of its own rate."""
         if not self._timer.takes(state.index):
             return
         start = time.monotonic()

@@ -2,7 +2,7 @@
 
 Each camera is a node with the same name, topics, services and diagnostics as in its own process. The cameras
 share one OpenGL context, the subscriptions to humans and objects, and all cached results of the renderer. The
-node that receives the frames for them is hidden.
+node that receives the frames for all cameras has a hidden name.
 """
 
 from __future__ import annotations
@@ -76,10 +76,10 @@ class CameraRigNode(SceneNode):
             camera.report_time(milliseconds, event)
 
     def _publish_diagnostics(self) -> None:
-        """Nothing: the cameras publish them."""
+        """Do nothing, since the cameras publish diagnostics themselves."""
 
     def complete(self) -> None:
-        """Send the images that faults hold back."""
+        """Send the images that simulated faults have delayed."""
         for camera in self.cameras:
             camera.complete()
 

@@ -37,16 +37,15 @@ from humansim_ros.ros.processes.node import SuiteNode, loaded_scene
 from humansim_ros.ros.processes.runtime import run_node
 from humansim_ros.scene.core import Scene
 
-#: A tracker counts as silent after this time without an estimate, seconds, if there are frames.
+#: While frames arrive, a tracker counts as silent after this time without an estimate, seconds.
 _SILENT_AFTER = 2.0
-#: After a computation, a pause follows that is this many times as long: for the window, and for the whole
-#: run.
+#: After each computation, the pause is this many times as long: for the window, and for the whole run.
 _WINDOW_REST, _TOTAL_REST = 4.0, 20.0
 #: A stamp that differs from the clock by more than this, nanoseconds, comes from another clock.
 _SAME_CLOCK = 3600 * 10**9
-#: Most frames with times of sending that are kept.
+#: Most frames for which the time of sending is stored.
 _MAX_SENT = 10_000
-#: A stopped node waits for estimates of the last frames for at most this time, seconds.
+#: Longest time that a stopped node waits for estimates of the last frames, seconds.
 _MAX_TAKING = 1.0
 
 
@@ -76,10 +75,10 @@ class EvaluatorNode(SuiteNode):
         if path and scene is None:
             scene = loaded_scene(path)
         computed = SceneTruth(scene) if path and scene else None
-        #: By stamp: monotonic time at which the frame was sent, the newest last.
+        #: Monotonic time at which each frame was sent, by stamp, in the order of sending.
         self._sent: dict[int, float] = {}
         self._heard = time.monotonic()
-        #: By name: time of the next computation; and the newest results.
+        #: Time of the next computation; and newest results; both by name (window, whole run).
         self._next: dict[str, float] = {}
         self._results: dict[str, Evaluation | EvaluationError] = {}
         self._thread = ThreadPoolExecutor(1)
@@ -127,8 +126,7 @@ class EvaluatorNode(SuiteNode):
             self.report_time(latency * 1e3, "latency")
 
     def _latency(self, stamp: int) -> float | None:
-        """Seconds since a stamp. In simulated time, seconds since its frame was sent. None if neither is
-        known."""
+        """Seconds since a stamp or, in simulated time, since the frame was sent. None if unknown."""
         late = self.now() - stamp
         if not self.has_simulated_time() and abs(late) < _SAME_CLOCK:
             return late * 1e-9
@@ -138,7 +136,7 @@ class EvaluatorNode(SuiteNode):
     # --- results
 
     def _on_timer(self) -> None:
-        """Publish the newest results, and compute others in a thread, so that latencies are still
+        """Publish the newest results, and start a thread that computes new ones while latencies are
         measured."""
         if self._work is None or self._work.done():
             if self._work is not None:
@@ -201,7 +199,7 @@ class EvaluatorNode(SuiteNode):
         return f"no estimate has arrived on {self._estimate.topic}"
 
     def _silence(self) -> float:
-        """Seconds without an estimate, if frames were sent in this time. Otherwise 0."""
+        """Seconds since the last estimate, if frames were sent since then; otherwise 0."""
         silence = time.monotonic() - self._heard
         newest = next(reversed(self._sent.values()), 0.0)
         return silence if silence > _SILENT_AFTER and newest > self._heard else 0.0
@@ -209,7 +207,7 @@ class EvaluatorNode(SuiteNode):
     # --- end
 
     def complete(self) -> None:
-        """Read what has arrived, compute the result of the whole run, print it, and write it.
+        """Read all messages that have arrived; compute, print and write the result of the whole run.
 
         Raises:
             EvaluationError: There is nothing to write, or truth and estimate cannot be compared.
@@ -237,7 +235,7 @@ class EvaluatorNode(SuiteNode):
             self.get_logger().info(f"wrote {self._output}")
 
     def close(self) -> None:
-        """End the thread."""
+        """End the thread that computes results."""
         self._thread.shutdown(cancel_futures=True)
 
 
@@ -249,7 +247,7 @@ def _checked_output(text: str) -> Path:
 
 
 def _values(result: Evaluation) -> Iterator[tuple[str, str]]:
-    """Keys and values of a status."""
+    """Yield the keys and values of a diagnostic status."""
     tracking, live = result.tracking, result.live
     latency = live.latency if live else None
     lengths = {

@@ -1,4 +1,4 @@
-"""Synchronization of messages: everything with one stamp becomes one scene state."""
+"""Synchronise messages: all messages with the same stamp make up one scene state."""
 
 from __future__ import annotations
 
@@ -23,40 +23,40 @@ from humansim_ros.scene.config import frame_at
 from humansim_ros.scene.core import CameraPose, HumanState, OnAccess, SceneState
 from humansim_ros.types import Float32Array
 
-#: If no vertices arrive within this time, seconds, the scene at its start is shown.
+#: If no vertices arrive within this time after the start, seconds, the start of the scene is shown.
 _START_SCENE_AFTER = 1.5
-#: If noise depends on the scene time, frames wait for the first scene time for at most this time, seconds.
+#: If noise depends on scene time, the first frames wait for a scene time, but not longer than this, seconds.
 _SCENE_TIME_WITHIN = 1.0
 #: Within this time after the start, seconds, other nodes may still be starting.
 _STARTING = 15.0
-#: Stamps are reported as those of another clock after this time, seconds; and gap that ends a row of such
-#: stamps, seconds.
+#: Stamps of another clock are reported after the first number of seconds with such stamps. After a pause of
+#: the second number of seconds, the count begins anew.
 _CLOCK_DOUBT, _CLOCK_GAP = 10.0, 5.0
 
-#: Largest size in bytes of a point in a cloud of vertices, and of everything else in the message.
+#: Largest size of a point in a message with vertices, and of everything else in the message, bytes.
 _MAX_POINT, _MAX_HEADER = 64, 64 << 10
 
 
 class FrameSynchronizer:
-    """Subscribes to all humans, moving objects and some cameras, and passes complete frames on.
+    """Subscribes to all humans, all moving objects and some cameras, and passes on complete frames.
 
     It subscribes to vertices, joints and features of every human, to marker and twist of every moving object,
-    to pose and twist of some cameras, and to ``scene_time`` if it has a publisher. If not, as when a
-    recording of vertices is played, the stamp is used as scene time.
+    to pose and twist of some cameras, and to ``scene_time`` if it has a publisher. Without such a publisher,
+    for example when a bag with vertices is played, the stamp is used as scene time.
 
     Each finished frame is reported on ``frame_done``. With these reports, the motion player sends a frame
     only if all cameras have time for it, so that every frame is passed on. If nobody listens to the reports,
-    and frames arrive faster than ``on_frame`` returns, the newest one is passed on.
+    and frames arrive faster than ``on_frame`` returns, only the newest frame is passed on.
 
-    Until the first skinner publishes, the scene at its start is passed on, so that a camera without other
-    nodes shows something. Parameter ``start_scene`` switches this off.
+    Until the first skinner publishes, the start of the scene is passed on, so that a camera shows something
+    even without other nodes. Parameter ``start_scene`` switches this off.
 
     Args:
         node: Node that subscribes.
         on_frame: Called with each complete frame.
         cameras: Nodes of the cameras that show the frames; the reports name them.
         moving_cameras: Names of cameras with a trajectory.
-        previews: Whether the scene at its start is passed on, with the parameter ``start_scene``.
+        previews: Whether the start of the scene may be passed on (with parameter ``start_scene``).
     """
 
     def __init__(
@@ -112,7 +112,7 @@ class FrameSynchronizer:
         #: Monotonic seconds of the first message.
         self._first_message: float | None = None
         self._has_frames = False
-        #: Monotonic seconds of the first and the newest frame of a row with stamps of another clock.
+        #: Monotonic seconds of the first and newest frame in a series with stamps of another clock.
         self._first_foreign, self._last_foreign = 0.0, float("-inf")
         self._done = node.create_publisher(Header, FRAME_DONE, DONE)
         self._alive = node.create_publisher(Header, CAMERA_ALIVE, ALIVE)
@@ -125,7 +125,7 @@ class FrameSynchronizer:
         self._start_timer = node.create_timer(self._scene.period, self._await_first_frame)
 
     def _subscribe(self, message_type: Any, topic: str, read: Callable[[Any], Any], **options: Any) -> None:
-        """Store each message of a topic with the others of its stamp.
+        """Subscribe to a topic, and store each message with the other messages of its stamp.
 
         Args:
             message_type: Type of the messages.
@@ -161,8 +161,7 @@ class FrameSynchronizer:
         return frame_at(scene_time, self._scene.config.rate)
 
     def _require_scene_time(self, required: bool) -> None:
-        """Set whether frames wait for their scene time. If nothing moves, it is the only thing that they wait
-        for."""
+        """Set whether frames wait for their scene time. If nothing moves, frames wait for nothing else."""
         self._frames.require(SCENE_TIME, required or not self._topics)
         if not required and self._frames.has_whole:
             self._schedule_next_frame()
@@ -188,7 +187,7 @@ class FrameSynchronizer:
         return messages.human_state(poses, content[f"humans/{human}/vertices"], features)
 
     def _store(self, topic: str, stamp: int, content: Any) -> None:
-        """Store the content of a message with the others of its stamp."""
+        """Store the content of a message with the contents of other messages that have the same stamp."""
         steady = time.monotonic()
         if self._first_message is None:
             self._first_message = steady
@@ -222,14 +221,13 @@ class FrameSynchronizer:
         )
 
     def _schedule_next_frame(self) -> None:
-        """Process a frame after all messages that have arrived already, so that a late node notices that it
-        is late."""
+        """Process a frame after all messages that have arrived, so that a late node notices its delay."""
         # executors that do not take events in turn run tasks before arrived messages: thus two tasks
         self._node.run_soon(lambda: self._node.run_soon(self._process_next_frame))
 
     def _process_next_frame(self) -> None:
-        """Pass on the oldest complete frame; without pacing, the oldest that is not late, or the newest one
-        if all are.
+        """Pass on the oldest complete frame. If the player does not wait for reports, late frames are
+        skipped; if all frames are late, the newest is passed on.
         """
         paced = self._done.get_subscription_count() > 0
         frame = self._frames.take(not paced, self._node.now(), time.monotonic())

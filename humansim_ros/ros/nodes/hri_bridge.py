@@ -1,6 +1,6 @@
 """Node ``hri_bridge``: publishes the people of a scene in the messages of ROS4HRI (docs/ros4hri.md).
 
-It is node ``bridge`` with one adapter: ``hri`` of the scene, or that of parameter ``camera``.
+This is node ``bridge`` with only the adapter ``hri``: the one of the scene, or one for parameter ``camera``.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class HriBridgeNode(BridgeNode):
         super().__init__(scene, "hri_bridge", **options)
 
     def adapters(self) -> dict[str, Section]:
-        """Return the adapter of the scene, or that of the parameter. Raises SceneError if there is no
+        """Return adapter ``hri`` of the scene or for parameter ``camera``. Raises SceneError without a
         camera."""
         camera = self.text_parameter("camera", "", "Camera that sees the people; empty: hri.camera")
         known = self.scene.scene_cameras

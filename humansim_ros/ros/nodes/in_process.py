@@ -1,4 +1,4 @@
-"""The nodes of a scene in one process."""
+"""Run all nodes of a scene in one process."""
 
 from __future__ import annotations
 
@@ -59,17 +59,17 @@ class InProcessNodes:
 
     @property
     def has_ended(self) -> bool:
-        """Whether the motion player has sent its last frame, or cannot go on."""
+        """Whether the motion player has sent its last frame or has failed."""
         return self._owners[-1].exit_code is not None
 
     def check(self) -> None:
-        """Raise RosError if the motion player cannot go on. The log of the player has the reason."""
+        """Raise RosError if the motion player has failed. The log of the player has the reason."""
         if self.has_ended:
             raise RosError("the motion player cannot go on: see its last log line")
 
     @property
     def output(self) -> str:
-        """Do nothing: the test has the log."""
+        """Return no output, since this process has the log itself."""
         return ""
 
     def close(self) -> None:

@@ -1,8 +1,8 @@
 """Node ``motion_player``: plays the motions of all humans of a scene from one clock.
 
 Publishes ``humans/<id>/motion``, latched ``humans/<id>/motion/legend``, ``marker`` and ``twist`` of every
-moving object (``objects/<name>``), and ``pose`` and ``twist`` of every camera with a trajectory. Of a live
-human, which another node moves, it publishes only the stamps of its frames, ``humans/<id>/frame``. Before
+moving object (``objects/<name>``), and ``pose`` and ``twist`` of every camera with a trajectory. For a live
+human, which another node moves, it publishes only the stamps of frames, ``humans/<id>/frame``. Before
 everything else of a frame it publishes the scene time of its stamp, ``scene_time``.
 
 Frame k has the stamp start + round(k * period). It is sent ``lead`` before its stamp on the wall clock, so
@@ -11,8 +11,8 @@ report each finished frame on ``frame_done``; the player skips frames that a cam
 all cameras show the same frames.
 
 Parameters can be set while it plays; services ``~/pause``, ``~/step`` and ``~/restart`` control it
-(docs/playing.md), and services of the package simulation_interfaces, where it is installed. Values that
-cannot be played are rejected with the reason, and the old motion goes on.
+(docs/playing.md), and services of the package simulation_interfaces, where it is installed. Parameter values
+that cannot be played are rejected with the reason, and the old motion goes on.
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ from humansim_ros.ros.processes.runtime import run_node
 from humansim_ros.scene.config import LIVE
 from humansim_ros.scene.core import Change, JointSource, Playback, PlaybackClock, Scene, SceneState, Tick
 
-#: Largest lead that is accepted, seconds.
+#: Largest lead (time from sending a frame to its stamp), seconds.
 MAX_LEAD = 0.1
-#: A request with motions that are not ready is given up after this time, seconds.
+#: A request is given up if its motions are not read within this time, seconds.
 MAX_READING = 20.0
 
 
@@ -76,7 +76,7 @@ class MotionPlayerNode(FramePlayer):
             description = "publish the motion; false: another node does, such as live motion capture"
             declare(f"{name}.play", True, description)
         self._scene_time = self.topic_publisher(SCENE_TIME_TOPIC)
-        #: By human: publisher of the motion; and publisher of the stamps of frames for a live human.
+        #: Publishers by human: of the motion; and, for live humans, of the stamps of frames.
         self._motions: dict[str, Any] = {}
         self._live: dict[str, Any] = {}
         #: Topics of moving objects and moving cameras with their publishers, by name.
@@ -132,14 +132,14 @@ class MotionPlayerNode(FramePlayer):
         self.count("frames")
 
     def restart_legends(self) -> None:
-        """Publish legends that are valid for all stamps, since stamps have jumped back."""
+        """Publish the legends again, valid for all stamps, since stamps have jumped back."""
         # no legend may be of a later stamp than its motion
         self._sources = {name: replace(source, since=0) for name, source in self._sources.items()}
         for name in self._motions:
             self._publish_legend(name, self._sources[name])
 
     def close(self) -> None:
-        """End playing."""
+        """Stop to send frames, and free resources."""
         if self._simulation is not None:
             self._simulation.close()
         self.stamped_steps.cancel("the player ends")
@@ -159,7 +159,7 @@ class MotionPlayerNode(FramePlayer):
         return SetParametersResult(successful=True)
 
     def _prepared(self, changes: Mapping[str, Mapping[str, Any]]) -> list[tuple[Change, JointSource]]:
-        """Prepare changes by human while frames go on. Raises HumansimError if one cannot be played."""
+        """Prepare changes by human, while frames go on. Raises HumansimError if a motion cannot be played."""
         return self._background.run(
             lambda: [self._prepare_change(*change) for change in changes.items()],
             self.playing.work,
@@ -168,17 +168,17 @@ class MotionPlayerNode(FramePlayer):
 
     def change_motions(self, changes: Mapping[str, Mapping[str, Any]]) -> None:
         """Change the motions of several humans at once. ``changes``: keys of a section ``motion`` by human.
-        Raises HumansimError, and changes nothing, if one cannot be played."""
+        If one cannot be played, changes nothing and raises HumansimError."""
         self._changes = self._prepared(changes)
         self._apply_changes()
 
     def _prepare_change(self, human: str, settings: Mapping[str, Any]) -> tuple[Change, JointSource]:
-        """Prepare a change, and the content of its legend."""
+        """Prepare the change of one motion. Returns the change, and the content of the new legend."""
         change = self.playback.prepare(human, settings, self._requested_motions)
         return change, JointSource.of_actor(change.actor)
 
     def _allowed_motions(self) -> RequestedMotions:
-        """Motions that parameters may name over the network. They include the motions of the start."""
+        """Motions that parameters may name over the network, including all motions set at the start."""
         folders = self.described_parameter(
             MOTION_FOLDERS,
             Parameter.Type.STRING_ARRAY,
@@ -212,8 +212,8 @@ class MotionPlayerNode(FramePlayer):
         self._changes = []
 
     def _update_sources(self, changed: Collection[str] = ()) -> None:
-        """Publish the motion of every human that is not live, and the legend of each change. ``changed``:
-        humans with another motion. ``changed``: humans with another motion."""
+        """Adapt publishers and legends: every human that is not live has a publisher of its motion.
+        ``changed``: humans with another motion, which get a new legend."""
         for name in self._legends:
             live = self.playback.settings[name].file == LIVE or not self.get_parameter(f"{name}.play").value
             old, new = (self._motions, self._live) if live else (self._live, self._motions)
@@ -231,7 +231,7 @@ class MotionPlayerNode(FramePlayer):
         self._legends[human].publish(self._human_topics[human].legend.build(source, 0))
 
     def restart(self) -> Tick:
-        """Jump to scene time 0; returns the frame that shows it."""
+        """Jump to scene time 0. Returns the frame that shows this time."""
         return self._go_to(0.0)
 
     def _go_to(self, seconds: float) -> Tick:
@@ -258,7 +258,7 @@ class MotionPlayerNode(FramePlayer):
         return _accept(response, tick.stamp, tick.elapsed)
 
     def _stamped_step(self, response: Any) -> Any:
-        """Answer when the message of the step has arrived. Returns a future of the response, or a refusal."""
+        """Play a step. Returns a refusal, or a future: the response when a message with its stamp arrives."""
         answered: Any = Future()
 
         def on_end(tick: Tick | None, failure: str) -> None:
@@ -281,7 +281,7 @@ class MotionPlayerNode(FramePlayer):
 
 
 def _accept(response: Any, stamp: int, elapsed: int) -> Any:
-    """Answer with stamp and scene time (nanoseconds) of a frame, as JSON."""
+    """Fill a response with the stamp and the scene time of a frame (nanoseconds), as JSON."""
     seconds, nanoseconds = divmod(stamp, 1_000_000_000)
     position = {
         "stamp": {"sec": seconds, "nanosec": nanoseconds},

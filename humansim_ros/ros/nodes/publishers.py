@@ -49,14 +49,15 @@ def read_single_camera(url: str, name: str) -> Camera:
 
 
 class PublishedCalibration:
-    """Content of ``<camera>/camera_info``; and the service ``<camera>/set_camera_info``.
+    """Calibration for ``<camera>/camera_info``, which the service ``<camera>/set_camera_info`` can replace.
 
     The service replaces the content and writes it to the same place as camera drivers:
     ``$ROS_HOME/camera_info/<camera>.yaml``.
 
     Attributes:
         published: Calibration of the whole sensor in ``<camera>/camera_info``.
-        beside_truth: That next to images of ground truth, such as depth: the true one until it is replaced.
+        beside_truth: Calibration for ``camera_info`` next to images of ground truth, such as depth. It is the
+            true one until the service replaces it.
     """
 
     def __init__(self, node: SceneNode, camera: SceneCamera) -> None:
@@ -98,13 +99,12 @@ class PublishedCalibration:
         return response
 
 
-#: Subscribers get this time to receive what is sent at the end of a run, seconds.
+#: Longest wait for subscribers to receive the last messages of a run, seconds.
 _MAX_WAIT = 1.0
 
 
 class _Held(NamedTuple):
-    """A message that is sent later. ``in_turn``: send it at the end of a frame, not when its time has
-    come."""
+    """A message that is sent later. ``in_turn``: send it at the end of a later frame, not by a timer."""
 
     due: int
     number: int
@@ -115,9 +115,9 @@ class _Held(NamedTuple):
 
 
 class CameraDriver:
-    """Sends those messages of a camera that its faults change. A message without faults is sent at once.
-    Other messages are held until they are due. In lockstep, time stands still between frames, so they are
-    sent with a later frame. In real time, a timer sends them."""
+    """Sends the messages of a camera that simulated faults may delay, repeat or drop. A message without a
+    fault is sent at once, a delayed one when it is due. In lockstep, time stands still between frames, so
+    delayed messages are sent with a later frame. In real time, a timer sends them."""
 
     def __init__(self, node: SceneNode) -> None:
         self._node = node
@@ -162,7 +162,7 @@ class CameraDriver:
             heapq.heappush(self._held, held)
 
     def send_held(self) -> None:
-        """Send all held messages at the end of a run, and wait until they have been received."""
+        """Send all delayed messages at the end of a run, and wait until subscribers have received them."""
         if not self._held:
             return
         publishers = {id(held.publisher): held.publisher for held in self._held}
@@ -194,8 +194,8 @@ class CameraDriver:
 
 
 class _CompressedPublisher:
-    """Publisher of compressed images, with its parameters. ``topic``: its name ends with the name of the
-    plugin of image_transport. ``topic``: its name ends with the name of the plugin of image_transport."""
+    """Publisher of compressed images, with its parameters. The name of ``topic`` ends with the name of the
+    plugin of image_transport, such as ``compressed``."""
 
     def __init__(self, node: SceneNode, topic: Topic[View]) -> None:
         self._node = node
@@ -214,7 +214,7 @@ class _CompressedPublisher:
         return self._node.get_parameter(self._parameters + name).value
 
     def _restrict_format(self, *values: str) -> None:
-        """Reject other values of the parameter ``format``, at the start and later."""
+        """Reject all values of the parameter ``format`` except ``values``, at the start and later."""
         full = f"{self._parameters}format"
 
         def check(parameters: Sequence[Any]) -> SetParametersResult:
@@ -302,7 +302,7 @@ class ImagePublishers:
         self._driver.send(topic, publisher, image, stamp)
 
     def publish(self, view: View, channels: Collection[str], stamp: int) -> None:
-        """Publish some channels of a view, colour first."""
+        """Publish some channels of a view, the colour image first."""
         for channel in (name for name in CHANNEL_TABLE if name in channels):
             for topic, publisher in self._images:
                 if channel in topic.channels and _has_subscribers(publisher):
@@ -393,5 +393,5 @@ class TruthPublishers:
             publisher.publish(topic.build(truth, stamp))
 
     def needed(self, kinds: Collection[str]) -> set[str]:
-        """Channels that some kinds of the ground truth are computed from."""
+        """Image channels that are needed to compute some kinds of ground truth."""
         return {channel for kind in kinds for channel in self._publishers[kind][0].channels}

@@ -1,13 +1,14 @@
 """Node ``recorder``: records topics of a live graph into a bag, serialised as they arrive.
 
-The quality of service follows the publishers. Topics that appear later are recorded, too. Messages wait in a
-queue that is bounded in bytes, and a thread writes them.
+The quality of service of each subscription is that of the publishers. Topics that appear later are recorded,
+too. Messages wait in a queue with a limited number of bytes, and a thread writes them.
 
 In real time, messages for which the queue has no space are dropped and counted. In lockstep nothing is
 dropped: the node reports on ``frame_done`` that all messages of a frame are in the file, and the player waits
-for it. A frame that the player sends again is kept once.
+for it. A frame that the player sends again is recorded only once.
 
-Parameter ``resume`` continues a bag in a new file of it, such as after the node was killed.
+Parameter ``resume`` continues a bag, for example after the node was killed. It begins a new file in the
+folder of the bag.
 """
 
 from __future__ import annotations
@@ -60,9 +61,9 @@ from humansim_ros.ros.processes.node import SuiteNode, loaded_scene
 from humansim_ros.ros.processes.runtime import run_node
 from humansim_ros.scene.core import FaultSchedule, Scene
 
-#: Most frames that are remembered with their images, since late images come after images of newer frames.
+#: Most frames with a remembered number of copies, since late images come after images of newer frames.
 _REMEMBERED = 1000
-#: Most copies of an image that faults make.
+#: Most times that an image is sent because of simulated faults.
 _MOST = 2
 
 
@@ -70,7 +71,7 @@ class ImageCopies:
     """Knows how many times the message of a topic and stamp is sent.
 
     Args:
-        schedules: Faults by topic, of topics with messages that may be sent twice.
+        schedules: Faults by topic, for topics with messages that may be sent twice.
     """
 
     def __init__(self, schedules: Mapping[str, FaultSchedule]) -> None:
@@ -78,7 +79,7 @@ class ImageCopies:
         self._known: dict[str, dict[int, int]] = defaultdict(dict)
 
     def __bool__(self) -> bool:
-        """Whether there are such topics."""
+        """Whether any topic may have messages that are sent twice."""
         return bool(self._schedules)
 
     def note(self, stamp: int, scene_time: int) -> None:
@@ -90,8 +91,8 @@ class ImageCopies:
                 del known[next(iter(known))]
 
     def __call__(self, topic: str, stamp: int) -> int:
-        """Number of copies of the message of a topic with a stamp. If its frame has not been noted yet, the
-        largest number."""
+        """Number of times that the message with this topic and stamp is sent. Before :meth:`note` of its
+        frame, the largest possible number."""
         if topic not in self._schedules:
             return 1
         return self._known[topic].get(stamp, _MOST)
@@ -105,12 +106,11 @@ _MAX_NEW = 20
 _MAX_TOPICS = 1000
 #: Seconds after which topics without messages are reported.
 _REPORT_AFTER = 5.0
-#: A recorder that is stopped takes messages that have arrived for at most this time, seconds, since
-#: publishers may go on.
+#: A stopped recorder still reads arrived messages, but not longer than this, seconds.
 _MAX_TAKING = 1.0
 #: Most topics that a line of the log names.
 _MAX_NAMED = 5
-#: Messages in this time before the end of a continued bag, nanoseconds, may come again.
+#: If a bag is continued, the messages of this time before its end, nanoseconds, may be sent again.
 _REPEATED = 10_000_000_000
 
 
@@ -119,9 +119,9 @@ class _Recorded:
     """A recorded topic.
 
     Attributes:
-        name: Its name.
+        name: Name of the topic.
         kind: Message class.
-        number: Its number in the bag.
+        number: Number of the topic in the bag.
         stamped: Whether messages begin with a stamp.
         publishers: Number of publishers to which the profile was adapted.
         profile: Profile of the subscription.
@@ -182,7 +182,7 @@ class RecorderNode(SuiteNode):
         self._clock_steps = ClockSteps(lambda: self.now(), self.has_simulated_time)
         #: Log time of the last message, and nanoseconds by which the clock has been set back.
         self._log_time = self._set_back = 0
-        #: Numbers of messages: those in the bag or its queue, and those that were dropped.
+        #: Number of messages in the bag or in the queue; and number of dropped messages.
         self.received = self._dropped = 0
         self._recorded: dict[str, _Recorded] = {}
         self._refused: dict[str, tuple[str, ...]] = {}
@@ -293,7 +293,7 @@ class RecorderNode(SuiteNode):
         self._recorded[name] = recorded
 
     def _subscribe(self, recorded: _Recorded, profile: QoSProfile) -> None:
-        """Subscribe to a topic, in place of a subscription with another profile."""
+        """Subscribe to a topic with a profile. An earlier subscription is replaced."""
         old = recorded.subscription
         recorded.subscription = self.create_subscription(
             recorded.kind,
@@ -361,7 +361,7 @@ class RecorderNode(SuiteNode):
         self._end_frame()
 
     def _time(self) -> int:
-        """Nanoseconds of the clock. It goes on from the same time where the clock has been set back."""
+        """Log time for messages, nanoseconds. Unlike the clock, this time is never set back."""
         now, step = self._clock_steps.read()
         if step < 0:
             self._set_back -= step
@@ -384,7 +384,7 @@ class RecorderNode(SuiteNode):
     # --- lockstep
 
     def _on_scene_time(self, data: bytes) -> None:
-        """A frame begins or is sent again, perhaps because a new player has not received the report."""
+        """Handle the start of a frame. It may be sent again, if the player has missed the report."""
         stamp = serialised_stamp(data)
         if self._frames is None:
             return
@@ -400,7 +400,7 @@ class RecorderNode(SuiteNode):
         self._end_frame()
 
     def _end_frame(self) -> None:
-        """If a frame has become complete, let it be written and then reported."""
+        """If all messages of the frame have arrived, have them written, and then report the frame."""
         stamp = self._frames.take_whole() if self._frames else None
         if stamp is not None:
             self._bag.end_frame(stamp)
@@ -415,7 +415,7 @@ class RecorderNode(SuiteNode):
     # --- end
 
     def complete(self) -> None:
-        """Write everything that has been received, and finish the bag."""
+        """Write all received messages, and finish the bag."""
         deadline = time.monotonic() + _MAX_TAKING
         for recorded in self._recorded.values():
             self.take_waiting(recorded.subscription, deadline)
@@ -437,9 +437,9 @@ class RecorderNode(SuiteNode):
 def has_message_per_frame(topic: Topic[Any]) -> bool:
     """Whether a topic has exactly one message for each frame, soon after the frame.
 
-    These topics do not: topics that compare a frame with the next or previous one, since a restarted camera
-    lacks it; topics without a stamp; topics that a camera with faults may lose; sweeps of scanners; and
-    people who may not be seen.
+    This is false for topics that compare a frame with the next or previous frame, which a restarted camera
+    lacks; topics without a stamp; topics that a camera with faults may lose; sweeps of scanners; and people
+    who may be out of sight.
     """
     compared = any(CHANNEL_TABLE[channel].adjacent_frame for channel in topic.channels)
     of_frames = topic.per_frame and not (topic.scanner or topic.faulty or topic.sparse)
@@ -447,7 +447,7 @@ def has_message_per_frame(topic: Topic[Any]) -> bool:
 
 
 def _copies(scene: Scene, topics: Mapping[str, Topic[Any]]) -> ImageCopies:
-    """How many times the messages of topics are sent. ``topics``: topics by absolute name."""
+    """Make the object that knows how many times messages are sent. ``topics``: topics by absolute name."""
     faults = {
         name: scene.scene_cameras[topic.camera].faults for name, topic in topics.items() if topic.faulty
     }

@@ -3,7 +3,7 @@
 In a running scene the node has the name of its scanner.
 
 Subscribes to ``humans/<id>/vertices`` and ``joints`` of every human and to ``objects/<name>/marker`` and
-``twist`` of every moving object, synchronized by exact stamp. When a sweep has ended, it publishes
+``twist`` of every moving object, synchronized by exact stamp. At the end of a sweep, the node publishes
 ``<scanner>/points`` or ``scan``, and ``<scanner>/truth/points``. Nothing is computed for topics without
 subscribers.
 """
@@ -57,7 +57,7 @@ class ScannerNode(SceneNode):
         )
 
     def publish_frame(self, state: SceneState) -> None:
-        """Publish the sweeps that have ended with a frame."""
+        """Publish the sweeps that end with this frame."""
         start = time.monotonic()
         if self._scanner.moves:
             pose = self._scanner.pose(state.scene_time * 1e-9, state.objects.get(ROBOT))
@@ -75,7 +75,7 @@ class ScannerNode(SceneNode):
         self.report_time(1e3 * (time.monotonic() - start), "scan")
 
     def _publish_pose(self, pose: ObjectPose, stamp: int) -> TransformStamped:
-        """Publish the pose in ``map``, and return its transform."""
+        """Publish the pose of the scanner in ``map``, and return it as a transform."""
         transform: TransformStamped = self._topics.extrinsics.build(pose, stamp)
         self._extrinsics.publish(transform)
         return transform

@@ -1,10 +1,10 @@
-"""Node ``skinner``: poses and skins one human from its motion messages.
+"""Node ``skinner``: computes joints and skin of one human from the messages of its motion.
 
-Subscribes to ``humans/<id>/motion`` of any sender: the motion player, or live motion capture. For the latter,
-joint names, scale and rest pose are detected from the messages (docs/playing.md). Subscribes also to the
-legend of the motion player, ``humans/<id>/motion/legend``, and to ``humans/<id>/frame``, the stamps of frames
-for a live human. Publishes ``humans/<id>/joints``, ``vertices``, ``markers``, ``face`` if the face moves and,
-for subscribers, ``keypoints/<set>`` with the same stamp, and latched ``humans/<id>/mesh``.
+Subscribes to ``humans/<id>/motion`` of any sender: the motion player, or live motion capture. For live motion
+capture, joint names, scale and rest pose are detected from the messages (docs/playing.md). Subscribes also to
+the legend of the motion player, ``humans/<id>/motion/legend``, and to ``humans/<id>/frame``, the stamps of
+frames for a live human. Publishes ``humans/<id>/joints``, ``vertices``, ``markers``, ``face`` if the face
+moves and, for subscribers, ``keypoints/<set>`` with the same stamp, and latched ``humans/<id>/mesh``.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from humansim_ros.ros.processes.runtime import run_node
 from humansim_ros.scene.config import LIVE
 from humansim_ros.scene.core import HumanState, LiveRetargeter, Scene
 
-#: Seconds between two log lines about changes of the source.
+#: Shortest time between two log lines about changes of the source of motion, seconds.
 _CHANGES_EVERY = 10.0
-#: A live source is silent after this time without a message, seconds: before its first message, and later.
+#: A live source is silent after this time without a message, seconds: at the start, and later.
 _SILENT_AT_START, _SILENT_AFTER = 3.0, 2.0
 
 
@@ -38,9 +38,9 @@ class SourceLog:
     """Logs what a user of live motion capture must know. Each fact is logged once.
 
     Args:
-        log: Writes a line.
+        log: Function that writes a line.
         human: Name of the human.
-        topic: Topic of its motion.
+        topic: Topic of the motion of this human.
     """
 
     def __init__(self, log: Callable[[str], None], human: str, topic: str) -> None:
@@ -97,7 +97,7 @@ class SourceLog:
         return True
 
     def forget_frames(self) -> None:
-        """Forget the live frames, since the motion player moves the human again."""
+        """Forget the frames of a live human, since the motion player moves this human again."""
         self._since, self._heard, self._silent = None, False, False
 
 
@@ -106,8 +106,8 @@ _PLAYER_GONE_AFTER = 3.0
 
 
 class SkinnerNode(SceneNode):
-    """Computes joints and vertices of a body from the joints of a motion. A skinner of a rig gets the name of
-    its ``human``. Other skinners read it from a parameter."""
+    """Computes joints and vertices of a body from the joints of a motion. If several skinners share a
+    process, node ``skinner_rig`` passes the name ``human``. Otherwise a parameter has the name."""
 
     def __init__(self, human: str = "", **options: Any) -> None:
         super().__init__("skinner", **options)
@@ -178,7 +178,7 @@ class SkinnerNode(SceneNode):
         self._publish(_at_standstill(body) if silent and moves else body, to_nanoseconds(frame.stamp))
 
     def _retarget(self, message: MultiDOFJointState) -> HumanState | None:
-        """Body of a motion message; None if the message cannot be used."""
+        """Compute the body for a message of a motion; None if the message cannot be used."""
         try:
             stamp = to_nanoseconds(message.header.stamp)
             state = self._live_retargeter.retarget(read_joints(message), stamp)
@@ -215,8 +215,8 @@ class SkinnerNode(SceneNode):
         self.report_lateness(stamp)
 
     def _wait_for(self, stamp: int) -> None:
-        """Wait until a stamp, since the motion player sends motions ahead, but bodies are published on time.
-        A stamp farther ahead than any lead is from another clock."""
+        """Wait until the time of a stamp: the motion player sends motions ahead of time, but bodies are
+        published on time. Do not wait for a stamp farther ahead, since it is of another clock."""
         if self.has_simulated_time():  # it may run at any rate, and /clock may arrive after the motion
             return
         wait = (stamp - self.now()) * 1e-9
@@ -235,7 +235,7 @@ class SkinnerNode(SceneNode):
 
 
 def _at_standstill(state: HumanState) -> HumanState:
-    """State with velocities of zero."""
+    """Copy of a state with all velocities set to zero."""
     nothing = np.zeros((len(state.joints), 3))
     features = {name: each.stopped() for name, each in state.features.items()}
     return replace(state, linear=nothing, angular=nothing, features=features)

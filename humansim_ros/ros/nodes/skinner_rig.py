@@ -1,7 +1,8 @@
 """Node ``skinner_rig``: the skinners of several humans of a scene in one process.
 
 Each skinner is a node with the same name, topics, parameters and diagnostics as in its own process. The
-skinners share the scene, and bodies that several humans have. The node that holds them is hidden.
+skinners share the scene, and the data of bodies that several humans have. The node that creates the skinners
+has a hidden name.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from humansim_ros.scene.core import Scene, skinner_node
 
 
 class SkinnerRigNode(SceneNode):
-    """Makes the skinners of the humans of parameter ``humans``."""
+    """Creates a skinner for each human in parameter ``humans``."""
 
     def __init__(self, scene: Scene | None = None, **options: Any) -> None:
         super().__init__(SKINNER_RIG_NODE, scene, **options)
@@ -44,7 +45,7 @@ class SkinnerRigNode(SceneNode):
         return [self, *self.skinners]
 
     def _publish_diagnostics(self) -> None:
-        """Nothing: the skinners publish them."""
+        """Do nothing, since the skinners publish diagnostics themselves."""
 
     def close(self) -> None:
         """Close all skinners."""

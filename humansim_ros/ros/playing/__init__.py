@@ -1,1 +1,1 @@
-"""The motion player: lockstep, real time, services."""
+"""How the motion player sends frames: in lockstep or in real time, and controlled by services."""

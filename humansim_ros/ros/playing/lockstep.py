@@ -1,4 +1,4 @@
-"""Playing in lockstep: the next frame is sent when all members have finished the frame before."""
+"""Playing in lockstep: a frame is sent when all members (nodes, topics) have finished the previous one."""
 
 from __future__ import annotations
 
@@ -48,13 +48,13 @@ from humansim_ros.scene.core import BRIDGE_NODE, LOCKSTEP, Scene, SceneState, Ti
 _LOOK_EVERY = 0.05
 #: Seconds between two checks of the graph while a frame is unfinished, and seconds until the first check.
 _GRAPH_EVERY, _GRAPH_AFTER = 0.25, 0.3
-#: Longest time between two checks that counts, seconds, since nobody is late while the player itself was
+#: Longest time between two checks that counts, seconds, since members are not late if the player itself was
 #: stopped.
 _MAX_STEP = 0.5
-#: Newest stamp of lockstep, nanoseconds (eleven days). Stamps of the wall clock come from an earlier run in
+#: Largest stamp that lockstep can have, nanoseconds (eleven days). Larger ones come from an earlier run in
 #: real time.
 _MAX_STAMP = 10**15
-#: Queue of ``/clock``.
+#: Quality of service of ``/clock``.
 _CLOCK_QUEUE = QoSProfile(depth=10)
 #: Most characters of a list of names in a log line.
 _MAX_TEXT = 500
@@ -65,14 +65,14 @@ class LockstepSettings:
     """Settings of a motion player in lockstep.
 
     Attributes:
-        names: Names of nodes that report on ``frame_done``.
-        topics: Topics with messages that are reports.
+        names: Nodes that frames wait for, and that report on ``frame_done``.
+        topics: Topics that frames wait for: a message with the stamp of the frame is a report.
         timeout: Seconds after which a frame waits no longer.
-        on_timeout: What happens after this time.
+        on_timeout: What happens after this time: ``stop`` or ``continue``.
         pace: Most frames per second of the wall clock. If 0, as fast as possible.
         frames: Number of frames. If 0, without end.
-        summary: File for a summary as JSON at the end; empty: none.
-        recorder: Name of the recorder, which is among ``names`` and starts with the scene; empty: none.
+        summary: File for a summary as JSON at the end. If empty, no summary.
+        recorder: Name of the recorder, which is among ``names`` and starts with the scene. Empty without one.
         clock_search: Time of the search for another publisher of ``/clock`` before the first frame, seconds.
     """
 
@@ -145,7 +145,7 @@ def _choice(node: SceneNode, name: str, default: str, values: Sequence[str], des
 
 
 def _finishing(scene: Scene) -> list[str]:
-    """Names of the nodes of a scene that finish each of its frames."""
+    """Names of the nodes of a scene that report each frame as finished."""
     return [*scene.cameras, *scene.scanners, *([BRIDGE_NODE] if scene.config.adapter_settings else [])]
 
 
@@ -155,11 +155,11 @@ class LockstepPlaying(Playing):
     The members are the cameras and scanners of the scene, its bridge, the names and topics of ``wait_for``,
     and every node that reports on ``frame_done``. A frame is sent at least once. The same stamp is sent again
     for nodes that have joined. A player that is started again goes on with the frame that was in flight.
-    Without a file for the summary, it goes on with the newest frame that a camera has finished.
+    Without a file for the summary, the player goes on with the newest frame that a camera has finished.
 
     Args:
         player: The node.
-        settings: Members, time-outs, pace and end.
+        settings: Members, time-out, pace and number of frames.
     """
 
     def __init__(self, player: FramePlayer, settings: LockstepSettings) -> None:
@@ -173,22 +173,21 @@ class LockstepPlaying(Playing):
         self.state = Lockstep(dict.fromkeys(names), starting, settings.timeout, 0.0)
         self._graph = GraphWatch(player)
         self._next_graph = 0.0
-        #: Topic that moves the robot, if frames wait for it. Each message reports that the robot has its
-        #: pose.
         robot = player.scene.robot
         own = None if robot is None else robot.config.odometry
         odometry = own and player.resolve_topic_name(own)
-        #: Topics that move the robot: a message of them reports when the robot has its pose.
+        #: Those topics of ``wait_for`` that move the robot: a message is a report once the robot has the
+        #: pose.
         self._odometry = [name for name in settings.topics if player.resolve_topic_name(name) == odometry]
         others = [name for name in settings.topics if name not in self._odometry]
         self._topics = StampedTopics(player, others, self._on_report)
-        #: By member that has joined: ids of its own publishers of reports.
+        #: Ids of the publishers on ``frame_done``, by name of a member that has joined.
         self._reporters: dict[str, set[bytes]] = {}
         self._is_paused = False
-        #: Callbacks of the frames to play during a pause. None for a frame without callback.
+        #: Frames to play during a pause, each as the callback after the frame (or None).
         self._steps: deque[Callable[[], object] | None] = deque()
         self._done: Callable[[], object] | None = None
-        #: The frame in flight; and the next frame, with the version of the playback that it shows.
+        #: Frame in flight (not finished by all members); and next frame, with the version of its motions.
         self._frame: tuple[Tick, SceneState] | None = None
         self._prepared: tuple[Tick, int, SceneState] | None = None
         #: Number of frames of the run before this player was started.
@@ -197,7 +196,7 @@ class LockstepPlaying(Playing):
         self._is_over = False
         self._is_due = True
         steady = RosClock(clock_type=ClockType.STEADY_TIME)
-        #: Stamp that a restarted player goes on with: from its file, or from the cameras.
+        #: File with the stamp from which a restarted player goes on. If None, cameras report this stamp.
         self._progress = ProgressFile(Path(f"{settings.summary}.stamp")) if settings.summary else None
         self._newest = self._progress.stamp if self._progress else 0
         player.create_subscription(Header, CAMERA_ALIVE, self._on_latched, ALIVE)
@@ -226,8 +225,8 @@ class LockstepPlaying(Playing):
         self._advance()
 
     def step(self, frames: int = 1, done: Callable[[], object] | None = None) -> Tick:
-        """Play some frames during a pause. Each is sent when the previous one is finished. ``done``: called
-        when all members have finished the last one."""
+        """Play some frames during a pause, one after the other. Returns the last frame. ``done``: called when
+        all members have finished this last frame."""
         self._steps.extend([*[None] * (frames - 1), done])
         tick = self._planned(len(self._steps))
         self._advance()
@@ -243,15 +242,15 @@ class LockstepPlaying(Playing):
         return tick
 
     def follow_rate(self) -> None:
-        """Nothing: the next frame has the new period."""
+        """Do nothing, since the next frame has the new period anyway."""
 
     def report(self, stamp: int) -> None:
-        """Count odometry of the robot as a report, if frames wait for its topic."""
+        """Count odometry with this stamp as a report, if frames wait for the topic of the odometry."""
         for name in self._odometry:
             self._on_report(name, stamp)
 
     def work(self) -> None:
-        """Check the members: send the frame again, print a reminder, or end the wait."""
+        """Check the members. If some are missing, send the frame again, print a reminder, or stop waiting."""
         now = time.monotonic()
         self._now += min(now - self._last_look, _MAX_STEP)
         self._last_look = now
@@ -301,7 +300,7 @@ class LockstepPlaying(Playing):
             self._advance()
 
     def _go_on(self) -> None:
-        """Let the next frame be the newest one that a camera has finished."""
+        """Continue with the newest frame that a camera has finished."""
         self._before = self.clock.begin_at(self._newest)
         self.player.get_logger().info(f"going on with frame {self._before}")
 
@@ -364,8 +363,8 @@ class LockstepPlaying(Playing):
         self._prepare()
 
     def _resting(self, index: int) -> Collection[str]:
-        """Members that do not answer this frame: if no camera captures it, all members outside the scene,
-        since they answer images."""
+        """Members that do not report this frame. If no camera captures the frame, these are all members
+        outside the scene, since they answer images."""
         scene = self.player.scene
         cameras = scene.scene_cameras.values()
         if not cameras or any(index in camera.timing for camera in cameras):
@@ -373,7 +372,7 @@ class LockstepPlaying(Playing):
         return self.state.members.keys() - {*_finishing(scene), self._settings.recorder, TEST_NODE}
 
     def _take_prepared(self, tick: Tick) -> SceneState:
-        """Poses of a frame. They have been computed in advance, unless something has changed since."""
+        """Poses of a frame: those computed in advance or, if something has changed since, new ones."""
         playback = self.player.playback
         if self._prepared is not None:
             prepared, version, shown = self._prepared
@@ -390,7 +389,7 @@ class LockstepPlaying(Playing):
         playback.elapsed = shown
 
     def _planned(self, frames: int) -> Tick:
-        """A later frame, provided that nothing is changed until then."""
+        """The frame that will be shown ``frames`` frames later, if nothing is changed until then."""
         clock = copy.copy(self.clock)
         for _ in range(frames - 1):
             clock.next()
@@ -434,7 +433,7 @@ class LockstepPlaying(Playing):
 
     @property
     def _number(self) -> int:
-        """Number of the frame in flight."""
+        """Number of the frame in flight, counted from the start of the run."""
         return self._before + self.state.sent - 1
 
     def _remove_members(self) -> None:
@@ -457,7 +456,7 @@ class LockstepPlaying(Playing):
                 self.player.get_logger().info(f"{printable(name, 80)} has left: frames wait for it no longer")
 
     def _overdue_since_restart(self, overdue: list[Member]) -> list[Member]:
-        """Members that are overdue although no node is being started again."""
+        """Members that are still overdue when the last restart of a node has been taken into account."""
         age = RestartFile(self._settings.summary).age() if self._settings.summary else None
         if age is None or self._now - age < 0:
             return overdue
@@ -486,7 +485,7 @@ class LockstepPlaying(Playing):
         self.player.exit_code = code
 
     def close(self, error: str = "") -> None:
-        """Send no more frames, and write a summary. ``error``: why the run ends early."""
+        """Send no more frames, and write the summary. ``error``: why the run ends early, or empty."""
         if self._is_over:
             return
         self._is_over = True

@@ -1,4 +1,4 @@
-"""Motions of the player: parameters, motions that requests name, and a thread that reads them."""
+"""Motions of the player: parameters, files that requests may name, and a thread that reads them."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _MAX_HANDS = 100
 
 @dataclass(frozen=True)
 class _Setting:
-    """A parameter of a human's motion. ``key``: its key under ``motion`` in the scene file."""
+    """A parameter of the motion of a human. ``key``: key under ``motion`` in the scene file."""
 
     key: str
     type: Parameter.Type
@@ -46,7 +46,7 @@ class _Setting:
     constraints: str = ""
 
     def parameter_value(self, motion: MotionConfig) -> Any:
-        """Value of the parameter for a motion of a scene file. An absent end is 0."""
+        """Value of the parameter for a motion of a scene file. The value 0 stands for no ``end``."""
         if self.key == "hands":
             return HANDS_OF_SCENE
         value = getattr(motion, self.key)
@@ -95,13 +95,13 @@ _SETTINGS = {
         f"{HANDS_OF_SCENE}",
     ),
 }
-#: Settings with a parameter for all humans. Parameter ``speed`` without a human is the speed of the clock.
+#: Settings that also have a parameter for all humans. Parameter ``speed`` is that of the clock.
 _SHARED = tuple(name for name in _SETTINGS if name not in ("speed", "hands"))
 
 
 def _hand_keys(text: str) -> tuple[dict[str, str], ...]:
-    """Keys of ``hands`` of a scene file for a value of the parameter. The value is a pose, or a pose for each
-    side.
+    """Convert the parameter of the hands to the section ``hands`` of a scene file. The parameter is a pose,
+    or one pose for each side.
 
     Raises:
         MotionError: The text is too long.
@@ -118,8 +118,8 @@ def _hand_keys(text: str) -> tuple[dict[str, str], ...]:
 class MotionParameters:
     """Declares the parameters of all humans of a playback on a node.
 
-    Parameter overrides at the start have priority over the scene file. Raises HumansimError if such a motion
-    cannot be played.
+    Values that the user gives at the start replace those of the scene file. Raises HumansimError if such a
+    motion cannot be played.
     """
 
     def __init__(self, node: SceneNode, playback: Playback) -> None:
@@ -149,9 +149,8 @@ class MotionParameters:
         node.set_parameters([Parameter(name, value=value) for name, value in self._common({}).items()])
 
     def complete(self, parameters: Sequence[Parameter]) -> list[Parameter]:
-        """Add parameters that change together with the given ones: those of each human with those for all,
-        start and end with the file. Nothing is added to parameters with a wrong type, since rclpy refuses
-        them."""
+        """Add parameters that change together with the given ones: a parameter for all humans changes each
+        human, and a new file resets start and end. If a type is wrong, nothing is added."""
         for parameter in parameters:
             setting = _SETTINGS.get(parameter.name.rpartition(".")[2])
             if setting is not None and parameter.type_ != setting.type:
@@ -176,8 +175,8 @@ class MotionParameters:
         return list(out.values())
 
     def changes(self, parameters: Sequence[Parameter]) -> dict[str, dict[str, Any]]:
-        """Changed motion settings by human, with the keys of the scene file. A motion that is set is always
-        included, since its file may have changed."""
+        """Changed motion settings by human, with the keys of the scene file. A file name that is set counts
+        as a change even if it is the same, since the file may have changed."""
         changes: dict[str, dict[str, Any]] = {}
         for parameter in parameters:
             human, _, name = parameter.name.rpartition(".")
@@ -191,7 +190,7 @@ class MotionParameters:
         return changes
 
     def _common(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Values that hold for all humans, by parameter. ``values`` replace present values."""
+        """Values of the parameters for all humans, by name. ``values`` replace the present values."""
         common = {}
         for name in _SHARED:
             each = [
@@ -205,7 +204,7 @@ class MotionParameters:
 
 #: Name of the parameter with the folders.
 MOTION_FOLDERS = "motion_folders"
-#: Largest motion file that a request may name, bytes. It is read within seconds.
+#: Largest motion file that a request may name, bytes. Reading such a file takes seconds.
 MAX_BYTES = 64 << 20
 
 
@@ -214,8 +213,8 @@ class RequestedMotions(SceneSource):
     """Finds the motions that requests name: built-in motions, and files in some folders.
 
     Attributes:
-        allowed: Folders with files that may be named, without links.
-        named: Names that the user of this machine has given in the scene or at the start.
+        allowed: Folders with files that requests may name. Symbolic links are resolved.
+        named: Motions that may be anywhere, since the user has named them in the scene or at the start.
     """
 
     allowed: tuple[Path, ...] = ()
@@ -223,7 +222,7 @@ class RequestedMotions(SceneSource):
 
     @classmethod
     def of(cls, source: SceneSource, folders: Sequence[str], named: Collection[str]) -> RequestedMotions:
-        """Requests for a scene: files below its folder and below ``folders``.
+        """Allow the files below the folder of a scene, and below ``folders``.
 
         Args:
             source: Source of the scene.
@@ -270,7 +269,7 @@ class RequestedMotions(SceneSource):
             ) from None
 
     def _checked(self, file: str) -> Path:
-        """Path of a file, without links. Raises MotionError if a request may not name it."""
+        """Path of a file, with links resolved. Raises MotionError if requests may not name this file."""
         # a user's name after ~ would tell whether there is such a user
         path = None if file[:1] == "~" or "\0" in file else Path(os.path.realpath(self.folder / file))
         if path is None or not any(path.is_relative_to(folder) for folder in self.allowed):
@@ -295,8 +294,8 @@ T = TypeVar("T")
 
 
 class BackgroundWork:
-    """Runs one piece of work at a time in a thread, and waits for it for a limited time. A thread cannot be
-    stopped. So if work takes longer, new work is refused until it has ended."""
+    """Runs one function at a time in a thread, and waits for its result for a limited time. Since a thread
+    cannot be stopped, new work is refused until a function that takes longer has ended."""
 
     def __init__(self, seconds: float) -> None:
         self._seconds = seconds

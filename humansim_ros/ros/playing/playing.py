@@ -1,4 +1,4 @@
-"""How a motion player advances from frame to frame. Its strategies share this interface."""
+"""Interface of the two ways in which a motion player advances from frame to frame: lockstep and real time."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ from humansim_ros.ros.processes.lockstep_settings import topic_name
 from humansim_ros.ros.processes.node import SceneNode
 from humansim_ros.scene.core import Playback, PlaybackClock, SceneState, Tick
 
-#: Most frames that are requested during a pause and not sent yet.
+#: Most frames that requests during a pause may have waiting.
 MAX_WAITING = 100
-#: Seconds between two checks of the topic of steps, and range of their time limit.
+#: Seconds between two checks of ``step_topic``; and smallest and largest ``step_timeout``, seconds.
 _LOOK_EVERY, _LIMITS = 0.05, (0.1, 3600.0)
 
 
 class FramePlayer(SceneNode):
-    """Node with frames that a :class:`Playing` sends.
+    """Base class of the motion player: a node with frames, which a :class:`Playing` decides to send.
 
     Attributes:
-        playback: Motions.
+        playback: Motions of all humans.
         playback_clock: Stamp and scene time of each frame.
         playing: Strategy that sends the frames.
-        stamped_steps: Steps that wait for a message on a topic.
+        stamped_steps: Steps that end when a message with their stamp arrives.
     """
 
     playback: Playback
@@ -41,20 +41,20 @@ class FramePlayer(SceneNode):
     stamped_steps: StampedSteps
 
     def send_frame(self, tick: Tick, shown: SceneState) -> None:
-        """Publish one frame."""
+        """Publish the messages of one frame."""
         raise NotImplementedError
 
     def restart(self) -> Tick:
-        """Jump to scene time 0. Returns the frame that shows it."""
+        """Jump to scene time 0. Returns the frame that shows this time."""
         raise NotImplementedError
 
     def change_motions(self, changes: Mapping[str, Mapping[str, Any]]) -> None:
         """Change the motions of several humans at once. ``changes``: keys of a section ``motion`` by human.
-        Raises HumansimError, and changes nothing, if one cannot be played."""
+        If one cannot be played, changes nothing and raises HumansimError."""
         raise NotImplementedError
 
     def restart_legends(self) -> None:
-        """Publish legends that are valid for all stamps, because stamps have jumped back."""
+        """Publish the legends again, valid for all stamps, because stamps have jumped back."""
         raise NotImplementedError
 
 
@@ -94,17 +94,17 @@ class Playing(ABC):
 
     @abstractmethod
     def seek(self, seconds: float) -> Tick:
-        """Jump to a scene time as soon as possible. Returns the frame that shows it."""
+        """Jump to a scene time as soon as possible. Returns the frame that shows this time."""
 
     @abstractmethod
     def follow_rate(self) -> None:
         """React to a change of the frames per second."""
 
     def report(self, stamp: int) -> None:  # noqa: B027
-        """Note that the player has received odometry of another node with a stamp in nanoseconds."""
+        """Note that the player has received odometry of another node with this stamp, nanoseconds."""
 
     def close(self) -> None:  # noqa: B027
-        """End playing."""
+        """Send no more frames."""
 
     @abstractmethod
     def work(self) -> None:
@@ -116,12 +116,11 @@ class _Step:
     """A step that has not been answered yet.
 
     Attributes:
-        done: Called at its end with the frame, and the reason if it has failed. The frame is None if none was
-            played.
-        deadline: Monotonic seconds at which it fails.
+        done: Called at the end of the step with its frame (or None), and the reason if it failed.
+        deadline: Monotonic seconds at which the step fails.
         tick: The frame, as soon as it is requested.
-        is_played: Whether the player has finished it.
-        has_message: Whether the message with its stamp has arrived.
+        is_played: Whether the player has finished the frame.
+        has_message: Whether a message with the stamp of the frame has arrived.
     """
 
     done: Callable[[Tick | None, str], object]
@@ -132,7 +131,7 @@ class _Step:
 
 
 class StampedSteps:
-    """Steps of a pause. Each ends when a message with the stamp of its frame arrives on a topic.
+    """Plays steps during a pause. A step ends when a message with the stamp of its frame arrives on a topic.
 
     Parameters of the player, which may be set at any time: ``step_topic`` is the topic, such as the output of
     a tracker. If it is empty, steps do not wait. ``step_timeout`` is the time until a step fails, seconds.
@@ -151,7 +150,7 @@ class StampedSteps:
         description = "Seconds after which a step fails whose message has not arrived"
         self._timeout = float(player.described_parameter("step_timeout", 10.0, description, _LIMITS))
         self._step: _Step | None = None
-        #: Newest stamp on the topic, nanoseconds; None before the first one.
+        #: Newest stamp on the topic, nanoseconds; None before the first message.
         self._newest: int | None = None
         self._topics = StampedTopics(player, [self.topic] if self.topic else [], self._on_stamp)
         player.add_on_set_parameters_callback(_check)
@@ -164,13 +163,13 @@ class StampedSteps:
             self._timer.reset()
 
     def play(self, done: Callable[[Tick | None, str], object]) -> None:
-        """Play the next frame of a pause as soon as the topic has a publisher, and wait for its message.
+        """During a pause, play a frame as soon as the topic has a publisher, and wait for a message with its
+        stamp.
 
-        ``done``: called once with the frame, and the reason why the step has failed, empty if it has not. The
-        frame is None if none was played.
+        ``done``: called once, with the frame (None if none was played), and the reason if the step failed.
 
         Raises:
-            RosError: Another step waits.
+            RosError: Another step is not finished.
         """
         if self._step is not None:
             raise RosError(f"another step waits for {self.topic}: call it again after its answer")
@@ -178,13 +177,13 @@ class StampedSteps:
         self._look()
 
     def cancel(self, reason: str, done: Callable[[Tick | None, str], object] | None = None) -> None:
-        """End the step that waits, if any. ``done``: only a step that was played with this ``done``."""
+        """End the unfinished step, if any; with ``done``, only one that was played with this ``done``."""
         if (step := self._step) is not None and done in (None, step.done):
             self._step = None
             step.done(step.tick, reason)
 
     def _look(self) -> None:
-        """Check the topic. Then connect with it, send the frame of a step, or end the step."""
+        """Check the topic. Then subscribe to the topic, send the frame of a step, or end the step."""
         step = self._step
         try:
             self._topics.update()
@@ -251,5 +250,5 @@ def _check(parameters: Sequence[Parameter]) -> SetParametersResult:
 
 
 def _seconds(stamp: int) -> str:
-    """A stamp as text, seconds with all nanoseconds."""
+    """A stamp as text: seconds with nine decimals."""
     return f"{stamp // 10**9}.{stamp % 10**9:09d}"

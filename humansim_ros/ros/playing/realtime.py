@@ -16,33 +16,33 @@ from humansim_ros.ros.graph.qos import ALIVE, CAMERA_ALIVE, FRAME_DONE, REPORTS
 from humansim_ros.ros.playing.playing import MAX_WAITING, FramePlayer, Playing
 from humansim_ros.scene.core import SceneState, Tick
 
-#: Number of newest sent frames that are remembered.
+#: Most sent frames that are remembered.
 _MAX_SENT = 128
-#: Until this many periods after the stamp of a frame, two more frames may be sent although a camera still
-#: works on it, so that a short delay loses no frame.
+#: For this many periods after its stamp, a frame that a camera still works on does not stop the next two
+#: frames, so that a short delay loses no frame.
 _PERIODS_OF_GRACE = 2.5
 #: Most camera processes that frames wait for.
 _MAX_CAMERAS = 100
-#: A camera without a report for this time, seconds, no longer delays the others. For a slow camera it is this
-#: multiple of the time of its last frame, up to the largest number of seconds.
+#: A camera without a report for the first number of seconds no longer delays the others. For a slow camera,
+#: the time is the second number times the time of its last frame, at most the third number of seconds.
 _GIVE_UP_AFTER, _FRAMES_WAITED, _LONGEST_WAIT = 2.0, 4.0, 10.0
-#: Cause of drops while camera processes run but none has reported.
+#: Text for drops while camera processes run, but none has reported yet.
 _UNHEARD = "cameras, none of which has reported yet"
 #: Seconds without a report after which a camera is forgotten during a pause.
 _FORGET_AFTER = 10.0
-#: A paused pose is sent again after this time, seconds, since later images push earlier ones out of the queue
-#: to a slow subscriber.
+#: During a pause, the pose is sent again after this time, seconds. Otherwise a slow subscriber might never
+#: get the last image.
 _REPEAT_AFTER = 0.5
-#: The reason for drops considers this time before the present, seconds.
+#: Drops of the last seconds, this many, are considered for the reason in the log.
 _REASON_OVER = 1.0
 
 
 def pace_reason(causes: Mapping[str, int], load: float, cores: int) -> str:
-    """Text that says what limits the pace of a run that drops frames, and what helps.
+    """Text for the user on why frames are dropped, and what helps.
 
     Args:
-        causes: Number of dropped frames by camera that was late. The empty name stands for the player itself.
-        load: Mean number of processes that want to run, of this machine.
+        causes: Number of dropped frames by name of the late camera. The empty name stands for the player.
+        load: Load of this machine: mean number of processes that want to run.
         cores: Number of processors.
     """
     cameras = sorted(name for name in causes if name)
@@ -74,7 +74,7 @@ class FramePacing:
         self._finished: dict[str, tuple[int, float]] = {}
         # by camera, including those that were given up: newest stamp, and seconds from sending to the report
         self._took: dict[str, tuple[int, float]] = {}
-        #: number of running camera processes; and when it has changed or a report has counted
+        #: number of running camera processes; and time of its last change or of the last report that counted
         self._processes, self._heard = 0, 0.0
 
     def add_sent(self, stamp: int, now: float) -> None:
@@ -85,9 +85,9 @@ class FramePacing:
         self._sent.append((stamp, now))
 
     def add_finished(self, camera: str, stamp: int, now: float) -> None:
-        """Record that a camera has finished a frame and all earlier frames. Only sent frames count, since
-        other frames are reported by the cameras of another player. A frame from more than ten seconds ago
-        counts only if no other camera counts, so that a very slow camera does not delay others."""
+        """Record that a camera has finished a frame and all earlier frames. Reports of unknown frames are
+        ignored, since they come from cameras of another player. So are reports of frames older than ten
+        seconds while other cameras report, so that a very slow camera does not delay others."""
         took = next((now - at for sent, at in self._sent if sent == stamp), None)
         if took is None or (took > _LONGEST_WAIT and self._finished):
             return
@@ -100,8 +100,8 @@ class FramePacing:
             self._took[camera] = stamp, took
 
     def set_processes(self, number: int, now: float) -> None:
-        """Record how many camera processes run. If one has ended, a camera counts again only when it
-        reports."""
+        """Record how many camera processes run. If one has ended, forget all cameras until they report
+        again."""
         if number < self._processes:
             self.forget_cameras()
         self._processes, self._heard = number, now
@@ -114,8 +114,7 @@ class FramePacing:
     def late_cameras(self, stamp: int, period: float, now: float) -> list[str]:
         """Names of the cameras that have no time for a frame with this stamp.
 
-        A camera may have one unfinished frame, so that it has the next frame when it finishes. It may have
-        two if they are recent.
+        A camera may have one unfinished frame, or two recent ones, so that it never waits for frames.
 
         Args:
             stamp: Stamp of the frame, nanoseconds.
@@ -151,9 +150,9 @@ class FramePacing:
     def may_send_paused(self, unfinished: int, now: float) -> bool:
         """Whether a frame may be sent during a pause.
 
-        No frame of a pause may be lost, since it may be a step. So it is sent only while each camera has at
-        most ``unfinished`` frames to finish, which must fit into its queue. A camera that does not report
-        delays each frame by two seconds, until it is forgotten.
+        No frame of a pause may be lost, since it may be a step. So a frame is sent only while each camera has
+        at most ``unfinished`` frames to finish, which must fit into the queue of the camera. A camera that
+        does not report delays each frame by two seconds, until it is forgotten.
         """
         if not self._sent or now - self._sent[-1][1] > _GIVE_UP_AFTER:
             return True
@@ -166,7 +165,7 @@ class FramePacing:
         return True
 
     def may_repeat(self, now: float) -> bool:
-        """Whether the pose of a pause may be sent again: all cameras have finished it at least half a second
+        """Whether the frame of a pause may be sent again: all cameras finished it at least half a second
         ago."""
         return self.may_send_paused(0, now) and (not self._sent or now - self._sent[-1][1] >= _REPEAT_AFTER)
 
@@ -188,7 +187,7 @@ class RealtimePlaying(Playing):
         self._requested_lead = lead
         self._clock_steps = ClockSteps(lambda: player.now(), player.has_simulated_time)
         self._pacing = FramePacing()
-        #: Frames of a pause (steps, seeks) that wait until cameras have time for them.
+        #: Frames requested during a pause (steps, seeks) that wait until cameras have time for them.
         self._waiting: deque[tuple[Tick, SceneState, Callable[[], object] | None]] = deque()
         #: Monotonic seconds and causes of the last drops, as :func:`pace_reason` takes them.
         self._drops: deque[tuple[float, str, int]] = deque(maxlen=_MAX_SENT)
@@ -199,7 +198,7 @@ class RealtimePlaying(Playing):
 
     @property
     def is_paused(self) -> bool:
-        """Whether scene time stands still. The pose is then sent twice a second."""
+        """Whether scene time stands still. During a pause, the same pose is sent twice a second."""
         return self.clock.paused
 
     @property
@@ -214,7 +213,7 @@ class RealtimePlaying(Playing):
     def step(self, frames: int = 1, done: Callable[[], object] | None = None) -> Tick:
         """Send some frames during a pause, as soon as the cameras have time for them.
 
-        ``done``: called when they are sent.
+        ``done``: called when all are sent.
         """
         for left in reversed(range(frames)):
             tick = self.clock.step(self._stamp_now())
@@ -229,7 +228,7 @@ class RealtimePlaying(Playing):
         return tick
 
     def follow_rate(self) -> None:
-        """Send a frame now. Later frames are counted from it."""
+        """Send a frame now. The stamps of later frames are counted from this frame."""
         self._send_at_once(self.clock.cut(self._stamp_now()))
 
     def work(self) -> None:
@@ -260,7 +259,7 @@ class RealtimePlaying(Playing):
 
     @property
     def _lead(self) -> int:
-        """Lead in nanoseconds. It is at most a period, so that motions do not queue up at the skinners."""
+        """Nanoseconds by which frames are sent ahead, at most a period, so that none queue up at skinners."""
         return round(min(self._requested_lead, self.clock.period))
 
     def _stamp_now(self) -> int:

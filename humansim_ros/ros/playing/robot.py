@@ -18,7 +18,7 @@ from humansim_ros.ros.playing.playing import FramePlayer
 from humansim_ros.ros.processes.transforms import TransformSender
 from humansim_ros.scene.core import Carrier, Playback, SceneState, Tick
 
-#: A robot is moved at the velocity of its newest odometry for at most this time, seconds.
+#: After its newest odometry, a robot goes on with the same velocity for at most this time, seconds.
 _MOST_AHEAD = 0.3
 #: A robot has jumped if two poses are farther apart than its velocity explains by more than this distance,
 #: metres.
@@ -30,7 +30,7 @@ class RobotPort:
 
     Args:
         node: The motion player.
-        playback: Its playback.
+        playback: Motions of the player.
         robot: The robot.
     """
 
@@ -52,7 +52,7 @@ class RobotPort:
         self._transforms = TransformSender(node, [self._topics.start, self._topics.base], node.now())
 
     def placed(self, tick: Tick, shown: SceneState) -> SceneState:
-        """Poses of a frame, with the robot at the place that odometry of another node states."""
+        """Poses of a frame. If another node sends odometry, the robot is moved to the pose in it."""
         if self._robot.config.odometry is None:
             return shown
         if self._newest is None:
@@ -64,7 +64,7 @@ class RobotPort:
         return self._playback.with_robot(shown, self._base_at(tick.stamp), tick.pace)
 
     def publish(self, shown: SceneState, stamp: int) -> None:
-        """Publish odometry and the transform of a frame, unless another node does."""
+        """Publish odometry and transform of the robot for a frame, unless another node publishes them."""
         base = shown.robot
         if self._odom is None or base is None:
             return

@@ -1,4 +1,4 @@
-"""Services of the standard package ``simulation_interfaces``: tools for other simulators drive the player.
+"""Services of ``simulation_interfaces``, a standard package: tools for other simulators control the player.
 
 They are served if the package is installed (docs/simulation_interfaces.md), in the namespace of the node's
 name, as in Gazebo.
@@ -66,15 +66,15 @@ _FEATURES = (
     "WORLD_TAGS",
 )
 _INFO = "humansim_ros: a step is a frame, an entity has the name that its topics begin with"
-#: Tags of the world, and the scheme of its URI.
+#: Tags of the scene as a world, and scheme of the URI of this world.
 _WORLD_TAGS, _WORLD_SCHEME = ("humans",), "humansim"
-#: Most characters of a pattern, and most bytes of a compiled pattern, since it comes from the network.
+#: Most characters of a pattern from the network, and most bytes of a compiled pattern.
 _MAX_PATTERN, _MAX_PATTERN_BYTES = 256, 1 << 20
 #: Most elements of a list in a filter.
 _MAX_FILTERS = 1000
-#: Largest deviation of a quaternion's length from 1, and of a human's rotation from one about z.
+#: Largest deviation of a quaternion's length from 1, and of a human's rotation from a rotation about z.
 _ROTATION_TOLERANCE = 1e-3
-#: A human may be above or below the floor in a request by this distance, metres.
+#: In a request, a human may be this far above or below the floor, metres.
 _FLOOR_TOLERANCE = 1e-3
 _REST = Velocity(np.zeros(3), np.zeros(3))
 #: The process ends this time after the answer to a request to quit, seconds.
@@ -82,7 +82,7 @@ _QUIT_AFTER = 0.2
 
 
 class Refusal(Exception):
-    """Raised to refuse a request. ``code``: name of the result's constant. The text is the message."""
+    """Raised to refuse a request with a message. ``code``: name of the constant for the result code."""
 
     def __init__(self, message: str, code: str = "RESULT_OPERATION_FAILED") -> None:
         super().__init__(message)
@@ -90,8 +90,8 @@ class Refusal(Exception):
 
 
 def serve_simulation(player: FramePlayer) -> SimulationServices | None:
-    """Serve the standard services of a player. If the package simulation_interfaces is not installed, nothing
-    is served and None is returned."""
+    """Serve the standard services of a player. Returns None, and serves nothing, if the package
+    simulation_interfaces is not installed."""
     try:
         types = SimpleNamespace(
             msg=import_module(f"{_PACKAGE}.msg"),
@@ -115,13 +115,13 @@ class SimulationServices:
         self._world_name = player.scene.path.stem if player.scene.path else "scene"
         self._is_stopped = False
         self._run: StepRun | None = None
-        #: Goal of the action that began last; and whether another one was accepted that has not begun yet.
+        #: Goal of the action that began last; and whether another goal is accepted that has not begun yet.
         self._goal: Any = None
         self._is_goal_accepted = False
         static = [camera for camera in player.scene.scene_cameras.values() if not camera.moves]
-        #: By static camera: pose that topic ``<camera>/pose`` has set; and the publishers of these topics.
+        #: By name of a static camera: pose from topic ``<camera>/pose``; and publishers of these topics.
         self._camera_poses: dict[str, CameraPose] = {}
-        #: Messages of this node on these topics that have not come back yet.
+        #: Messages that this node has sent on these topics, and has not yet received itself.
         self._echoes: dict[str, list[PoseStamped]] = {camera.name: [] for camera in static}
         self._pose_publishers = {
             camera.name: player.create_publisher(PoseStamped, f"{camera.name}/pose", DATA)
@@ -137,7 +137,7 @@ class SimulationServices:
         self._serve_steps(types.action.SimulateSteps)
 
     def close(self) -> None:
-        """Destroy the action."""
+        """Destroy the action server."""
         self._action.destroy()
 
     # --- answers
@@ -145,8 +145,8 @@ class SimulationServices:
     def _serve(self, kind: Any, name: str, answer: Callable[[Any, Any], Any]) -> None:
         """Create a service.
 
-        ``answer`` fills the response, or raises Refusal or HumansimError. It may return a future: the request
-        is answered when that is done.
+        ``answer`` fills the response, or raises Refusal or HumansimError. If it returns a future, the request
+        is answered when the future is done.
         """
 
         def on_request(request: Any, response: Any) -> Any:
@@ -200,7 +200,7 @@ class SimulationServices:
         response.features.custom_info = _INFO
 
     def _world(self) -> Any:
-        """The scene as a world. Its URI names the scene, but no file of this host."""
+        """The scene, described as a world. Its URI has the name of the scene, but no path of this host."""
         world = self._types.msg.WorldResource(name=self._world_name, tags=list(_WORLD_TAGS))
         # version 2.0 names this field level_resource
         resource = world.world_resource if hasattr(world, "world_resource") else world.level_resource
@@ -282,7 +282,7 @@ class SimulationServices:
         return self._begin_run(request.steps, lambda finished: None).ended
 
     def _begin_run(self, steps: int, report: Callable[[int], object]) -> StepRun:
-        """Begin to simulate steps. ``report``: called with the number of finished steps after each."""
+        """Begin to simulate steps. ``report``: called after each step with the number of finished steps."""
         if self._run is not None:
             raise Refusal(f"{self._run.left} steps are being simulated already")
         if not self._player.playing.is_paused:
@@ -300,7 +300,7 @@ class SimulationServices:
             self._run = None
 
     def _end_run(self, reason: str) -> bool:
-        """End the simulated steps after the present one. Returns whether there were any."""
+        """End the simulated steps after the present step. Returns whether steps were being simulated."""
         run, self._run = self._run, None
         if run is not None:
             run.end(Refusal(f"{reason}, after {run.finished} steps"))
@@ -454,7 +454,7 @@ class SimulationServices:
         return int(categories.CATEGORY_DYNAMIC_OBJECT if entity.moves else categories.CATEGORY_STATIC_OBJECT)
 
     def _found(self, filters: Any) -> Iterator[Entity]:
-        """Entities that pass all filters."""
+        """Entities (humans, objects, cameras) that pass all filters of a request."""
         if filters.bounds.type:
             raise Refusal("entities cannot be filtered by bounds", "RESULT_FEATURE_UNSUPPORTED")
         if len(filters.categories) > _MAX_FILTERS:
@@ -470,7 +470,7 @@ class SimulationServices:
                 yield entity
 
     def _pose(self, entity: Entity) -> ObjectPose | CameraPose:
-        """Pose at the last frame. Its velocity is per second of the wall clock."""
+        """Pose of an entity at the last frame. The velocity is per second of the wall clock."""
         playback, clock = self._player.playback, self._player.playback_clock
         if entity.kind == "human":
             pose: ObjectPose | CameraPose = playback.human_pose(entity.key)
@@ -501,12 +501,12 @@ class SimulationServices:
 
 
 class StepRun:
-    """Some steps of a paused player, one after the other.
+    """Plays some steps of a paused player, one after the other.
 
     Args:
         player: The player.
         steps: Number of steps.
-        report: Called with the number of finished steps after each.
+        report: Called after each step with the number of finished steps.
 
     Attributes:
         ended: Future that is done when all steps are finished. It raises Refusal if the run was ended
@@ -565,14 +565,14 @@ class StepRun:
 
 
 def _numbers(message: Any) -> list[float]:
-    """All numbers of a message of vectors."""
+    """All numbers in a message that consists of vectors, as a list."""
     vectors = (getattr(message, name) for name in message.get_fields_and_field_types())
     return [getattr(vector, axis) for vector in vectors for axis in vector.get_fields_and_field_types()]
 
 
 def name_filter(pattern: str) -> Callable[[str], bool]:
-    """Make a test of names: whether a POSIX extended pattern matches any part of a name. RE2 needs linear
-    time in the length of the name for any pattern. Raises Refusal if the pattern is too long or wrong."""
+    """Make a function that tests whether a POSIX extended pattern matches any part of a name. With RE2, its
+    time is linear in the length of the name. Raises Refusal if the pattern is too long or wrong."""
     if not pattern:
         return lambda name: True
     if len(pattern) > _MAX_PATTERN:

@@ -1,4 +1,4 @@
-"""``python -m humansim_ros.cli``: the ``humansim`` command without its script."""
+"""Run ``python -m humansim_ros.cli``: the ``humansim`` command without an installed script."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from humansim_ros.ros.processes import StopRequest, end_process_on_stop
 
 
 def main() -> int:
-    """Run the command; a stop signal ends it quietly from the first import on."""
+    """Run the command. A stop signal ends it without a traceback, even while modules are imported."""
     end_process_on_stop()
     from humansim_ros.cli.main import main
 

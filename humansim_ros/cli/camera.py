@@ -94,8 +94,8 @@ def convert(
 
 
 def select_cameras(cameras: dict[str, Camera], patterns: list[str] | None, file: str) -> dict[str, Camera]:
-    """Cameras with names that match one of the patterns (``--camera``). If there are no patterns, all
-    cameras."""
+    """Select the cameras with names that match one of the patterns (``--camera``). If there are no patterns,
+    all cameras."""
     if not patterns:
         return cameras
     selected = {n: c for n, c in cameras.items() if any(fnmatch.fnmatchcase(n, p) for p in patterns)}
@@ -106,7 +106,7 @@ def select_cameras(cameras: dict[str, Camera], patterns: list[str] | None, file:
 
 
 def describe_camera(name: str, camera: Camera) -> dict[str, Any]:
-    """Facts about a camera for ``humansim camera show --json``."""
+    """Collect facts about a camera for ``humansim camera show --json``."""
     import numpy as np
 
     from humansim_ros.cameras.formats import baseline, check_camera, field_of_view
@@ -204,8 +204,8 @@ class Reading:
         )
 
     def load_or_scene(self, file: str) -> Calibration:
-        """Load a calibration file, or the cameras of a scene with a ``rig``, which ``camera place``
-        writes."""
+        """Load a calibration file; or, if the file is a scene with a ``rig`` (from ``camera place``), its
+        cameras."""
         if not _has_rig(file):
             return self.load(file)
         from humansim_ros.cameras.formats import SCENE, Calibration
@@ -224,7 +224,7 @@ class Reading:
         return Calibration(cameras, SCENE, 1.0, "z", sizes, frozenset(cameras))
 
     def cameras(self, files: Sequence[str]) -> dict[str, Camera]:
-        """Cameras from calibrations and scenes with a rig, or from pairs of files with intrinsics and
+        """Load cameras from calibrations and scenes with a rig, or from pairs of files with intrinsics and
         extrinsics."""
         from humansim_ros.cameras.formats import has_only_extrinsics, join_calibrations, paired
 
@@ -236,7 +236,7 @@ class Reading:
 
 
 def _has_rig(file: str) -> bool:
-    """Whether a file is a scene with a ``rig``. The cameras of a rig are in another file."""
+    """Whether a file is a scene with a ``rig``, so that its cameras are in another file."""
     from humansim_ros.files.yaml import read_yaml
 
     if "://" in file or Path(file).suffix.lower() not in (".yaml", ".yml") or not Path(file).is_file():
@@ -249,7 +249,7 @@ def _has_rig(file: str) -> bool:
 
 
 _JPEG = (".jpg", ".jpeg")
-#: Distance between cameras and walls, metres. Furniture is less deep.
+#: Distance between cameras and walls, metres, so that furniture fits in between.
 _WALL_DISTANCE = 1.3
 #: Smallest room and longest side of a room, metres.
 _ROOM, _LARGEST_ROOM = (7.0, 6.4, 2.8), 100.0
@@ -382,7 +382,7 @@ def _make_folder(folder: Path) -> None:
 
 
 def _write_ideal(file: str, output: Path, read: Calibration, cameras: Mapping[str, Camera]) -> None:
-    """Write ideal cameras in the format of the real ones."""
+    """Write the ideal cameras in the format of the file of the real cameras."""
     from humansim_ros.cameras.formats import resolve_url, write_calibration
 
     source = resolve_url(file) if "://" in file else Path(file)
@@ -396,7 +396,7 @@ def _write_ideal(file: str, output: Path, read: Calibration, cameras: Mapping[st
 
 
 def _convert_images(ideal: Ideal, images: list[Path], output: Path, nearest: bool) -> None:
-    """Convert images into a folder. Images that fail are reported. The other images are converted."""
+    """Convert images to the ideal cameras, and write them to a folder. Failed images are reported."""
     names: set[str] = set()
     failed = False
     for path in images:
@@ -488,7 +488,7 @@ def _write_rig(
 
 
 def _scene_text(cameras: Mapping[str, Camera], look_at: tuple[float, float, float], radius: float) -> str:
-    """Text of a scene with a room around all cameras, and a human."""
+    """Text of a scene file with a room around all cameras, and a human."""
     x, y, _ = look_at
     if radius >= _WALK_RIG_RADIUS:
         motion = f"{{file: walk, position: [{x:g}, {y - _WALK_RADIUS:g}], loop: continue}}"

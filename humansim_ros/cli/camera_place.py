@@ -1,4 +1,4 @@
-"""``humansim camera place``: the pose of a calibration in ``map``, as a scene and an image."""
+"""``humansim camera place``: find the pose of a calibration in ``map``; write a scene and an image."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ if TYPE_CHECKING:
     from humansim_ros.cameras.formats import Calibration
     from humansim_ros.types import Array
 
-#: Stature of the person that cameras should see, and margin at its ends that is not tested, metres.
+#: Stature of the person that cameras should see, and margin at head and feet that is not tested, metres.
 _STATURE, _MARGIN = 1.8, 0.05
 #: Number of digits of written positions and angles.
 _DIGITS = 9
-#: Text and unit of each residual.
+#: By name of a residual: its text in the output, and its unit.
 _RESIDUALS = {
     "reprojection_px": ("reprojection of the floor points", "px"),
     "plane_mm": ("distance of the floor points from their plane", "mm"),
@@ -59,7 +59,7 @@ class BoardChoice(Enum):
 
 @dataclass(frozen=True)
 class _Method:
-    """How a rig is placed. Each attribute has the name of an option of ``place``."""
+    """Options of ``place`` that say how a rig is placed. Each attribute has the name of its option."""
 
     tilt_deg: float | None
     roll_deg: float
@@ -71,7 +71,7 @@ class _Method:
     board_pose: str | None
 
     def find(self, calibration: Calibration, file: str) -> FoundPlacement:
-        """Find the placement of a calibration."""
+        """Find the placement of the cameras of a calibration."""
         from humansim_ros.cameras.camera import placement
 
         cameras = _posed(calibration, file)
@@ -178,7 +178,7 @@ def _check_scene(output: Path, file: str) -> None:
 
 
 def _posed(calibration: Calibration, file: str) -> dict[str, Camera]:
-    """Cameras with extrinsics. If there is only one camera, it needs none."""
+    """Cameras that have extrinsics. If the calibration has only one camera, it needs no extrinsics."""
     posed = {name: one for name, one in calibration.cameras.items() if name in calibration.posed}
     if posed or len(calibration.cameras) == 1:
         return posed or calibration.cameras
@@ -202,7 +202,7 @@ def _floor_points(calibration: Calibration, path: Path | None, texts: Sequence[s
 
 
 def _board_pose(calibration: Calibration, camera: Camera, text: str | None) -> Array:
-    """Pose (4, 4) of the board in the world of the file, metres."""
+    """Pose (4, 4) of the calibration board in the world of the calibration file, metres."""
     import numpy as np
 
     from humansim_ros.cameras.formats import Z_UP_FROM_FILE
@@ -228,7 +228,7 @@ def _rounded(value: float) -> float:
 def _facts(
     file: str, method: str, found: FoundPlacement, placed: Mapping[str, Camera], unit: float
 ) -> dict[str, Any]:
-    """Facts about a placement for ``--json``.
+    """Collect facts about a placement for ``--json``.
 
     Args:
         file: Calibration file.
@@ -310,16 +310,16 @@ def _rig_section(
     up: str | None,
     sized: Any,
 ) -> str:
-    """Section ``rig`` of a scene.
+    """Return the text of the section ``rig`` of a scene.
 
     Args:
         file: Calibration file.
-        output: Scene file. The path of the calibration is relative to its folder.
+        output: Scene file. The path of the calibration is relative to the folder of this file.
         calibration: Content of the calibration file.
         found: Placement of the cameras.
         unit: Option ``--unit``.
         up: Option ``--up``.
-        sized: Whether the size was given by an option.
+        sized: Whether an option gave the size of the images.
     """
     name = file
     if "://" not in file and output is not None and not Path(file).is_absolute():

@@ -1,4 +1,4 @@
-"""``humansim doctor``: check this machine, and print the line that mends what is wrong."""
+"""``humansim doctor``: check this machine, and print the command that mends each problem."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ from humansim_ros.ros.graph import files_of_fast_dds, free_memory
 State = Literal["ok", "warning", "wrong"]
 #: Longest time of a check in a separate process, seconds.
 _PATIENCE = 90.0
-#: Exit code of a check that takes longer.
+#: Exit code of a check that takes longer than this.
 _TIMED_OUT = 124
 _MB = 1 << 20
-#: Least free shared memory for the images of a process of nodes; least free memory; least free disk.
+#: Least free shared memory (for the images of one process of nodes), free memory, and free disk, bytes.
 _SHARED_MEMORY, _MEMORY, _DISK = 70 * _MB, 1500 * _MB, 500 * _MB
 _JAZZY = "jazzy"
 #: Oldest versions that work. They are the same as in setup.py.
 OLDEST = {"numpy": (1, 26), "opencv-python-headless": (4, 6)}
 #: Largest number of a ROS domain; and domains with UDP ports that Linux also gives to other programs.
 _LAST_DOMAIN, _RISKY_DOMAINS = 232, range(102, 215)
-#: What to do about shared memory that killed processes have left, since it stops new processes.
+#: What to do about shared memory that killed processes have left and that stops new processes.
 _CLEAN_SHARED_MEMORY = (
     "stop all ROS programs, then: rm -f /dev/shm/fast{rtps,dds}_* /dev/shm/sem.fast{rtps,dds}_*"
 )
-#: Modules of each extra.
+#: By name of an extra (optional dependencies in setup.py): modules that it installs.
 EXTRAS = {
     "evaluate": ("c3d", "mcap", "pycocotools", "rosbags"),
     "export": ("OpenEXR", "c3d", "mcap", "pxr", "pycocotools"),
@@ -108,13 +108,13 @@ os._exit(0 if got else 1)
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Result of a check.
+    """Result of one check.
 
     Attributes:
         name: What was checked.
         state: Result.
         text: What was found.
-        fix: Line to type, or what to do. Empty if there is nothing to do.
+        fix: Command to type, or other advice. Empty if there is nothing to do.
     """
 
     name: str
@@ -124,7 +124,7 @@ class Diagnosis:
 
 
 def check_python() -> Diagnosis:
-    """Version of Python, and whether the packages that are always needed can be imported."""
+    """Check the version of Python, and whether the packages that are always needed can be imported."""
     version = ".".join(map(str, sys.version_info[:3]))
     if not (3, 10) <= sys.version_info[:2] <= (3, 13):
         return Diagnosis("Python", "wrong", version, "use Python 3.10 to 3.13")
@@ -145,14 +145,14 @@ def check_python() -> Diagnosis:
 
 
 def _mending_packages(error: str) -> str:
-    """Line that mends packages that cannot be imported."""
+    """Command that mends packages that cannot be imported."""
     if "compiled using NumPy 1" in error or "numpy.core.multiarray" in error:
         return "pip install 'numpy<2'   # SciPy or OpenCV of the system are made for NumPy 1"
     return "pip install --upgrade humansim_ros"
 
 
 def check_opengl() -> Diagnosis:
-    """The device that renders, and how fast it is."""
+    """Check OpenGL: which device renders, and how fast it is."""
     done = run_python(_RENDER)
     if done.returncode != 0:
         return Diagnosis(
@@ -174,7 +174,7 @@ def check_opengl() -> Diagnosis:
 
 
 def check_ros(environment: Mapping[str, str] = os.environ) -> Diagnosis:
-    """Which ROS 2 is used."""
+    """Check which ROS 2 is used."""
     distribution = environment.get("ROS_DISTRO")
     if distribution not in (None, "", _JAZZY):
         return Diagnosis(
@@ -203,7 +203,7 @@ def check_ros(environment: Mapping[str, str] = os.environ) -> Diagnosis:
 
 
 def check_variables(environment: Mapping[str, str] = os.environ) -> Diagnosis:
-    """Environment variables that decide which nodes see each other."""
+    """Check the environment variables that decide which nodes see each other."""
     name = "ROS variables"
     domain = environment.get("ROS_DOMAIN_ID", "")
     if domain and not (domain.isdecimal() and int(domain) <= _LAST_DOMAIN):
@@ -231,7 +231,7 @@ def check_variables(environment: Mapping[str, str] = os.environ) -> Diagnosis:
 
 
 def check_exchange() -> Diagnosis:
-    """Whether a message from one participant reaches another on this machine."""
+    """Check whether a message from one DDS participant reaches another on this machine."""
     name = "DDS"
     if not _is_there("rclpy"):
         return Diagnosis(name, "ok", "not tried without ROS")
@@ -246,7 +246,7 @@ def check_exchange() -> Diagnosis:
 
 
 def check_tf() -> Diagnosis:
-    """Whether cameras can publish their poses on /tf. Its messages are not on PyPI."""
+    """Check whether cameras can publish poses on /tf. The messages for /tf are not on PyPI."""
     if not _is_there("rclpy"):
         return Diagnosis("tf", "ok", "not tried without ROS")
     done = run_python("import tf2_msgs.msg; tf2_msgs.msg.TFMessage(); print(tf2_msgs.__file__)")
@@ -261,7 +261,7 @@ def check_tf() -> Diagnosis:
 
 
 def check_shared_memory(folder: Path = Path("/dev/shm")) -> Diagnosis:
-    """Space and access rights of the folder that images pass through."""
+    """Check space and access rights of the folder of shared memory, through which images are sent."""
     name = "shared memory"
     if not os.access(folder, os.W_OK):
         return Diagnosis(name, "wrong", f"{folder} cannot be written to", f"sudo chmod 1777 {folder}")
@@ -279,7 +279,7 @@ def check_shared_memory(folder: Path = Path("/dev/shm")) -> Diagnosis:
 
 
 def check_ffmpeg() -> Diagnosis:
-    """The program that writes videos."""
+    """Check ffmpeg, the program that writes videos."""
     code = "import imageio_ffmpeg; print(imageio_ffmpeg.get_ffmpeg_exe())"
     done = run_python(code)
     if done.returncode != 0:
@@ -290,7 +290,7 @@ def check_ffmpeg() -> Diagnosis:
 
 
 def check_extras() -> Diagnosis:
-    """Optional parts that are not installed."""
+    """Report optional dependencies that are not installed."""
     missing = [name for name, modules in EXTRAS.items() if not all(map(_is_there, modules))]
     if not missing:
         return Diagnosis("extras", "ok", "all are installed")
@@ -299,7 +299,7 @@ def check_extras() -> Diagnosis:
 
 
 def check_fbx() -> Diagnosis:
-    """The program that converts FBX files."""
+    """Check the program that converts FBX files."""
     try:
         found = find_converter(Path("PERSON.fbx"), HumansimError)
     except HumansimError as error:
@@ -312,7 +312,7 @@ def check_fbx() -> Diagnosis:
 
 
 def check_machine(folder: Path | None = None) -> Diagnosis:
-    """Cores, memory and disk. ``folder``: folder on the disk that is checked. If None, the current folder."""
+    """Check cores, memory and disk. ``folder``: folder on the checked disk; if None, the current one."""
     name = "machine"
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     free = shutil.disk_usage(folder or Path.cwd()).free
@@ -344,7 +344,7 @@ CHECKS: tuple[Callable[[], Diagnosis], ...] = (
 
 
 def diagnoses(checks: tuple[Callable[[], Diagnosis], ...]) -> Iterator[Diagnosis]:
-    """Results of checks. A check that raises an error counts as wrong."""
+    """Run checks, and yield the results. A check that raises an error counts as wrong."""
     for check in checks:
         try:
             yield check()
@@ -353,7 +353,7 @@ def diagnoses(checks: tuple[Callable[[], Diagnosis], ...]) -> Iterator[Diagnosis
 
 
 def run_python(code: str, environment: Mapping[str, str] | None = None) -> subprocess.CompletedProcess[str]:
-    """Run code in a separate process, since it may crash or hang. Without an answer, the exit code is 124."""
+    """Run code in a separate process, since it may crash or hang. If it hangs, the exit code is 124."""
     command = [sys.executable, "-c", code]
     try:
         return subprocess.run(
@@ -369,7 +369,7 @@ def run_python(code: str, environment: Mapping[str, str] | None = None) -> subpr
 
 
 def last_line(text: str) -> str:
-    """Last line of an output that is not empty."""
+    """Return the last line of a text that is not empty."""
     lines = [line for line in text.splitlines() if line.strip()]
     return lines[-1].strip() if lines else ""
 

@@ -67,7 +67,7 @@ def evaluate(
 
 
 def _seconds(text: str) -> float | Literal["auto"]:
-    """Value of --offset."""
+    """Convert the value of --offset to seconds, or ``auto``."""
     if text == "auto":
         return "auto"
     try:

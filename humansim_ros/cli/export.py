@@ -104,7 +104,7 @@ def export(
 
 
 def _export_recipe(data_set: DataSet, jobs: int, resume: bool, ray: str | None) -> None:
-    """Export many scenes of a recipe."""
+    """Export the many scenes of a recipe."""
     from humansim_ros.data.datasets import write_data_set
 
     output, total = data_set.root, data_set.recipe.config.scenes

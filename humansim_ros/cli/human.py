@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from humansim_ros.people.humans import Human
     from humansim_ros.photographs import PersonFit, PhotoSet
 
-#: Facts about the built-in humans, which tools/assets/list_humans.py writes.
+#: File of facts about the built-in humans, which tools/assets/list_humans.py writes.
 BUILT_IN_FACTS = "assets/humans/humans.json"
 
 
@@ -208,14 +208,14 @@ def rig(
 
 
 def built_in_humans() -> list[str]:
-    """Names of the humans in assets/humans."""
+    """Names of the built-in humans: the files in assets/humans."""
     from humansim_ros.files.reading import built_in_names
 
     return built_in_names("humans")
 
 
 def describe_human(human: Human) -> dict[str, Any]:
-    """Facts about a human for ``humansim human info --json``."""
+    """Collect facts about a human for ``humansim human info --json``."""
     import numpy as np
 
     mesh, counts = human.mesh, np.diff(human.weights.indptr)
@@ -253,7 +253,7 @@ def _info_lines(facts: dict[str, Any]) -> Iterator[str]:
 
 
 def load_named(name: str, outfit: str | None = None) -> Human:
-    """Load a built-in human or a file. ``outfit``: name of its outfit. If None, the first outfit."""
+    """Load a built-in human or a file. ``outfit``: name of the outfit to wear. If None, the first outfit."""
     from humansim_ros.people.loading import find_human, load_human
 
     return load_human(find_human(name), outfit)
@@ -368,7 +368,7 @@ def texture(
 
 
 def _lines(fit: PersonFit, photos: PhotoSet) -> list[str]:
-    """Facts about a fit, as text."""
+    """Lines of text with facts about a fit."""
     import numpy as np
 
     used = fit.residuals[~fit.outliers & np.isfinite(fit.residuals)]
@@ -389,7 +389,7 @@ def _lines(fit: PersonFit, photos: PhotoSet) -> list[str]:
 
 
 def _print_step(step: str, done: int, count: int) -> None:
-    """Show the progress of a sequence. A single frame is quick and shows none."""
+    """Show the progress of a fit of several frames. For a single frame, which is quick, show nothing."""
     if count > 1 and (done == count or done % 25 == 0):
         print_text(f"{step}: {done} of {count} frames")
 

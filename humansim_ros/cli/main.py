@@ -77,9 +77,9 @@ HEADINGS = {
     "Trackers": ("evaluate", "challenge"),
     "Cameras, humans and motions": ("camera", "human", "motion", "mesh"),
 }
-#: ``-h`` as well as ``--help``.
+#: Accept ``-h`` as well as ``--help``.
 _SETTINGS = {"help_option_names": ["-h", "--help"]}
-#: Variable by which a shell asks for completions.
+#: Environment variable by which a shell asks for completions.
 _COMPLETION = "_HUMANSIM_COMPLETE"
 
 
@@ -112,15 +112,15 @@ class _Headed(TyperGroup):
 
 
 def load_command(name: str) -> Callable[..., None]:
-    """Function of a command, such as ``camera show``."""
+    """Import the function of a command, such as ``camera show``."""
     module, _, function = COMMANDS[name].partition(":")
     loaded: Callable[..., None] = getattr(import_module(f"humansim_ros.cli.{module}"), function)
     return loaded
 
 
 def make_app(arguments: Sequence[str] | None = None) -> typer.Typer:
-    """The command with its subcommands. ``arguments``: the command line. Only commands that it may mean are
-    loaded, which saves half of the start. If None, all commands are loaded."""
+    """Make the command with its subcommands. ``arguments``: the command line. Only the subcommands that it
+    may mean are loaded, which halves the time of the start. If None, all are loaded."""
     app = typer.Typer(
         cls=_Headed,
         help="Synthetic ground truth of articulated humans for multi-camera trackers, over ROS 2.",
@@ -147,7 +147,7 @@ def make_app(arguments: Sequence[str] | None = None) -> typer.Typer:
 
 
 def _parser_message(error: Any) -> str:
-    """Text of an error of the command-line parser. It names the command with more help."""
+    """Text of an error of the command-line parser, with the command that prints help."""
     message = str(error.format_message()).replace("Value error, ", "")
     if type(error).__name__ == "NoArgsIsHelpError":
         return message
@@ -160,7 +160,7 @@ def _parser_message(error: Any) -> str:
 
 
 def _unexpected(error: Exception) -> str:
-    """Line about an unexpected error: a fault of the program."""
+    """One line about an unexpected error, which is a fault of this program."""
     last = traceback.extract_tb(error.__traceback__)[-1:]
     where = "".join(f" ({Path(frame.filename).name}:{frame.lineno})" for frame in last)
     return (
@@ -172,8 +172,8 @@ def _unexpected(error: Exception) -> str:
 def main(arguments: Sequence[str] | None = None, stopped: Callable[[], int | None] = lambda: None) -> int:
     """Run a command and return its exit code: 2 for errors of the package, 1 for others.
 
-    An error is one line on standard error; HUMANSIM_TRACEBACK=1 shows where it came from. A stop signal ends
-    a command in order with exit code 128 + its number, and a run of all nodes with 0.
+    An error prints one line to standard error; with HUMANSIM_TRACEBACK=1, also the traceback. After a stop
+    signal, a command cleans up and ends with exit code 128 + signal number, a run of all nodes with 0.
 
     Args:
         arguments: Words after ``humansim``. If None, the words of this process.

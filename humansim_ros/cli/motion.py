@@ -268,7 +268,7 @@ def render(
 
 
 def built_in_motions() -> dict[str, dict[str, Any]]:
-    """Facts about the built-in motions by name: seconds, suitable loop, description."""
+    """Facts about the built-in motions, by name: seconds, suitable value of ``loop``, description."""
     import yaml
 
     data = yaml.safe_load(resource_path("assets/motions/motions.yaml").read_text())
@@ -318,7 +318,7 @@ def _bone_lines(names: Sequence[str], bones: PosedBones) -> Iterator[str]:
 
 
 def _info_lines(facts: dict[str, Any]) -> Iterator[str]:
-    """Facts as text."""
+    """Format the facts of ``info`` as lines of text."""
     yield f"{facts['path']}"
     yield (
         f"  {facts['joints']} joints and {facts['end_sites']} end sites, {facts['channels']} channels, "

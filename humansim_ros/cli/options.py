@@ -1,4 +1,4 @@
-"""Options that several commands share, lists and numbers as values, and old names of options."""
+"""Options of the command line: shared options, options with lists or numbers, and renamed options."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from humansim_ros.files.reading import built_in_names, exists, read_bytes, read_
 
 
 def split_commas(values: list[str] | None) -> list[str]:
-    """Values of an option that is a list. The option may be repeated, and its words may be separated by
+    """Split the values of a list option. The option may be repeated, and each value may be a list with
     commas.
 
-    The name of an existing file may contain a comma.
+    A value that is the name of an existing file is not split.
 
     Example:
         >>> split_commas(["left,right", "top"])
@@ -32,23 +32,23 @@ _ROWS: Mapping[str, Mapping[str, Mapping[str, Any]]] = read_table("command_line"
 
 
 def option(row: str, **more: Any) -> Any:
-    """Option of a command.
+    """Make an option of a command.
 
     Args:
-        row: Command and option, such as ``camera rig.height``: a row of config/command_line.json.
+        row: Name of a row of config/command_line.json: command and option, such as ``camera rig.height``.
         **more: Values that a table cannot contain, such as the words for completion by a shell.
     """
     return _made(typer.Option, row, more)
 
 
 def argument(row: str, **more: Any) -> Any:
-    """Argument of a command. The parameters are those of :func:`option`."""
+    """Make an argument of a command. The parameters are those of :func:`option`."""
     return _made(typer.Argument, row, more)
 
 
 def list_option(row: str, complete: Callable[[str], list[str]] | None = None, **more: Any) -> Any:
-    """An option that is a list, by repetition or commas. The parameters are those of :func:`option`.
-    ``complete``: returns the words for completion by a shell."""
+    """Make an option that is a list: it may be repeated, or have commas. ``row``, ``more``: as for
+    :func:`option`. ``complete``: returns the words for completion by a shell."""
     made = _made(typer.Option, row, {"callback": split_commas, "autocompletion": complete, **more})
     made.metavar += ",..."
     return made
@@ -64,35 +64,35 @@ def _made(make: Callable[..., Any], row: str, more: Mapping[str, Any]) -> Any:
 # -- completion of words by shells
 
 
-#: Export formats. They come from a table, since other modules would load OpenCV and moderngl, which takes too
-#: long for a shell.
+#: Names of export formats. They are read from a table, since importing the formats loads OpenCV and moderngl,
+#: which takes too long for completion by a shell.
 EXPORT_FORMATS = tuple(read_table("export_formats"))
 
 
 def built_in_motions(incomplete: str) -> list[str]:
-    """Built-in motions."""
+    """Complete the name of a built-in motion."""
     return _beginning(incomplete, built_in_names("motions"))
 
 
 def built_in_humans(incomplete: str) -> list[str]:
-    """Built-in humans."""
+    """Complete the name of a built-in human."""
     return _beginning(incomplete, built_in_names("humans"))
 
 
 def joint_tables(incomplete: str) -> list[str]:
-    """Built-in joint tables."""
+    """Complete the name of a built-in joint table."""
     return _beginning(incomplete, (path.stem for path in resource_path("config/joint_names").glob("*.yaml")))
 
 
 def built_in_channels(incomplete: str) -> list[str]:
-    """Channels, for the last one of several that are separated by commas."""
+    """Complete the last channel of a list with commas."""
     from humansim_ros.render.interface import ALL_CHANNELS
 
     return _last_of_list(incomplete, ALL_CHANNELS)
 
 
 def export_formats(incomplete: str) -> list[str]:
-    """Export formats, for the last one of several that are separated by commas."""
+    """Complete the last export format of a list with commas."""
     return _last_of_list(incomplete, EXPORT_FORMATS)
 
 
@@ -106,7 +106,7 @@ def _beginning(incomplete: str, words: Iterable[str]) -> list[str]:
 
 
 def existing_scenes(given: Any) -> Any:
-    """Refuse missing scenes before the libraries of the core are imported."""
+    """Raise an error for missing scene files early, before slow imports."""
     for path in given if isinstance(given, (list, tuple)) else [given]:
         if path is not None and not exists(path):
             read_bytes(path, SceneError, "scene", 0)
@@ -114,7 +114,7 @@ def existing_scenes(given: Any) -> Any:
 
 
 def _existing_calibrations(given: Any) -> Any:
-    """Refuse missing calibrations in the same way. A URL may have any form."""
+    """Raise an error for missing calibration files early. URLs are not checked."""
     for name in [given] if isinstance(given, str) else given or ():
         if not any(mark in name for mark in ("://", "#", "{")) and not exists(Path(name)):
             read_bytes(Path(name), CameraError, "calibration", 0)
@@ -161,12 +161,12 @@ FacingOption = Annotated[str | None, option("shared.facing")]
 
 @dataclass(frozen=True)
 class Renamed:
-    """An option that has another name now.
+    """An option that was renamed.
 
     Attributes:
         old: Old name.
         new: New name.
-        value: If the old name has a new meaning now: pattern of the values that belong to the old meaning.
+        value: If the old name has a new meaning now: regular expression of values that have the old meaning.
     """
 
     old: str
@@ -191,7 +191,7 @@ GONE = {
 
 
 def new_names(arguments: Sequence[str], warn: Callable[[str], object]) -> list[str]:
-    """Replace renamed options of a command line. ``warn``: gets a line about each old name.
+    """Replace renamed options of a command line. ``warn``: called with a line of text about each old name.
 
     Raises:
         HumansimError: An option was removed.
@@ -219,9 +219,9 @@ def new_names(arguments: Sequence[str], warn: Callable[[str], object]) -> list[s
 
 
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", re.ASCII)
-#: Options with several numbers: the text that joins their values, and the largest number of values.
+#: Options with several numbers: the text that joins the numbers, and the largest count of numbers.
 _SEVERAL = {"--size": ("x", 2), "--distortion": (" ", 14)}
-#: Options with a number that may be left out, and the number that is then used.
+#: Options with a number that may be left out, and the default number.
 _DEFAULT_NUMBERS = {"--clock": "100"}
 
 
@@ -250,7 +250,7 @@ def join_numbers(arguments: Sequence[str]) -> list[str]:
 
 
 def parse_size(text: str) -> tuple[int, int]:
-    """Width and height of text such as 640x480. Raises HumansimError."""
+    """Parse width and height from a text such as 640x480. Raises HumansimError if this fails."""
     matched = re.fullmatch(r"([0-9]{1,6})\s*[xX×,*\s]\s*([0-9]{1,6})", text.strip(), re.ASCII)
     if matched is None:
         raise HumansimError(f"--size: needs width and height, such as 640x480, not {text!r}")

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from humansim_ros.data.engine import FrameProgress
 
 
-#: By suffix of an output: other suffixes of the same format, and its name in messages.
+#: By suffix of an output file: other suffixes of the same format, and name of the format in messages.
 _KINDS = {
     ".png": ((), "the image is a"),
     ".npz": ((), "a human is written to a"),
@@ -63,7 +63,7 @@ def print_warning(text: str) -> None:
 
 
 def to_json(data: Any) -> str:
-    """JSON text without NaN and infinity, which JSON cannot represent."""
+    """Convert data to JSON text. Raises HumansimError for NaN and infinity, which JSON does not have."""
     try:
         return json.dumps(data, allow_nan=False)
     except ValueError:
@@ -83,7 +83,7 @@ def print_text(text: str) -> None:
 
 
 def flush_output() -> None:
-    """Write the rest of standard output. Errors are those of :func:`print_text`."""
+    """Write the rest of standard output. Errors are handled as in :func:`print_text`."""
     with _writing_output():
         if sys.stdout is not None:  # the caller has closed it
             sys.stdout.flush()
@@ -173,14 +173,15 @@ def run_frames_shown(
     interrupted: Callable[[int], str],
     unit: str = "frames",
 ) -> FrameProgress:
-    """Run work on frames and show its progress. After a stop, or the death of a worker, say what is done.
+    """Run work on frames and show its progress. After a stop or the death of a worker, print how much is
+    done.
 
     Args:
         title: Text before the bar.
         cameras: Number of camera-frames for each frame.
-        run: Does the work. It must call its argument after each frame.
-        interrupted: Returns the text for an interruption, from the number of finished frames.
-        unit: What is counted.
+        run: Function that does the work. It must call its argument after each frame.
+        interrupted: Function of the number of finished frames that returns the text for an interruption.
+        unit: Name of what is counted.
     """
     from humansim_ros.data.engine import WorkerDiedError
 
@@ -203,14 +204,14 @@ def run_frames_shown(
 
 
 def costs_text(progress: FrameProgress, cameras: int, digits: int) -> str:
-    """Processor time of each step in ms per camera-frame. If there are no cameras, per frame."""
+    """Text with the processor time of each step, in ms per camera-frame or, without cameras, per frame."""
     units = progress.new * max(cameras, 1)
     costs = (f"{step} {1e3 * seconds / units:.{digits}f}" for step, seconds in progress.costs.items())
     return f"processor time in ms per {'camera-frame' if cameras else 'frame'}: {', '.join(costs)}"
 
 
 def _lines(cameras: int, unit: str) -> Callable[[FrameProgress], None]:
-    """Function that prints a line every five seconds."""
+    """Return a function that prints a line of progress at most every five seconds."""
     last = time.monotonic()
 
     def show(progress: FrameProgress) -> None:
@@ -225,7 +226,7 @@ def _lines(cameras: int, unit: str) -> Callable[[FrameProgress], None]:
 
 
 def time_left(progress: FrameProgress) -> str:
-    """Time left in words, from the rate of this process, since an earlier run had another rate."""
+    """Text with the time left, from the rate of this run, since an earlier run had another rate."""
     if not progress.rate:  # no task of a cluster has ended yet
         return "unknown time left"
     seconds = (progress.frames - progress.done) / progress.rate
@@ -233,7 +234,7 @@ def time_left(progress: FrameProgress) -> str:
 
 
 def rate_text(progress: FrameProgress, cameras: int, unit: str = "frames") -> str:
-    """Rate in words.
+    """Text with the rate of the work.
 
     Args:
         progress: State of the work.

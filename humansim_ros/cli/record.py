@@ -104,7 +104,7 @@ def record(
 
 
 def _record_here(recording: SceneRecording, output: Path, jobs: int, resume: bool) -> None:
-    """Record with processes of this machine."""
+    """Record with several processes on this machine."""
     from humansim_ros.data import record
 
     cameras = len({topic.camera for topic in recording.table if topic.camera and topic.per_frame})

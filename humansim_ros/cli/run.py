@@ -1,4 +1,4 @@
-"""``humansim run``, ``demo``, ``bench`` and ``play``: the nodes of a scene, and bags, over ROS 2."""
+"""``humansim run``, ``demo``, ``bench`` and ``play``: run the nodes of a scene, or play a bag, over ROS 2."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ from humansim_ros.ros.processes import SETTINGS, Stopped
 
 
 def _setting(name: str, metavar: str, end: str = ".") -> Any:
-    """Option for a lockstep setting that is a number."""
+    """Make the option of a lockstep setting that is a number."""
     setting = SETTINGS[name]
     return typer.Option(metavar=metavar, help=f"{setting.help}{end}", min=setting.low, max=setting.high)
 
@@ -179,7 +179,7 @@ def demo(
 
 
 def _check_machine() -> None:
-    """Raise an error if ROS or OpenGL is missing, once and before a process starts."""
+    """Raise an error if ROS or OpenGL is missing, before any process starts."""
     from humansim_ros.render.device import OpenGLContext
     from humansim_ros.ros.processes import prepare_logs, require_ros
 
@@ -189,7 +189,7 @@ def _check_machine() -> None:
 
 
 def _time_options(scene: Any, options: Any, folder: Path) -> Any:
-    """Options, with a file for the summary of lockstep. Raises RosError for lockstep options without
+    """Add to the options a file for the summary of lockstep. Raises RosError for lockstep options without
     lockstep."""
     from humansim_ros.errors import RosError
     from humansim_ros.scene.core import LOCKSTEP
@@ -205,14 +205,14 @@ def _time_options(scene: Any, options: Any, folder: Path) -> Any:
 
 
 def _summary(options: Any) -> Any:
-    """Summary of a run in lockstep. None before its end, and in real time."""
+    """Read the summary of a lockstep run. None if the run has not ended, or is in real time."""
     from humansim_ros.ros.processes import LockstepSummary
 
     return LockstepSummary.read(Path(options.summary)) if options.summary else None
 
 
 def _restart_note(options: Any) -> Callable[[], None]:
-    """Function that tells the player of a lockstep run that a node is started again."""
+    """Return a function that tells the motion player of a lockstep run that a node is started again."""
     from humansim_ros.ros.processes import RestartFile
 
     return RestartFile(options.summary).write if options.summary else lambda: None
@@ -308,8 +308,8 @@ def play(
 
 @contextmanager
 def pressed_keys() -> Iterator[Callable[[], str]]:
-    """Context manager. Its function returns the key pressed since the last call, or an empty text. The text
-    is always empty if standard input is no terminal, or if the command runs in the background."""
+    """Context manager that yields a function. The function returns the key pressed since the last call, or an
+    empty text. It is always empty without a terminal, or if the command runs in the background."""
     try:
         import termios
         import tty

@@ -1,6 +1,6 @@
 """``humansim check``, ``snapshot``, ``schema`` and ``mesh list``: commands about scenes.
 
-Also the options of other commands that replace parts of a scene.
+The module also has the options of other commands that replace parts of a scene.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ class SceneOptions:
         motion: Motion file or built-in motion of the first human. The motion is placed in the centre of the
             room.
         body: Body of the first human.
-        joint_names: Joint table of this motion.
-        live: Names of the humans that another node moves.
+        joint_names: Joint table for ``motion``.
+        live: Names of humans that get their motion live, from another node.
     """
 
     motion: str | None = None
@@ -94,7 +94,7 @@ class SceneOptions:
         return changed
 
     def load(self, path: Path, changed: Path) -> Scene:
-        """Load the copy of a scene. Errors name the option, or the file and line of the original scene."""
+        """Load ``changed``, the copy of the scene ``path``. Errors name the option, or line of ``path``."""
         from humansim_ros.scene.config import load_config
         from humansim_ros.scene.core import Scene, SceneSource
 
@@ -103,8 +103,8 @@ class SceneOptions:
             return Scene.from_config(config, SceneSource.of_file(path))
 
     def option(self, human: str, key: str) -> str | None:
-        """Option that has replaced a key of the scene; None if none has. ``human``: name of the first
-        human."""
+        """Name of the option that has replaced a key of the scene; None if no option has. ``human``: name of
+        the first human."""
         section = f"humans.{human}."
         given = {
             f"{section}motion.joint_names": ("--joint-names", self.joint_names),
@@ -118,7 +118,7 @@ class SceneOptions:
 
     @contextmanager
     def naming_options(self, human: str) -> Iterator[None]:
-        """Name the option in errors about a value that the option has replaced."""
+        """Context manager: errors within it about a replaced value name the option."""
         try:
             yield
         except HumansimError as error:
@@ -133,7 +133,7 @@ def _begins(key: str, start: str) -> bool:
 
 
 def _absolute(name: str) -> str:
-    """Absolute path of a file. The name of a built-in is returned unchanged."""
+    """Absolute path of a file. The name of a built-in (no suffix, no such file) is unchanged."""
     path = expand_user(name)
     return str(path.resolve()) if path.suffix or exists(path) else name
 

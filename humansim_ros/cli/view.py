@@ -1,4 +1,4 @@
-"""``humansim view``: a page in the browser."""
+"""``humansim view``: show things in 3D in the browser."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ def __getattr__(name: str) -> Any:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Describe the markers of the fixtures."""
+    """Register the markers of the fixtures with pytest."""
     for line in (
         "humansim_scene(scene): scene of the fixture humansim_scene: a file, a mapping or a Scene",
         "humansim_graph(namespace, processes, limit): options of the fixture humansim_graph",
@@ -45,8 +45,8 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.fixture(scope="session")
 def humansim_domain() -> Iterator[int]:
-    """ROS domain for the tests of this process. No other test process on this machine uses it. Until the end
-    of the session, ROS_DOMAIN_ID is set to this domain, and other hosts do not see it."""
+    """Fixture: a ROS domain that no other test process on this machine uses. Until the end of the session,
+    ROS_DOMAIN_ID is set to this domain, and other hosts do not see its nodes."""
     from humansim_ros.ros.graph import claim_domain, domain_environment
     from humansim_ros.testing.support import environment
 
@@ -57,9 +57,9 @@ def humansim_domain() -> Iterator[int]:
 
 @pytest.fixture
 def humansim_scene(request: pytest.FixtureRequest) -> Scene:
-    """Scene of the test: by default two people and two small cameras. The marker ``humansim_scene`` or an
-    indirect parameter names another scene: a file relative to the file of the test, a mapping with the keys
-    of a scene file, or a Scene."""
+    """Fixture: the scene of the test. The default has two people and two small cameras. The marker
+    ``humansim_scene`` or an indirect parameter names another scene: a file relative to the file of the test,
+    a mapping with the keys of a scene file, or a Scene."""
     from humansim_ros.files.reading import resource_path
 
     marker = request.node.get_closest_marker("humansim_scene")
@@ -76,9 +76,8 @@ def humansim_scene(request: pytest.FixtureRequest) -> Scene:
 def humansim_graph(
     request: pytest.FixtureRequest, humansim_domain: int, humansim_scene: Any
 ) -> Iterator[SceneGraph]:
-    """Nodes of the fixture ``humansim_scene`` in lockstep, in their own ROS domain (docs/testing.md). The
-    marker ``humansim_graph`` takes the options of :class:`SceneGraph`. If ROS 2 is missing, the test is
-    skipped."""
+    """Fixture: nodes of ``humansim_scene`` in lockstep, in their own ROS domain (docs/testing.md). The marker
+    ``humansim_graph`` takes the options of :class:`SceneGraph`. If ROS 2 is missing, the test is skipped."""
     from humansim_ros.errors import RosError
     from humansim_ros.ros.processes import require_ros
 

@@ -1,4 +1,4 @@
-"""The nodes of a scene for a test, in lockstep. A frame is sent when the test asks for it."""
+"""Run the nodes of a scene for a test, in lockstep: a frame is sent when the test asks for it."""
 
 from __future__ import annotations
 
@@ -40,11 +40,10 @@ from humansim_ros.ros.processes import TEST_NODE, relative_namespace
 from humansim_ros.scene.core import Scene
 from humansim_ros.testing.support import patience, running_rclpy
 
-#: Longest wait for callbacks, seconds: if all nodes have one rclpy context, and if there are several
-#: contexts.
+#: Longest wait for callbacks, seconds: with one rclpy context for all nodes, and with several contexts.
 _STEP, _SHORT_STEP = 0.05, 0.002
-#: Longest time for the nodes of the test to handle all that they have received, seconds, since timers may go
-#: on for ever.
+#: Longest time for the nodes of the test to handle all received messages, seconds. It is limited, since
+#: timers never end.
 _MAX_REST = 1.0
 
 
@@ -52,9 +51,9 @@ class SceneGraph:
     """Motion player, skinners and cameras of a scene in lockstep, and a node that receives for the test.
 
     The nodes start with the first frame, so that nodes and subscriptions of the test come before it. Frame k
-    has the stamp 1 ns + round(k * period), as in Simulation. It is sent when the test asks for it, and all
-    cameras and all subscriptions of the test have the previous frame. Cameras with their own rate, and the
-    nodes that answer them, only get the frames of these cameras.
+    has the stamp 1 ns + round(k * period), as in Simulation. It is sent when the test asks for a frame, and
+    after all cameras and all subscriptions of the test have finished the previous frame. A camera with its
+    own rate takes part only in its own frames, as do the nodes that answer it.
 
     Use it as a context manager. The fixture ``humansim_graph`` yields one for each test.
 
@@ -88,13 +87,13 @@ class SceneGraph:
         self._running: InProcessNodes | NodeProcesses | None = None
         self._received: dict[str, ReceivedMessages] = {}
         self._subscriptions: dict[str, Any] = {}
-        #: Number of the frame in flight.
+        #: Number of the frame in flight: the frame that is sent and not finished.
         self._index: int | None = None
         #: Stamp of the frame in flight; and stamp of the newest frame that the test has released.
         self._frame = self._released = -1
-        #: Number of frames of the test.
+        #: Number of frames that the test has played.
         self._frames = 0
-        #: Newest stamp that each camera has finished.
+        #: By camera or scanner: newest stamp that it has finished.
         self._finished = dict.fromkeys([*scene.cameras, *scene.scanners], -1)
         #: By topic: number of messages before the frame in flight.
         self._before: dict[str, int] = {}
@@ -154,8 +153,8 @@ class SceneGraph:
             topic: Name. A relative name is in the namespace of the scene.
             type: Message class. If None, that of the scene or of a publisher; the call waits for a publisher.
             qos: Quality of service. If None, all messages of all publishers arrive.
-            every_frame: Whether each frame waits for a message of this topic with its stamp or a newer one.
-                For messages without stamp, any message counts.
+            every_frame: Whether each frame waits for a message of this topic with the stamp of the frame or a
+                newer stamp. For messages without stamp, any message counts.
 
         Returns:
             The messages. Messages of later frames are added to them.
@@ -181,10 +180,10 @@ class SceneGraph:
             self.node.destroy_subscription(self._subscriptions.pop(name))
 
     def play(self, frames: int = 1) -> list[int]:
-        """Play the next frames. Each waits for all cameras and for the topics that have every frame.
+        """Play the next frames. Each frame waits for all cameras, and for subscriptions with ``every_frame``.
 
-        Nodes added by ``add_node`` have then handled all messages of the frames that were sent in this
-        process.
+        Afterwards, nodes added by ``add_node`` have handled all messages of these frames that were sent in
+        this process.
 
         Returns:
             Stamps of the frames, nanoseconds.
@@ -209,8 +208,8 @@ class SceneGraph:
             count: Number of messages.
             type: Message class. If None, that of the scene or of a publisher; the call waits for a publisher.
             qos: Quality of service. If None, all messages of all publishers arrive.
-            every_frame: Whether each frame waits for its message. Set False for nodes that do not answer each
-                frame. Frames then wait only for the cameras.
+            every_frame: Whether each frame waits for its message. With False, for nodes that do not answer
+                each frame, frames wait only for the cameras.
 
         Returns:
             The messages, in the order of their arrival.
@@ -233,8 +232,8 @@ class SceneGraph:
                 raise RosError(self._explanation(stamp, [received]))
 
     def wait_for(self, topic: str, type: Any = None, qos: QoSProfile | None = None) -> Any:
-        """Newest message of a topic, such as a latched one. Waits for the first message, and plays no other
-        frame.
+        """Return the newest message of a topic, such as a latched topic. Waits for the first message, without
+        playing frames.
 
         Args:
             topic: Name. A relative name is in the namespace of the scene.
@@ -251,8 +250,8 @@ class SceneGraph:
         return received[-1]
 
     def spin_until(self, condition: Callable[[], object], text: str = "the condition is not true") -> None:
-        """Let all nodes work until a condition is true. No further frame is sent. ``text``: the missing
-        thing, for the error. Raises RosError after the limit."""
+        """Let all nodes work until a condition is true. No further frame is sent. ``text``: what is missing,
+        for the error. Raises RosError after the limit."""
         self._start()
         self._spin_until(condition, text)
 
@@ -313,7 +312,7 @@ class SceneGraph:
                 self._finished[camera] = max(self._finished[camera], stamp)
 
     def _release(self) -> None:
-        """Report the frame in flight, so that the next one follows."""
+        """Report that the frame in flight is finished, so that the next frame can be sent."""
         self._released = self._frame
         self._report(self._frame)
 
@@ -358,13 +357,13 @@ class SceneGraph:
             self._running.check()
 
     def _handle_rest(self) -> None:
-        """Call the callbacks that are ready, and further ones that become ready by them."""
+        """Call the callbacks that are ready, and those that become ready meanwhile."""
         end = time.monotonic() + _MAX_REST
         while any(map(_handles_one, self._executors.values())) and time.monotonic() < end:
             pass
 
     def _offer(self, name: str, kind: Any) -> tuple[Any, QoSProfile]:
-        """Type and quality of service for a subscription that gets all messages of a topic."""
+        """Find message class and quality of service for a subscription that gets all messages of a topic."""
         for topic in scene_topics(self.scene):
             if topic.in_namespace(self.node.get_namespace()) == name:
                 return kind or topic.type, subscription_profile([offered_profile(topic)])
@@ -381,7 +380,7 @@ class SceneGraph:
     # --- errors
 
     def _explanation(self, stamp: int, topics: list[ReceivedMessages] | None = None) -> str:
-        """Text about a frame that is not finished, or about topics without messages."""
+        """Text of the error that a frame is not finished, or that topics have no messages."""
         missing = [each.topic for each in topics] if topics else self._missing(stamp)
         lines = [self._silence(name) for name in missing if name in self._received]
         cameras = [name for name in missing if name not in self._received]
@@ -390,7 +389,7 @@ class SceneGraph:
         return f"frame {max(self._frames - 1, 0)}: " + "; ".join(lines)
 
     def _silence(self, name: str) -> str:
-        """Text about a topic without a message."""
+        """Text that says why a topic may have no message."""
         publishers = self._publishers(name)
         if not publishers:
             known = [topic for topic, _ in self.node.get_topic_names_and_types()]
@@ -412,7 +411,7 @@ class SceneGraph:
 
 
 def _handles_one(executor: Any) -> bool:
-    """Call a callback that is ready. Returns False if none is ready."""
+    """Call one callback that is ready. Returns False if no callback is ready."""
     try:
         handler, *_ = executor.wait_for_ready_callbacks(timeout_sec=0.0)
     except TimeoutException:
@@ -423,7 +422,7 @@ def _handles_one(executor: Any) -> bool:
 
 
 def _is_of(message: Any, first: int) -> bool:
-    """Whether a message may belong to the frame ``first`` or a later one."""
+    """Whether a message may belong to the frame with the stamp ``first``, or to a later frame."""
     stamp = stamp_of(message)
     return stamp is None or stamp >= first
 
@@ -435,9 +434,9 @@ def stamp_of(message: Any) -> int | None:
 
 
 class ReceivedMessages(Sequence[Any]):
-    """Messages of one topic in the order of their arrival, one for each stamp.
+    """Messages of one topic, one for each stamp, in the order of arrival.
 
-    A frame may be sent again, so that messages come again. The newest message of each stamp is kept.
+    If a frame is sent again, its messages come again. The newest message of each stamp is kept.
 
     Attributes:
         topic: Full name of the topic.
@@ -450,7 +449,7 @@ class ReceivedMessages(Sequence[Any]):
         self.topic, self.every_frame = topic, every_frame
         self.arrived = 0
         self.newest = -1
-        #: By stamp; messages without a stamp have negative numbers.
+        #: By stamp, nanoseconds. Messages without a stamp have negative numbers instead.
         self._messages: dict[int, Any] = {}
 
     def add(self, message: Any) -> None:
@@ -462,7 +461,7 @@ class ReceivedMessages(Sequence[Any]):
             self.newest = max(self.newest, stamp)
 
     def at(self, moment: Any) -> Any:
-        """The message with a stamp: nanoseconds, or another message with this stamp.
+        """Return the message with a stamp. ``moment``: nanoseconds, or another message with this stamp.
 
         Raises:
             RosError: There is no such message.
@@ -496,12 +495,12 @@ class ReceivedMessages(Sequence[Any]):
 NEVER = 1e6
 #: ``humansim run`` must end within this time, seconds.
 _END_WITHIN = 30.0
-#: Most characters of its output in an error.
+#: Most characters of the output of ``humansim run`` in an error.
 _MAX_OUTPUT = 2000
 
 
 class NodeProcesses:
-    """``humansim run`` of a scene file.
+    """Runs ``humansim run`` with a scene file.
 
     Args:
         path: Scene file.

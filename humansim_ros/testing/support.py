@@ -1,4 +1,4 @@
-"""Support for tests: patience on a loaded machine, their own ROS domain, and rclpy's default context."""
+"""Support for tests: long waits on a slow machine, environment variables, and rclpy's default context."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def environment(**values: str) -> Iterator[None]:
 def running_rclpy() -> Iterator[None]:
     """Context manager that initialises rclpy's default context, with a transport for images. At the end,
     remaining nodes of this context are destroyed, since nodes of an EventsExecutor would stay in the graph
-    for ever. If the context is initialised already, it belongs to other code, and nothing is done."""
+    for ever. If other code has initialised the context already, nothing is done."""
     import rclpy
 
     from humansim_ros.ros.processes import prepare_transport
@@ -49,7 +49,7 @@ def running_rclpy() -> Iterator[None]:
 
 @contextmanager
 def _recorded_nodes() -> Iterator[weakref.WeakSet[Any]]:
-    """Context manager. Yields the nodes that are created in rclpy's default context until its end."""
+    """Context manager that yields the set of nodes which are created within it in rclpy's default context."""
     import rclpy
     from rclpy.node import Node
 

@@ -18,24 +18,24 @@ from humansim_ros.scene.features import Sweep
 from humansim_ros.scene.truth import BodyBox, UprightBox
 from humansim_ros.types import Array
 
-#: People with at least this visible share are fully visible, or partly occluded. The others are largely
-#: occluded.
+#: Smallest visible shares of people who are fully visible, and partly occluded. Others are largely occluded.
 _VISIBLE, _PARTLY = 0.9, 0.5
 _UP = np.array([0.0, 0.0, 1.0])
-#: Classes of points of SemanticKITTI: a person who moves or stands, and another labelled object.
+#: Class numbers of points in SemanticKITTI: a moving person, a standing person, another labelled object.
 _MOVING_PERSON, _PERSON, _OBJECT = 254, 30, 99
 #: A person moves if the speed of the hips is above this, m/s.
 MOVING_SPEED = 0.1
 
 
 class KittiWriter(FormatWriter):
-    """``<scanner>/velodyne`` and ``labels``, and by camera ``image_2``, ``calib`` and ``label_2``.
+    """Writes ``<scanner>/velodyne`` and ``labels``, and for each camera ``image_2``, ``calib`` and
+    ``label_2``.
 
     Each file belongs to the frame at which a sweep ends, or to the first frame after it. Labels are those of
-    this frame. The list of frames has those with images of all cameras, which may have rates of their own.
-    KITTI's boxes are upright in the frame of the rectified camera. Here it has the centre of the camera, z
-    horizontal and y down, so that boxes are exact for cameras that look down, too: ``R0_rect`` turns the
-    camera into it, and ``P2`` turns it back.
+    this frame. Cameras may have their own rates, so the list of frames has only those with images of all
+    cameras. KITTI's boxes are upright in the frame of the rectified camera. Here this frame is levelled: z is
+    horizontal and y down, so that boxes are exact also for cameras that look down. ``R0_rect`` turns from the
+    camera to this frame, and ``P2`` turns back.
     """
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
@@ -52,7 +52,7 @@ class KittiWriter(FormatWriter):
         return list(ended)
 
     def _point_labels(self, frame: ExportFrame, sweep: Sweep) -> NDArray[np.uint32]:
-        """Instance label << 16 | class of each point."""
+        """Label of each point: instance label << 16 | class."""
         people = {
             name: _MOVING_PERSON if state.speed > MOVING_SPEED else _PERSON
             for name, state in frame.frame.humans.items()
@@ -105,7 +105,8 @@ def point_classes(
 
 
 def levelled(camera: Camera) -> Array:
-    """Rotation (3, 3) from ``map`` to the frame with z in the horizontal direction of view, and y down."""
+    """Rotation (3, 3) from ``map`` to the levelled frame of a camera: z in the horizontal direction of view,
+    y down."""
     forward = camera.R[2] * (1, 1, 0)
     if np.linalg.norm(forward) < 1e-6:  # it looks straight down or up
         forward = camera.R[1] * (-1, -1, 0) * np.sign(-camera.R[2, 2])
@@ -114,7 +115,7 @@ def levelled(camera: Camera) -> Array:
 
 
 def calibration_text(camera: Camera, sweep: Sweep) -> str:
-    """Text of ``calib``: from a point x of the scanner, P2 R0_rect Tr_velo_to_cam x is its pixel."""
+    """Text of ``calib``. A point x of the scanner is at the pixel P2 R0_rect Tr_velo_to_cam x."""
     level = levelled(camera)
     rectify = level @ camera.R.T
     projection = np.column_stack([camera.K @ rectify.T, np.zeros(3)])

@@ -23,18 +23,18 @@ class Markup(str):
 
 
 def joined(parts: Iterable[str]) -> Markup:
-    """Elements and texts one after the other."""
+    """Join elements and texts. Plain texts are escaped."""
     return Markup("".join(part if isinstance(part, Markup) else escape(part) for part in parts))
 
 
 def element(tag: str, *content: str, **attributes: str | float | None) -> Markup:
-    """An element.
+    """Make an element of HTML or SVG.
 
     Args:
         tag: Name of the element.
-        content: Elements and texts in it.
-        attributes: ``_`` in a name stands for ``-``, but not at its end, as in ``class_``. Numbers have at
-            most two decimals. None leaves the attribute out.
+        content: Elements and texts inside the element.
+        attributes: Attributes by name. ``_`` in a name becomes ``-``; at the end (``class_``) it is removed.
+            Numbers have at most two decimals. None leaves the attribute out.
 
     Example:
         >>> print(element("text", "a < b", font_size=12.0, class_="title"))
@@ -53,7 +53,7 @@ def _value(value: str | float) -> str:
 
 
 def page(title: str, style: str, *content: str) -> str:
-    """An HTML page. ``style``: name of a style sheet of ``config/styles``."""
+    """Text of an HTML page. ``style``: name of a style sheet in ``config/styles``."""
     sheet = resource_path(f"config/styles/{style}.css").read_text("utf-8")
     head = element("head", Markup('<meta charset="utf-8">'), element("title", title))
     head = Markup(head.replace("</head>", f"<style>\n{sheet}</style></head>"))
@@ -62,7 +62,7 @@ def page(title: str, style: str, *content: str) -> str:
 
 
 def section(title: str, content: str) -> Markup:
-    """A part of a page with a heading."""
+    """A section of a page: a heading and content."""
     return element("section", element("h2", title), content or element("p", "No data."))
 
 
@@ -76,7 +76,7 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]], classes: Iterabl
 
 
 def picture(image: NDArray[np.uint8], title: str) -> Markup:
-    """An image (H, W, 3) RGB as JPEG."""
+    """Element with an image (H, W, 3) RGB, embedded as JPEG."""
     _, encoded = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
     data = base64.b64encode(encoded.tobytes()).decode("ascii")
     height, width = image.shape[:2]
@@ -84,7 +84,7 @@ def picture(image: NDArray[np.uint8], title: str) -> Markup:
 
 
 def svg(shapes: Iterable[str], width: float, height: float, **attributes: str | float | None) -> Markup:
-    """A drawing in SVG of a size in pixels."""
+    """A drawing in SVG. ``width``, ``height``: pixels."""
     return element(
         "svg",
         *shapes,

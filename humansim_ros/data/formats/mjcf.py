@@ -36,23 +36,24 @@ from humansim_ros.render.interface import Lighting
 from humansim_ros.types import Array
 
 _ASSETS = "assets"
-#: Most letters of the name of a bone in a skin file, minus one.
+#: Longest name of a bone in a skin file, characters.
 _LONGEST = 39
-#: Groups of geoms: 2 is drawn by default, 3 is not.
+#: Groups of geoms: 2 (for drawing) is visible by default, 3 (for contacts) is not.
 _DRAWN, _TOUCHED = "2", "3"
-#: Half the thickness of a flat surface for contacts, metres. It lies behind the surface.
+#: Flat surfaces get a box for contacts, behind the surface. This is half the thickness of the box, metres.
 _HALF_THICKNESS = 0.01
-#: Surfaces thinner than this, metres, are flat.
+#: Surfaces thinner than this, metres, count as flat.
 _FLAT = 1e-4
-#: Most parts of a mesh for contacts: the largest ones, since a scan may have thousands of fragments.
+#: Most parts of a mesh that are used for contacts. The largest are used, since a scan may have thousands.
 _MOST_PARTS = 500
-#: Most corners of the hull of the skin of a bone.
+#: Most corners of the convex hull of the skin of a bone.
 _CORNERS = "48"
 _Element = ElementTree.Element
 
 
 class MujocoWriter(AnimationWriter):
-    """A scene at its first frame as ``scene.xml`` with ``assets/``; poses of all frames as ``motion.npz``."""
+    """Writes the first frame as ``scene.xml`` with ``assets/``, and the poses of all frames as
+    ``motion.npz``."""
 
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
         scene = self.animated(records)
@@ -65,11 +66,11 @@ class MujocoWriter(AnimationWriter):
 
 
 class MujocoModel:
-    """A model while it is made. Warns (HumansimWarning) of what MuJoCo cannot hold.
+    """A model of MuJoCo while it is built. Warns (HumansimWarning) of what MuJoCo does not support.
 
     Args:
         scene: The scene over time.
-        assets: Folder of meshes, skins and textures.
+        assets: Folder for meshes, skins and textures.
     """
 
     def __init__(self, scene: AnimatedScene, assets: ExportFolder) -> None:
@@ -105,7 +106,8 @@ class MujocoModel:
 
     @property
     def motion(self) -> Mapping[str, NDArray[np.generic]]:
-        """Times (F,) in seconds, and names, positions and rotations (wxyz) of the M mocap bodies."""
+        """Arrays of ``motion.npz``: times (F,) in seconds; names, positions and rotations (wxyz) of the M
+        mocap bodies."""
         tracks = self._tracks.values()
         flat = np.array([np.hstack([each.positions, _wxyz(each.rotations)]) for each in tracks])
         poses = np.swapaxes(flat.reshape(len(tracks), len(self._times), 7), 0, 1)
@@ -113,12 +115,12 @@ class MujocoModel:
         return {"time": self._times, "body": names, "mocap_pos": poses[..., :3], "mocap_quat": poses[..., 3:]}
 
     def encoded(self) -> str:
-        """Text of the model."""
+        """Text of the XML file of the model."""
         ElementTree.indent(self._root)
         return ElementTree.tostring(self._root, encoding="unicode") + "\n"
 
     def add_light(self, lighting: Lighting) -> None:
-        """Add the sun; the sky is ambient light of the headlight."""
+        """Add the sun. The light of the sky becomes the ambient part of MuJoCo's headlight."""
         factor = lighting.strength * 2.0**lighting.exposure
         mean = (np.array(lighting.sky_color) + np.array(lighting.ground_color)) / 2
         add_tag(self._visual, "headlight", ambient=joined(factor * mean), diffuse="0 0 0", specular="0 0 0")
@@ -134,11 +136,11 @@ class MujocoModel:
         )
 
     def add_geoms(self, body: _Element, name: str, mesh: Mesh) -> None:
-        """Add a mesh as it is seen, and the hulls of its parts for contacts.
+        """Add a mesh for drawing, and the convex hulls of its parts for contacts.
 
         Args:
-            body: Element of its body.
-            name: Name of its files.
+            body: Element of the body that gets the mesh.
+            name: Name of the files of the mesh.
             mesh: The mesh in the frame of the body.
         """
         mesh = painted(mesh)
@@ -164,7 +166,8 @@ class MujocoModel:
             add_tag(body, "geom", type="box", size=joined(half), **place, group=_TOUCHED, mass="0")
 
     def _add_person(self, name: str, person: AnimatedHuman) -> None:
-        """Add a mocap body for each bone, with the hull of its skin, and the skin of all."""
+        """Add a mocap body for each bone, with the convex hull of the skin of the bone; and the skin of the
+        person."""
         human, size = person.human, float(person.sizes[0])
         if person.grows:
             warn_about(f"MuJoCo person {name}", "its size changes: it keeps the first one")
@@ -210,7 +213,7 @@ class MujocoModel:
         return add_tag(self.world, "body", name=name, **_pose(track))
 
     def _look(self, mesh: Mesh) -> dict[str, str]:
-        """Attributes of a geom or skin: a material with the texture of its mesh."""
+        """Attributes of a geom or skin: the material, with the texture of the mesh."""
         texture = self._textures.of(mesh)
         if texture is None:
             return {}
@@ -225,7 +228,7 @@ def skin_bytes(mesh: Mesh, person: AnimatedHuman, bodies: list[str]) -> bytes:
     """Content of a skin file (.skn) of MuJoCo: the rest pose in the axes of ``map``, and the weights.
 
     Args:
-        mesh: The mesh; copies of its vertices at seams of the texture follow.
+        mesh: Mesh of the person. Copies of its vertices at seams of the texture are added at the end.
         person: Skeleton, weights and size.
         bodies: Name of the body of each bone.
     """
@@ -260,8 +263,8 @@ def _parts(mesh: Mesh) -> list[Array]:
 
 
 def _fitted_box(points: Array) -> tuple[Array, Array, Array]:
-    """Centre (3,), axes (3, 3) as columns and half lengths (3,) of a box around points. The thinnest side is
-    last."""
+    """Fit a box around points. Returns its centre (3,), axes (3, 3) as columns and half lengths (3,), the
+    thinnest side last."""
     _, _, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=True)
     if np.ptp(points, axis=0).min() <= _FLAT:  # a wall or floor: its sides are along the axes of its frame
         axes = np.eye(3)[np.argsort(-np.ptp(points, axis=0), kind="stable")]
@@ -280,7 +283,7 @@ def _facing(mesh: Mesh, points: Array, direction: Array) -> float:
 
 
 def _hull(points: Array) -> Array | None:
-    """Corners of the convex hull of points (P, 3); None if the hull has no volume."""
+    """Corner points of the convex hull of points (P, 3); None if the hull has no volume."""
     if len(points) < 4:
         return None
     try:

@@ -1,8 +1,8 @@
 """Frames, sensors, poses and 3D boxes of people in the tables of nuScenes [Caesar 2020].
 
 A sample is a frame that all cameras capture, and at which a sweep of each scanner ends. Data of other frames
-are sweeps between samples. The pose of the vehicle (``ego_pose``) is that of the robot, or ``map``. Points of
-samples have the labels of nuScenes-lidarseg [Fong 2022].
+are sweeps between samples. The pose of the vehicle (``ego_pose``) is that of the robot; without a robot it is
+the origin of ``map``. Points of samples have the labels of nuScenes-lidarseg [Fong 2022].
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ from humansim_ros.types import Array
 
 #: Version of the tables, and their folder.
 VERSION = "v1.0-humansim"
-#: Levels of visibility and their shares.
+#: Levels of visibility, each with the visible share at which it ends.
 _LEVELS = {"v0-40": 0.4, "v40-60": 0.6, "v60-80": 0.8, "v80-100": np.inf}
 _ADULT, _CHILD, _CHILD_HEIGHT = "human.pedestrian.adult", "human.pedestrian.child", 1.4
-#: Categories in the order of their labels of points. Programs know these numbers.
+#: Categories, ordered by their numbers in the labels of points, which other programs know.
 _CATEGORIES = (
     *("noise", "animal", _ADULT, _CHILD),
     *(
@@ -51,7 +51,7 @@ _CATEGORIES = (
     *(f"flat.{name}" for name in ("driveable_surface", "other", "sidewalk", "terrain")),
     *("static.manmade", "static.other", "static.vegetation", "vehicle.ego"),
 )
-#: Category of labelled objects. Points of other things are noise, which has the number 0.
+#: Number of the category of labelled objects. Points without a label are noise, number 0.
 _OBJECT = _CATEGORIES.index("static.other")
 _MOVING, _STANDING = "pedestrian.moving", "pedestrian.standing"
 _MAP = "maps/blank.png"
@@ -59,12 +59,12 @@ _Row = dict[str, Any]
 
 
 class NuScenesWriter(FormatWriter):
-    """``samples``, ``sweeps``, ``lidarseg``, ``maps`` and the tables of ``v1.0-humansim``.
+    """Writes ``samples``, ``sweeps``, ``lidarseg``, ``maps`` and the tables of ``v1.0-humansim``.
 
     ``settings``: settings of the export.
 
     Raises:
-        ExportError: The names of two cameras differ only in case, but channels are upper case.
+        ExportError: The names of two cameras differ only in case, so their channels (upper case) are equal.
     """
 
     def __init__(self, settings: ExportSettings) -> None:
@@ -114,7 +114,7 @@ class NuScenesWriter(FormatWriter):
                 folder.write(f"{VERSION}/{table}.json", json.dumps(rows, indent=0) + "\n")
 
     def _token(self, *words: object) -> str:
-        """Token of a row. It is the same in equal exports."""
+        """Token (id) of a row, made from ``words``. Equal exports have equal tokens."""
         return hashlib.md5(
             repr((self.settings.scene.title, *words)).encode(), usedforsecurity=False
         ).hexdigest()
@@ -133,7 +133,7 @@ class NuScenesWriter(FormatWriter):
         camera: Camera | None = None,
     ) -> list[_Row]:
         """Rows of ``sample_data``, ``ego_pose`` and ``calibrated_sensor`` for a file. The token of its sample
-        is missing."""
+        is added later."""
         robot = frame.frame.robot
         ego = np.eye(4) if robot is None else _pose(robot.rotation, robot.position)
         suffix = ".pcd.bin" if camera is None else self.settings.image_suffix
@@ -162,7 +162,8 @@ class NuScenesWriter(FormatWriter):
         return [data, ego_pose, calibrated]
 
     def _annotation(self, name: str, frame: Frame, sweeps: Iterable[Sweep]) -> _Row:
-        """Row of ``sample_annotation``: box of a person, visibility, attribute and number of laser points."""
+        """Row of ``sample_annotation`` for a person: box, visibility, attribute and number of laser
+        points."""
         state, token = frame.humans[name], self._token
         box = state.upright_box
         length, width, height = box.size
@@ -187,7 +188,7 @@ class NuScenesWriter(FormatWriter):
         }
 
     def _scene(self, frames: dict[int, Record], samples: list[int]) -> dict[str, list[_Row]]:
-        """Tables of the scene, its samples and people, and names."""
+        """Tables of the scene, samples, annotations of people, and names such as categories."""
         token, title = self._token, self.settings.scene.title
         people = {
             name: _chained([frames[index]["people"][name] for index in samples])
@@ -276,12 +277,12 @@ class NuScenesWriter(FormatWriter):
 
 
 def _labels_file(row: _Row) -> str:
-    """Labels of the points of a row of ``sample_data``."""
+    """Path of the file with the labels of the points for a row of ``sample_data``."""
     return f"lidarseg/{VERSION}/{row['token']}_lidarseg.bin"
 
 
 def _cloud(sweep: Sweep) -> bytes:
-    """Points of a sweep: x, y, z, intensity of 0 to 255, and ring."""
+    """Content of the file of a sweep: for each point x, y, z, intensity (0 to 255) and ring."""
     intensities = 255 * np.minimum(sweep.returns.intensities, 1.0)
     rings = sweep.rays.rings[sweep.returns.rays]
     return np.column_stack([sweep.points, intensities, rings]).astype("<f4").tobytes()
@@ -292,11 +293,11 @@ def _pose(rotation: Array, position: Array) -> Array:
 
 
 def _placed(pose: Array) -> _Row:
-    """Translation and rotation wxyz of a pose (4, 4)."""
+    """Fields of a row for a pose (4, 4): translation and rotation (wxyz)."""
     return {"translation": pose[:3, 3], "rotation": np.roll(matrix_to_quaternion(pose[:3, :3]), 1)}
 
 
 def _chained(rows: list[_Row]) -> list[_Row]:
-    """The rows, with their ``prev`` and ``next`` set."""
+    """Set ``prev`` and ``next`` of rows to the tokens of the neighbouring rows. Returns the rows."""
     tokens = ["", *(row["token"] for row in rows), ""]
     return [{**row, "prev": tokens[number], "next": tokens[number + 2]} for number, row in enumerate(rows)]

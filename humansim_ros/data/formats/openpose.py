@@ -25,7 +25,7 @@ def calibration_text(settings: ExportSettings, format: str, cameras: Sequence[st
     """Text of the calibration file of the cameras of a scene.
 
     ``format``: name of a calibration format with one file for all cameras (docs/cameras.md). ``cameras``:
-    names, in the order of the file; all by default.
+    names of cameras in the order of the file; all by default.
 
     Raises:
         ExportError: A camera moves, or the format cannot store its lens.
@@ -45,7 +45,7 @@ def calibration_text(settings: ExportSettings, format: str, cameras: Sequence[st
 
 
 class AniposeWriter(FormatWriter):
-    """``calibration.toml`` of Anipose and aniposelib, in metres."""
+    """Writes ``calibration.toml`` of Anipose and aniposelib, in metres."""
 
     def __init__(self, settings: ExportSettings) -> None:
         super().__init__(settings)
@@ -55,7 +55,7 @@ class AniposeWriter(FormatWriter):
         folder.write("calibration.toml", self._calibration)
 
 
-#: Confidence of a keypoint that the camera sees, and of one that is occluded, since readers take 0 for "not
+#: Confidence of a visible keypoint, and of an occluded keypoint. It is not 0, which readers take for "not
 #: found".
 VISIBLE_CONFIDENCE, OCCLUDED_CONFIDENCE = 1.0, 0.5
 #: Keypoint sets that Pose2Sim knows, and its names of them.
@@ -63,7 +63,8 @@ POSE2SIM_MODELS = {"body25": "BODY_25", "openpose137": "BODY_25", "coco17": "COC
 
 
 def openpose_keypoints(pixels: Array, visible: NDArray[np.uint8]) -> Array:
-    """Rows x, y, confidence (K, 3) from pixels (K, 2) and visibility (K,). Zeros outside the image."""
+    """Convert pixels (K, 2) and visibility (K,) to rows x, y, confidence (K, 3). Points outside the image are
+    zeros."""
     confidence = np.where(visible == VISIBLE, VISIBLE_CONFIDENCE, 0.0)
     confidence[visible == OCCLUDED] = OCCLUDED_CONFIDENCE
     found = confidence > 0
@@ -73,8 +74,8 @@ def openpose_keypoints(pixels: Array, visible: NDArray[np.uint8]) -> Array:
 def openpose_text(people: Sequence[Array], keypoints: KeypointSet) -> str:
     """Text of the OpenPose file of one image.
 
-    The file lists all people in the order given, and people out of sight with zeros, so that entry n is the
-    same person in all files. ``person_id`` counts from 1.
+    The file lists all people in the given order. People out of sight have zeros, so that entry n is the same
+    person in all files. ``person_id`` counts from 1.
 
     Args:
         people: Keypoints (K, 3) of each person, from :func:`openpose_keypoints`.
@@ -102,10 +103,11 @@ def openpose_file(camera: str, frame: int) -> str:
 
 
 def pose2sim_order(cameras: Iterable[str]) -> list[str]:
-    """Order of Pose2Sim for folders of keypoints: by the last number in the name. Names without number come
-    last.
+    """Sort cameras as Pose2Sim sorts their folders of keypoints: by the last number in the name. Names
+    without number come last.
 
-    It takes cameras from ``Calib.toml`` in the order of the file, and compares no names.
+    Pose2Sim takes calibrations in the order of ``Calib.toml`` and compares no names, so the file needs this
+    order.
 
     Example:
         >>> pose2sim_order(["camera_10", "left", "camera_2"])
@@ -120,8 +122,8 @@ def pose2sim_order(cameras: Iterable[str]) -> list[str]:
 
 
 class OpenPoseWriter(FormatWriter):
-    """A project of Pose2Sim: keypoints of all cameras in OpenPose's format, ``calibration/Calib.toml``,
-    ``Config.toml``. With this configuration, ``Pose2Sim.triangulation()`` runs."""
+    """Writes a project of Pose2Sim: keypoints of all cameras in OpenPose's format, ``calibration/Calib.toml``
+    and ``Config.toml``. With this configuration, ``Pose2Sim.triangulation()`` runs."""
 
     def __init__(self, settings: ExportSettings) -> None:
         super().__init__(settings)
@@ -170,7 +172,8 @@ class OpenPoseWriter(FormatWriter):
 
 
 def _pose_model(keypoints: str) -> list[str]:
-    """Lines of the section ``pose``: a skeleton of Pose2Sim, or one of a root with all points below it."""
+    """Lines of section ``pose`` of the configuration: a skeleton of Pose2Sim, or a new one, a root with all
+    points as children."""
     if keypoints in POSE2SIM_MODELS:
         return [f'pose_model = "{POSE2SIM_MODELS[keypoints]}"']
     lines = ['pose_model = "CUSTOM"', "[pose.CUSTOM]", 'name = "root"', 'id = "None"']

@@ -14,16 +14,17 @@ from humansim_ros.scene.truth import OUTSIDE, BodyBox, KeypointView
 
 #: Class of pedestrians, the only class that is evaluated.
 _PEDESTRIAN = 1
-#: Offset from pixels with the centre of the first one at 0 to pixels with the border of the first one at 1.
+#: Added to pixels of this package (centre of the first pixel at 0), gives pixels of MOTChallenge (its border
+#: at 1).
 _FROM_CORNER = 1.5
 
 
 class MotWriter(FormatWriter):
-    """Tracks of people: for each camera ``gt/gt.txt``, ``seqinfo.ini`` and the calibration.
+    """Writes tracks of people: for each camera ``gt/gt.txt``, ``seqinfo.ini`` and the calibration.
 
-    Numbers of images, identities and pixels count from 1. A box encloses the whole person, including what is
-    hidden or outside the image. The last column is the visible share. A person has the same identity in all
-    cameras. The format has no keypoints.
+    Numbers of images, identities and pixels count from 1. A box encloses the whole person, including parts
+    that are hidden or outside the image. The last column is the visible share. A person has the same identity
+    in all cameras. The format has no keypoints.
     """
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
@@ -44,7 +45,7 @@ class MotWriter(FormatWriter):
         return rows
 
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
-        """Write the sequences, with links to their images."""
+        """Write a sequence for each camera, with a link to its images."""
         scene, settings = self.settings.scene, self.settings
         lines: dict[str, list[str]] = {camera: [] for camera in settings.cameras}
         numbers = dict.fromkeys(settings.cameras, 0)
@@ -83,9 +84,9 @@ def _line(number: int, box: list[float]) -> str:
 
 
 class YoloWriter(FormatWriter):
-    """Labels of people with keypoints. A line of a text file has the class (0), the box of the visible pixels
-    (centre, width, height) and the keypoints (x, y, v), all as shares of the image. Programs find the labels
-    of ``images/…`` in ``labels/…`` next to it: therefore ``images`` is a link."""
+    """Writes labels of people with keypoints. A line of a text file has the class (0), the box of the visible
+    pixels (centre, width, height) and the keypoints (x, y, v), all as shares of the image. Programs find the
+    labels of ``images/…`` in the folder ``labels/…`` next to it, so ``images`` is a link to the images."""
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
         """Write a file for each camera. It is empty if nobody is visible."""
@@ -100,7 +101,7 @@ class YoloWriter(FormatWriter):
             folder.write(f"labels/{camera}/{frame.name}.txt", "".join(lines))
 
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
-        """Write ``dataset.yaml``, the list of the images, and the link to them."""
+        """Write ``dataset.yaml``, the list of the images, and the link to the folder of images."""
         settings = self.settings
         keypoints = keypoint_set(settings.keypoints)
         images = [
@@ -121,7 +122,7 @@ class YoloWriter(FormatWriter):
 
 
 def label_line(box: BodyBox, view: KeypointView, size: tuple[int, int]) -> str:
-    """Line of a person. ``size``: width and height of the image in pixels."""
+    """Line of a label file for a person. ``size``: width and height of the image in pixels."""
     scale = np.array(size, dtype=float)
     low, high = (box.visible.reshape(2, 2) + 0.5) / scale
     inside = (view.visible != OUTSIDE)[:, None]

@@ -1,4 +1,4 @@
-"""Plan of an export: everything that determines its files. With it, a continued export recognises itself."""
+"""Plan of an export: everything that determines its files. An export is continued only with the same plan."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from humansim_ros.errors import MAX_FRAMES, ExportError
 from humansim_ros.files.reading import ANY_SIZE, read_json
 from humansim_ros.scene.config import checked_license
 
-#: File of an export with its plan. When the export is complete, it also lists all files with their hashes.
+#: Name of the index: the file of an export with its plan. In a complete export the index also lists all files
+#: with their hashes.
 INDEX = "index.json"
 _KEY = "humansim_export"
 #: Key in the index of a data set of many scenes (``data_set.py``).
@@ -31,7 +32,7 @@ class ExportPlan:
         scene: Hash of the source: of the scene and of the files that it names, or of the bag.
         first: Number of the first frame.
         end: Number of the last frame plus one.
-        formats: Names of the formats, images included if others need them.
+        formats: Names of the formats, with ``images`` if other formats need it.
         image_suffix: Suffix of colour images, ``.png`` or ``.jpg``.
         keypoints: Name of the keypoint set.
         shard_size: Size of shards of samples, bytes.
@@ -65,12 +66,12 @@ class ExportPlan:
 
         Args:
             source: The scene or bag, with the formats.
-            frames: Numbers of the frames, without steps. If None, all frames of a bag.
+            frames: Range of frame numbers, with step 1. If None, all frames of a bag.
             image_suffix: Suffix of colour images, ``.png`` or ``.jpg``.
             shard_size: Size of shards of samples, bytes.
-            license: Licence of the data set, such as ``CC-BY-4.0``, or the address of its text. If empty,
-                that of the scene.
-            device: Device that renders here, if it is known.
+            license: Licence of the data set, such as ``CC-BY-4.0``, or the address of its text. If empty, the
+                licence of the scene.
+            device: Name of the device that renders here. If None, it is found out.
 
         Raises:
             ExportError: There are no such frames, or the licence is no line of text.
@@ -99,7 +100,7 @@ class ExportPlan:
         return range(self.first, self.end)
 
     def index(self, **more: Any) -> str:
-        """Text of the index. ``more``: other entries, when the export is complete."""
+        """Text of the index. ``more``: further entries for a complete export."""
         content = {_KEY: _LAYOUT, "finished": False, "plan": asdict(self), **more}
         return json.dumps(content, indent=1) + "\n"
 
@@ -125,7 +126,7 @@ class ExportPlan:
         return bool(index["finished"])
 
     def _difference(self, name: str, there: ExportPlan) -> str:
-        """What differs in a field from the plan of a folder, in words."""
+        """Describe in words how a field differs from the same field in ``there``, the plan of a folder."""
         if name == "scene":
             return "the scene, a file of it, or the bag has changed"
         before, now = _text(getattr(there, name)), _text(getattr(self, name))
@@ -147,7 +148,8 @@ def read_index(folder: Path) -> dict[str, Any]:
 
 
 def _checked_frames(frames: range | None, count: int | None) -> range:
-    """Numbers of frames. If None, all. ``count``: number of existing frames; None if there is no end."""
+    """Check that frames exist, and return them; if None, all. ``count``: number of existing frames; None for
+    no end."""
     if frames is None:
         if count is None:
             raise ExportError("a scene has no end: give a number of frames, such as 300", key="--frames")
@@ -158,10 +160,10 @@ def _checked_frames(frames: range | None, count: int | None) -> range:
 
 
 def parse_range(text: str) -> range:
-    """Numbers of frames of ``A:B``: from A up to, but not including, B. ``:B`` begins with 0.
+    """Parse a range of frames ``A:B``: from A up to, but not including, B. ``:B`` begins with 0.
 
     Raises:
-        ExportError: The text has another form, or there is no frame between.
+        ExportError: The text has another form, or the range is empty.
     """
     first, colon, end = text.strip().rpartition(":")
     words = (first or "0", end)

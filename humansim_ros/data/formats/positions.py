@@ -20,16 +20,16 @@ from humansim_ros.people.keypoints import keypoint_set
 from humansim_ros.types import Array
 
 _MILLIMETRES = 1000.0
-#: Most names in one parameter of a C3D file, since its dimensions are bytes.
+#: Most names in one parameter of a C3D file, since the number of names is stored in a byte.
 _C3D_LABELS = 255
-#: Most bytes of names and descriptions. All parameters have 255 blocks of 512 bytes, and the package c3d
-#: counts each parameter twice.
+#: Most bytes of names and descriptions in a C3D file. All parameters share 255 blocks of 512 bytes, and the
+#: package c3d counts each parameter twice.
 _C3D_NAME_BYTES = 60_000
 
 
 @dataclass(frozen=True)
 class MarkerPaths:
-    """Paths of K points of one person.
+    """Paths of K points (keypoints or markers) of one person over F frames.
 
     Attributes:
         names: K names, all different.
@@ -62,7 +62,7 @@ class MarkerPaths:
 def trc_text(paths: MarkerPaths, name: str) -> str:
     """Text of a TRC file, as OpenSim, Pose2Sim and OpenCap read it: metres, y up.
 
-    Axes as in OpenSim and body space: x_trc = y_map, y_trc = z_map, z_trc = x_map. A missing
+    The axes are those of OpenSim and of body space: x_trc = y_map, y_trc = z_map, z_trc = x_map. A missing
     point has three empty fields. Frames count from 1, times are seconds from the start of the scene.
     ``name``: name of the file, which is in its first line.
 
@@ -151,7 +151,7 @@ def c3d_bytes(paths: MarkerPaths) -> bytes:
 
 
 class _MarkerWriter(FormatWriter):
-    """Keypoints of each person over all frames."""
+    """Base class of writers that need the keypoints of each person over all frames."""
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
         """Positions of the keypoints by person."""
@@ -171,7 +171,7 @@ class _MarkerWriter(FormatWriter):
 
 
 class TrcWriter(_MarkerWriter):
-    """A TRC file for each person."""
+    """Writes a TRC file for each person."""
 
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
         for person, paths in self.people(records).items():
@@ -179,7 +179,7 @@ class TrcWriter(_MarkerWriter):
 
 
 class C3dWriter(_MarkerWriter):
-    """A C3D file for each person."""
+    """Writes a C3D file for each person."""
 
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
         for person, paths in self.people(records).items():
@@ -227,12 +227,12 @@ def human36m_text(positions: Array, first_frame: int = 0) -> str:
 
 
 def _in_file(positions: Array, format: CalibrationFormat) -> Array:
-    """Positions (..., 3) in the unit and axes of the calibration files of a format."""
+    """Convert positions (..., 3) to the unit and axes of the calibration files of a format."""
     return positions @ Z_UP_FROM_FILE[format.up] / format.unit
 
 
 class PanopticWriter(FormatWriter):
-    """A sequence of CMU Panoptic: a file of 19 joints for each frame, and the calibration."""
+    """Writes a sequence of CMU Panoptic: a file of 19 joints for each frame, and the calibration."""
 
     def __init__(self, settings: ExportSettings) -> None:
         super().__init__(settings)
@@ -249,7 +249,7 @@ class PanopticWriter(FormatWriter):
 
 
 class Human36mWriter(FormatWriter):
-    """Human3.6M: 17 joints of each person as a subject, and the cameras."""
+    """Writes files of Human3.6M: 17 joints of each person, who becomes a subject, and the cameras."""
 
     def __init__(self, settings: ExportSettings) -> None:
         super().__init__(settings)

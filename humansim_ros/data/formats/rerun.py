@@ -1,7 +1,7 @@
 """A recording of Rerun: images, cameras, people and lasers on the time of the scene.
 
 Entities are ``cameras/<camera>/image``, ``people/<person>``, ``scanners/<scanner>/points`` and ``robot``; all
-are in ``map``. Rerun numbers its chunks at random: two recordings differ in bytes, but not in content.
+are in ``map``. Rerun numbers its chunks at random, so two equal exports differ in bytes, but not in content.
 """
 
 from __future__ import annotations
@@ -28,17 +28,18 @@ from humansim_ros.files.reading import ANY_SIZE, read_bytes
 from humansim_ros.people.keypoints import keypoint_set
 from humansim_ros.scene.truth import OUTSIDE
 
-#: Timelines: time since the start of the scene, and number of the frame.
+#: Names of the timelines: time since the start of the scene, and number of the frame.
 TIME, NUMBER = "scene_time", "frame"
 _MEDIA = {".png": "image/png", ".jpg": "image/jpeg"}
 _Arrays = Mapping[str, np.ndarray[Any, Any]]
 
 
 class RerunWriter(FormatWriter):
-    """``rerun.rrd``."""
+    """Writes ``rerun.rrd``."""
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
-        """Write the arrays of a frame, until they are put into the recording; return its scene time."""
+        """Write the arrays of a frame to a temporary file for :meth:`finish`. Returns the scene time of the
+        frame."""
         now, chosen = frame.frame, self.settings.keypoints
         arrays: dict[str, Any] = {}
         for name, camera in now.cameras.items():
@@ -80,7 +81,7 @@ class RerunWriter(FormatWriter):
         return now.scene_time
 
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
-        """Write the recording."""
+        """Write the recording from the temporary files."""
         import rerun as rr
 
         title = self.settings.scene.title
@@ -103,7 +104,7 @@ class RerunWriter(FormatWriter):
             stream.disconnect()
 
     def _log_fixed(self, rr: Any, log: Any) -> None:
-        """What holds for all frames: axes, names of labels, and triangles."""
+        """Log the data that are the same in all frames: axes, names of labels, and triangles."""
         scene = self.settings.scene
         log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         infos = [rr.AnnotationInfo(id=label, label=name) for name, label in scene.labels.items()]

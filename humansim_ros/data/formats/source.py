@@ -1,5 +1,4 @@
-"""Sources of exports, which provide the frames. A scene is simulated; a bag is read
-(``data/formats/bag.py``)."""
+"""Sources of exports: they provide the frames. A scene is simulated; a bag is read (``formats/bag.py``)."""
 
 from __future__ import annotations
 
@@ -24,18 +23,18 @@ class FrameReader(Protocol):
     """Provides frames in any order, in one process."""
 
     def frame(self, index: int) -> Frame:
-        """A frame with what the formats need. Raises HumansimError if it cannot be rendered or read."""
+        """Make a frame with the data that the formats need. Raises HumansimError if that fails."""
 
     def close(self) -> None:
-        """Free what is open."""
+        """Free the renderer, or close the bag."""
 
 
 class ExportSource(Protocol):
-    """A scene or bag, for some formats. It can be copied to another process."""
+    """A scene or bag that is exported to some formats. It can be copied to another process."""
 
     @property
     def formats(self) -> Sequence[ExportFormat]:
-        """Rows of the formats."""
+        """The formats that are written."""
 
     @property
     def keypoints(self) -> str:
@@ -43,11 +42,11 @@ class ExportSource(Protocol):
 
     @property
     def scene(self) -> ExportScene:
-        """What the writers of formats know."""
+        """Description of the scene for the writers of formats."""
 
     @property
     def hash(self) -> str:
-        """Hash that is equal for sources that give the same files."""
+        """Hash that is equal for sources that lead to the same exported files."""
 
     @property
     def step(self) -> str:
@@ -55,27 +54,27 @@ class ExportSource(Protocol):
 
     @property
     def count(self) -> int | None:
-        """Number of frames; None if there is no end."""
+        """Number of frames; None for a scene, which has no end."""
 
     def device(self) -> str:
         """Device that renders. Empty if nothing is rendered. Raises RenderError if OpenGL is missing."""
 
     def open(self) -> FrameReader:
-        """Start to give frames. Raises HumansimError if this machine cannot."""
+        """Create a reader of the frames. Raises HumansimError if this machine cannot."""
 
     def provenance(self, frames: range) -> dict[str, Any]:
-        """Where the data of some frames come from, for the index of an export."""
+        """Describe where the data of some frames come from, for the index of an export."""
 
 
 @dataclass(frozen=True)
 class SimulatedSource:
-    """A scene that is simulated.
+    """A scene as source of an export: its frames are simulated.
 
     Attributes:
         simulated: The scene.
-        formats: Rows of the formats.
+        formats: The formats that are written.
         keypoints: Name of the keypoint set.
-        title: Name in the files. If empty, the name of the scene file.
+        title: Name of the scene in the files. If empty, the name of the scene file.
     """
 
     simulated: Scene
@@ -90,7 +89,7 @@ class SimulatedSource:
 
     @cached_property
     def scene(self) -> ExportScene:
-        """What the writers of formats know."""
+        """Description of the scene for the writers of formats."""
         scene = ExportScene.of(self.simulated)
         return replace(scene, title=self.title) if self.title else scene
 
@@ -108,7 +107,7 @@ class SimulatedSource:
         return context.device
 
     def open(self) -> FrameReader:
-        """Load the renderer. Raises ExportError if a format needs a laser scanner and the scene has none."""
+        """Load the renderer. Raises ExportError if a format needs a laser scanner but the scene has none."""
         sweeping = [row.name for row in self.formats if SWEEPS in row.content]
         if sweeping and not self.simulated.scanners:
             raise ExportError(f"{sweeping[0]} needs a laser scanner, and the scene has none", key="--format")
@@ -116,7 +115,7 @@ class SimulatedSource:
         return _SimulatedFrames(self.simulated, needed_channels(self.formats), None if wanted else ())
 
     def provenance(self, frames: range) -> dict[str, Any]:
-        """Scene, seeds, versions, and the faults of cameras that have any."""
+        """Describe the scene, seeds, versions, and the faults of cameras that have faults."""
         scene, config = self.simulated, self.simulated.config
         origin = {
             "scene_file": scene.path.name if scene.path else None,
@@ -131,7 +130,8 @@ class SimulatedSource:
 
 
 def _faults(camera: SceneCamera, frames: range) -> dict[str, Any]:
-    """What is wrong with each frame of a camera, whether its image is sent, and its published calibration."""
+    """Describe the faults of a camera: for each frame its faults and whether its image is sent; and the
+    published calibration."""
     assert camera.faults is not None
     published = camera.published_at(camera.pose(0.0))
     of_frames = {index: camera.faults.at(index) for index in camera.timing.frames(frames)}
@@ -143,7 +143,7 @@ def _faults(camera: SceneCamera, frames: range) -> dict[str, Any]:
 
 
 class _SimulatedFrames:
-    """Frames of a scene. If there are no channels, nothing is rendered. ``scanners``: see
+    """Makes frames of a scene. Without channels nothing is rendered. ``scanners``: see
     :meth:`Simulation.frame`."""
 
     def __init__(
@@ -154,7 +154,7 @@ class _SimulatedFrames:
         self._simulation = Simulation(scene, channels)
 
     def frame(self, index: int) -> Frame:
-        """A frame, rendered now."""
+        """Render a frame."""
         return self._simulation.frame(index, self._cameras, scanners=self._scanners)
 
     def close(self) -> None:
@@ -163,7 +163,7 @@ class _SimulatedFrames:
 
 
 def versions() -> dict[str, str]:
-    """Versions of this package and of those that change numbers."""
+    """Versions of this package and of the packages that influence the numbers in the files."""
     return {
         "humansim_ros": __version__,
         "python": platform.python_version(),
@@ -173,7 +173,7 @@ def versions() -> dict[str, str]:
 
 
 def _seeds(value: Any, key: str) -> Iterator[tuple[str, int]]:
-    """Seeds of a configuration by key, defaults included."""
+    """Yield the random seeds in a configuration with their keys, also seeds with default values."""
     if isinstance(value, dict):
         for name, part in value.items():
             if name == "seed":

@@ -1,6 +1,6 @@
 """Counts of what a data set shows: people, poses, cameras, light and visibility.
 
-All counts have fixed bins, so that the counts of many scenes add up.
+All counts have fixed bins, so that the counts of many scenes can be added.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from humansim_ros.scene.truth import BodyBox
 
 #: Name of the file, in the root of the export.
 STATISTICS = "statistics.json"
-#: Angles of the joints that are counted, of both sides together, and their names for people.
+#: Joint angles that are counted, with their titles. Angles of left and right are counted together.
 ANGLES = {
     "vt3.flexion": "neck flexion",
     "vl5.flexion": "spine flexion",
@@ -46,9 +46,9 @@ class Histogram:
     """A quantity that is counted.
 
     Attributes:
-        title: What is counted, for people.
+        title: Name of the quantity for readers.
         unit: Unit of the quantity. Empty for a share or a number.
-        of: What has this quantity, in words.
+        of: In words, which things have this quantity.
         low: Start of the first bin. This bin also counts smaller values.
         width: Width of a bin.
         bins: Number of bins. The last bin also counts larger values.
@@ -62,7 +62,7 @@ class Histogram:
     bins: int
 
     def count(self, values: Iterable[float]) -> dict[int, int]:
-        """Number of finite values by bin, without empty bins."""
+        """Count the finite values in each bin. Returns the number of values by bin, without empty bins."""
         known = np.array([value for value in values if np.isfinite(value)])
         # a value at an edge belongs to the bin above it, even if the division rounds down
         bins = np.clip(np.floor((known - self.low) / self.width + 1e-9), 0, self.bins - 1).astype(int)
@@ -70,11 +70,11 @@ class Histogram:
         return {number: numbers[number] for number in sorted(numbers)}
 
     def edge(self, number: float) -> float:
-        """Start of a bin."""
+        """Lower end of a bin."""
         return round(self.low + self.width * number, 9)
 
 
-#: All quantities by the key of the file.
+#: All quantities by their keys in the file.
 HISTOGRAMS = {
     "people": Histogram("People with visible pixels", "", "images", 0, 1, 31),
     "visible": Histogram("Visible share of a person", "", "people in images", 0, 0.05, 20),
@@ -93,11 +93,11 @@ HISTOGRAMS = {
 
 
 class StatisticsWriter(FormatWriter):
-    """Counts of an export."""
+    """Writes the counts of an export."""
 
     @cached_property
     def _limits(self) -> dict[str, JointLimits]:
-        """By person: the joint limits that measure its poses."""
+        """By person: the joint limits that define the joint angles."""
         return {
             name: load_limits(skeleton=human.skeleton) for name, human in self.settings.scene.humans.items()
         }
@@ -160,7 +160,7 @@ def _lens(camera: Camera) -> str:
 
 
 def traits(config: HumanConfig, human: Human | None) -> dict[str, Any]:
-    """What is known about a person: body, motion and outfit; for drawn people also age, sex, skin and
+    """Traits of a person: body, motion and outfit; for people drawn at random also age, sex, skin and
     clothes."""
     body = str(config.body)
     known: dict[str, Any] = {"body": body, "motion": str(config.motion.file).split("#")[0]}
@@ -177,7 +177,7 @@ def traits(config: HumanConfig, human: Human | None) -> dict[str, Any]:
 
 
 def _seen(box: BodyBox, camera: Camera, state: HumanState | None) -> Iterator[tuple[str, float]]:
-    """Values of a person in an image."""
+    """Yield the quantities of a person in an image: key and value."""
     yield "visible", box.visible_fraction
     yield "truncation", box.truncation
     yield "height", float(box.visible[3] - box.visible[1])
@@ -195,7 +195,7 @@ def _seen(box: BodyBox, camera: Camera, state: HumanState | None) -> Iterator[tu
 
 
 def _angles(state: HumanState, limits: JointLimits) -> Iterator[tuple[str, float]]:
-    """Angles of the joints of a pose, degrees, by the key of the quantity."""
+    """Yield the joint angles of a pose: key of the quantity, and degrees."""
     skeleton = limits.skeleton
     rest = skeleton.rest[:, :3, :3]
     poses = state.joints[: len(skeleton), :3, :3]
@@ -218,7 +218,7 @@ class Totals:
         motions: Number of people of the scenes by motion.
         sizes: Number of cameras by image size.
         lenses: Number of cameras by model of the lens.
-        histograms: Number by bin, by quantity.
+        histograms: For each quantity, the number of values by bin.
     """
 
     def __init__(self) -> None:
@@ -244,7 +244,8 @@ class Totals:
             self.histograms[name].update({int(number): count for number, count in counts.items()})
 
     def quantile(self, name: str, share: float) -> float:
-        """Value below which a share of a quantity lies, linear within a bin. NaN if there are no values."""
+        """Value of a quantity below which ``share`` of its values lie, interpolated within a bin. NaN without
+        values."""
         row, counts = HISTOGRAMS[name], self.histograms[name]
         left = share * sum(counts.values())
         for number in sorted(counts):

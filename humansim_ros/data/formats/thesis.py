@@ -2,8 +2,9 @@
 
 A person has ``<person>/<frame>.verts``, a line ``x, y, z;`` for each vertex, and ``<person>/<frame>.bones``,
 lines ``l_knee.head=[x, y, z]`` and ``l_knee.tail=[x, y, z]``; metres in ``map``. A camera has a ``.cam`` file
-and its projection matrix. Both have no lens distortion: images of a camera with distortion, skew or a
-principal point next to the centre are converted to its ideal camera [thesis §9.8]; all others are links.
+and its projection matrix. Both files describe a camera without lens distortion. So images of a camera with
+distortion, skew, or a principal point off the centre are converted to the ideal camera [thesis §9.8]. Other
+images are links.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from humansim_ros.scene.pictures import color_image
 from humansim_ros.types import Array
 
 _BONE = re.compile(r"\s*(\S+)\.(head|tail)\s*=\s*\[(.*)\]\s*")
-#: Largest text file of one frame.
+#: Largest text file of one frame, bytes.
 _MAX_BYTES = 1 << 28
 
 
@@ -35,7 +36,7 @@ class ThesisWriter(FormatWriter):
     """Vertices, bones, cameras and images."""
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
-        """Write vertices and bones of each person, and the data of each camera that depend on the frame."""
+        """Write vertices and bones of each person, and the files of cameras that move."""
         for name, state in frame.frame.humans.items():
             skeleton = self.settings.scene.humans[name].skeleton
             folder.write(f"{name}/{frame.name}.verts", verts_text(state.vertices))
@@ -68,7 +69,7 @@ class ThesisWriter(FormatWriter):
 
 
 def _conversion(camera: Camera) -> Ideal | None:
-    """Conversion to the ideal camera; None for a camera that a .cam file can hold."""
+    """Conversion of images to the ideal camera; None if a .cam file can describe the camera itself."""
     try:
         cam_of(camera)
     except CameraError:
@@ -103,7 +104,7 @@ def bones_text(bones: Mapping[str, Array]) -> str:
 
 
 def read_verts(path: str | os.PathLike[str]) -> Array:
-    """Vertices (V, 3) of a ``.verts`` file. Raises ExportError with path and line."""
+    """Read the vertices (V, 3) of a ``.verts`` file. Raises ExportError, which names path and line."""
     return np.array(
         [
             _point(line.strip().removesuffix(";"), path, number)
@@ -114,7 +115,7 @@ def read_verts(path: str | os.PathLike[str]) -> Array:
 
 
 def read_bones(path: str | os.PathLike[str]) -> dict[str, Array]:
-    """Head and tail (2, 3) of the bones of a ``.bones`` file by name.
+    """Read a ``.bones`` file: head and tail (2, 3) of the bones by name.
 
     Raises:
         ExportError: A line is wrong, or a bone lacks its head or tail. The error names the path and the line.

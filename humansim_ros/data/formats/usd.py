@@ -34,14 +34,14 @@ from humansim_ros.types import Array
 
 #: Name of the file, and of the folder of its textures.
 _FILE, _TEXTURES = "scene.usdc", "textures"
-#: Width of the film of all cameras: 36 mm, in the unit of UsdGeomCamera (tenths of a metre).
+#: Film width of all cameras: 36 mm, in the unit of UsdGeomCamera (a tenth of the scene's unit, the metre).
 _FILM = 0.36
 #: Nearest and farthest distance from a camera that programs draw, metres.
 _CLIPPING = (0.01, 1000.0)
 
 
 class UsdWriter(AnimationWriter):
-    """All of a scene as ``scene.usdc`` with ``textures/``."""
+    """Writes a scene to ``scene.usdc``, with ``textures/``."""
 
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
         textures = TextureFiles(folder.subfolder(_TEXTURES))
@@ -53,13 +53,14 @@ class UsdWriter(AnimationWriter):
 
 
 class UsdStage:
-    """A stage with the people, objects and cameras of a scene: metres, z up, time codes are frame numbers.
+    """A USD stage with the people, objects and cameras of a scene. The unit is the metre, z is up, and time
+    codes are frame numbers.
 
-    Warns (HumansimWarning) of what USD cannot hold.
+    Warns (HumansimWarning) of what USD does not support.
 
     Args:
         scene: The scene over time.
-        textures: Writes the textures.
+        textures: Object that writes the textures.
     """
 
     def __init__(self, scene: AnimatedScene, textures: TextureFiles) -> None:
@@ -105,7 +106,8 @@ class UsdStage:
             self._add_mesh(f"/World/Surfaces/{name}", mesh)
 
     def add_light(self, lighting: Lighting) -> None:
-        """Add the sun, and a sky of the mean of sky and ground, as bright on a matt wall as in our images."""
+        """Add the sun, and a uniform sky: the mean of our sky and ground. A matt wall gets the same
+        brightness as in our images."""
         from pxr import Gf, UsdGeom, UsdLux
 
         factor = lighting.strength * 2.0**lighting.exposure
@@ -124,7 +126,8 @@ class UsdStage:
         sky.CreateColorAttr(Gf.Vec3f(*mean.tolist()))
 
     def _add_person(self, path: str, person: AnimatedHuman) -> None:
-        """Add a SkelRoot at the head of the first bone, with the size of the body, in double precision."""
+        """Add a person: a SkelRoot at the head of the first bone, scaled by the size of the body, in double
+        precision."""
         from pxr import Gf, Sdf, UsdSkel, Vt
 
         human, skeleton = person.human, person.human.skeleton
@@ -210,7 +213,7 @@ class UsdStage:
     def _add_mesh(self, path: str, mesh: Mesh, texture: bytes | None = None) -> Any:
         """Add a mesh with normals, texture coordinates and material; return its prim.
 
-        ``texture``: its texture as a file, if there is one that needs no new encoding.
+        ``texture``: content of a PNG or JPEG file with the texture, if there is one.
         """
         from pxr import Gf, Sdf, UsdGeom, UsdShade, Vt
 
@@ -243,8 +246,8 @@ class UsdStage:
         return out.GetPrim()
 
     def _material(self, mesh: Mesh, image: str | None, color: tuple[float, ...] | None) -> Any:
-        """A UsdPreviewSurface. Equal ones are made once. ``image``: texture. ``color``: linear, for all
-        vertices."""
+        """Make a UsdPreviewSurface, or return an equal one made before. ``image``: texture file. ``color``:
+        linear colour of all vertices."""
         from pxr import Gf, Sdf, UsdGeom, UsdShade
 
         look = mesh.material
@@ -295,7 +298,7 @@ class UsdStage:
 
 
 def _joint_paths(skeleton: Skeleton) -> list[str]:
-    """Path of each bone from its root, as UsdSkel names joints."""
+    """Path of each bone from its root bone, such as ``hips/spine``: UsdSkel names joints so."""
     names = identifiers(skeleton.names)
     paths: list[str] = []
     for name, parent in zip(skeleton.names, skeleton.parents.tolist(), strict=True):
@@ -304,7 +307,7 @@ def _joint_paths(skeleton: Skeleton) -> list[str]:
 
 
 def _matrices(transforms: Array) -> Any:
-    """Transforms (N, 4, 4) in the form of USD: for row vectors."""
+    """Convert transforms (N, 4, 4) to matrices of USD, which are for row vectors (transposed)."""
     from pxr import Vt
 
     return Vt.Matrix4dArray.FromNumpy(np.ascontiguousarray(np.swapaxes(transforms, -1, -2)))

@@ -2,10 +2,12 @@
 
 A sample is one image of one camera, with files ``<camera>/<frame>.<kind>``:
 
-============================ ==================================================================== ``.png``,
-``.jpg`` colour image ``.camera.json`` number and stamp of the frame, camera, its size and calibration
-``.people.json`` name, instance label, boxes and keypoints of each person ``.objects.json`` the same of
-labelled objects, without keypoints ``.labels.npz`` ``instance`` (H, W) uint16 and ``part`` (H, W) uint8
+============================ ====================================================================
+``.png``, ``.jpg``           colour image
+``.camera.json``             number and stamp of the frame; name, size and calibration of the camera
+``.people.json``             name, instance label, boxes and keypoints of each person
+``.objects.json``            the same for labelled objects, without keypoints
+``.labels.npz``              ``instance`` (H, W) uint16 and ``part`` (H, W) uint8
 ============================ ====================================================================
 """
 
@@ -34,7 +36,7 @@ _END = bytes(2 * tarfile.BLOCKSIZE)
 class WebDatasetWriter(FormatWriter):
     """Tar files ``shard-000000.tar`` and so on, each with whole frames.
 
-    They are the same for the same frames: times, owners and order of the entries do not depend on the run.
+    Equal frames give equal bytes, since times, owners and order of the entries do not depend on the run.
     """
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
@@ -79,8 +81,9 @@ class WebDatasetWriter(FormatWriter):
 
 
 def shards(records: Iterable[tuple[int, Record]], size: int) -> Iterator[list[str]]:
-    """Divide files with samples into shards. A frame that would make a shard too large begins a new one.
-    ``records``: number of each frame, and bytes of its samples. ``size``: of a shard, bytes."""
+    """Divide frames into shards: a frame that would make a shard too large begins a new one. Yields the files
+    of samples for each shard. ``records``: number of each frame, bytes of its samples. ``size``: largest size
+    of a shard, bytes."""
     shard: list[str] = []
     used = 0
     for index, more in records:
@@ -94,7 +97,7 @@ def shards(records: Iterable[tuple[int, Record]], size: int) -> Iterator[list[st
 
 
 def _samples(frame: str) -> str:
-    """File of the samples of a frame."""
+    """Name of the temporary file with the samples of a frame."""
     return f"{frame}.tar"
 
 
@@ -111,7 +114,8 @@ def tar_entry(name: str, data: bytes) -> bytes:
 
 
 def box_entry(box: BodyBox) -> dict[str, Any]:
-    """Boxes of a body: left, top, width and height from the corner of the image; None for no box."""
+    """Boxes of a body as values of JSON: left, top, width and height, from the corner of the image; None for
+    no box."""
 
     def place(edges: Any) -> list[float] | None:
         left, top, right, bottom = (edges + 0.5).tolist()

@@ -1,4 +1,4 @@
-"""What the writer of an export format gets: the scene, the folder, settings, and one frame after the other.
+"""Base class of the writers of export formats, and what a writer gets: scene, folder, settings and frames.
 
 A writer works in two steps, so that frames can be written by several processes and an interrupted export can
 go on: :meth:`FormatWriter.frame` writes the files of one frame, and returns a record for the files of the
@@ -26,8 +26,8 @@ from humansim_ros.scene.config import AboutConfig, CameraTiming, HumanConfig
 from humansim_ros.scene.core import Frame, Scene
 from humansim_ros.types import Array
 
-#: Folder of an export with the records of finished frames for the files of the whole export. It is removed at
-#: the end.
+#: Name of the folder of an export with the records of finished frames. :meth:`FormatWriter.finish` needs
+#: these. The folder is removed at the end.
 TEMPORARY = ".frames"
 #: Addresses of the texts of licences by their SPDX identifier.
 LICENSES = {
@@ -38,7 +38,7 @@ LICENSES = {
     "MIT": "https://opensource.org/license/mit",
     "Apache-2.0": "https://www.apache.org/licenses/LICENSE-2.0",
 }
-#: Beginning of the address of the text of a licence.
+#: Pattern for the beginning of an address (URL) of the text of a licence.
 _ADDRESS = re.compile("https?://")
 
 
@@ -50,13 +50,14 @@ class FileEntry(TypedDict):
 
 
 class ExportFolder:
-    """A folder of an export. All methods raise HumansimError with the path if a file cannot be written.
+    """Writes files to a folder of an export. All methods raise HumansimError, which names the path, if that
+    fails.
 
     Names are relative to the folder, with ``/``. Missing folders are created.
 
     Args:
         root: Folder of the whole export.
-        prefix: Path of this folder in the root. "" is the root itself.
+        prefix: Path of this folder relative to the root. "" is the root itself.
 
     Attributes:
         written: Files that were written here and in :meth:`subfolder`, by path relative to the root.
@@ -68,11 +69,11 @@ class ExportFolder:
         self.written: dict[str, FileEntry] = {}
 
     def subfolder(self, name: str) -> ExportFolder:
-        """A folder in this one, with the same :attr:`written`."""
+        """Return a folder inside this folder. Both share :attr:`written`."""
         return self._folder(self._prefix + name)
 
     def root_folder(self) -> ExportFolder:
-        """The root of the export, with the same :attr:`written`."""
+        """Return the root folder of the export. Both folders share :attr:`written`."""
         return self._folder("")
 
     def _folder(self, prefix: str) -> ExportFolder:
@@ -86,16 +87,18 @@ class ExportFolder:
             path.write_bytes(content.encode() if isinstance(content, str) else content)
 
     def write_temporary(self, name: str, content: bytes) -> None:
-        """Write a file that :meth:`temporary` finds until the export is complete."""
+        """Write a temporary file, which exists until the export is complete. :meth:`temporary` returns its
+        path."""
         self._folder(TEMPORARY).write(self._prefix + name, content)
 
     def temporary(self, name: str) -> Path:
-        """Path of a file of :meth:`write_temporary`."""
+        """Path of a file that :meth:`write_temporary` has written."""
         return self.root / TEMPORARY / f"{self._prefix}{name}"
 
     @contextmanager
     def path(self, name: str) -> Iterator[Path]:
-        """Temporary path to write a file to. The file gets its name after the block."""
+        """Give a temporary path to write a file to. At the end of the ``with`` block, the file gets its
+        name."""
         relative = self._prefix + name
         target = self.root / relative
         self._make_folder(target.parent)
@@ -144,7 +147,7 @@ class ExportCamera:
     """A camera of an export.
 
     Attributes:
-        camera: Calibration of its images, and pose. If the camera moves, the pose of the first frame.
+        camera: Calibration of the images, and pose. If the camera moves, this is the pose in the first frame.
         moves: Whether its pose changes from frame to frame.
         encoding: ROS encoding of its images, such as ``rgb8``.
         rate: Images per second. If None, the rate of the scene.
@@ -160,7 +163,7 @@ class ExportCamera:
 
 @dataclass(frozen=True)
 class ExportScene:
-    """A scene, as far as the writers of formats know it.
+    """Description of a scene for the writers of formats.
 
     Attributes:
         title: Name of the scene or bag.
@@ -168,11 +171,11 @@ class ExportScene:
         cameras: Cameras by name.
         labels: Instance labels of people, then of labelled objects, by name.
         objects: Kind of each labelled object by name, such as ``box``.
-        parts: Names of the values of body parts, from 1, by person.
+        parts: By person: names of the body parts with label 1, 2 and so on.
         humans: Bodies without pose, by name. A bag has none.
-        licenses: Licence of the body of each person with a licence that is known, by name.
+        licenses: Licence of the body by person, for people with a known licence.
         license: Licence of data sets of the scene. Empty if the scene states none.
-        simulated: The scene itself. None for a bag.
+        simulated: The scene. None if the source is a bag.
     """
 
     title: str
@@ -223,7 +226,7 @@ class ExportScene:
         return [name for name in self.labels if name not in self.objects]
 
 
-#: Offset from pixels with the centre of the first one at 0 to pixels with the border of the first one at 0.
+#: Added to pixels of this package (centre of the first pixel at 0), gives pixels with its border at 0.
 FROM_CORNER = 0.5
 
 
@@ -246,10 +249,9 @@ def warn_of_lenses(program: str, cameras: Mapping[str, Camera], has_skew: bool =
             warn_about(f"{program} camera {name}", f"{what} has no place there; calibration.yaml has it")
 
 
-#: Record of a frame for the files of the whole export: values of JSON and NumPy arrays. Arrays come back as
-#: lists.
+#: Data of a frame for :meth:`FormatWriter.finish`: JSON values and NumPy arrays. Arrays come back as lists.
 Record = Any
-#: Size of shards of samples, bytes.
+#: Default size of shards of samples, bytes.
 SHARD_SIZE = 1_000_000_000
 
 
@@ -258,12 +260,12 @@ class ExportSettings:
     """Settings of an export.
 
     Attributes:
-        scene: What is known about the scene.
+        scene: Description of the scene.
         frames: Numbers of the frames.
         keypoints: Name of the keypoint set (docs/keypoints.md).
         image_suffix: Suffix of colour images: ``.png`` or ``.jpg``.
         shard_size: Largest size of a shard of samples, bytes. A single frame may be larger.
-        license: Licence of the data set, such as ``CC-BY-4.0``, or the address of its text; empty: unknown.
+        license: Licence of the data set, such as ``CC-BY-4.0``, or the address of its text. Empty if unknown.
     """
 
     scene: ExportScene
@@ -275,7 +277,7 @@ class ExportSettings:
 
     @property
     def license_links(self) -> dict[str, str]:
-        """Licence of the data set, then the others of its people, with the addresses of their texts. An
+        """Licence of the data set, then other licences of its people, each with the address of its text. An
         unknown address is empty."""
         people = sorted(set(self.scene.licenses.values()))
         names = dict.fromkeys([self.license, *people] if self.license else people)
@@ -314,8 +316,8 @@ class ExportFrame:
     """One frame, for the writers of all formats.
 
     Attributes:
-        frame: The scene at its stamp. Views have the channels that the chosen formats need. If no format
-            needs channels, there are no views.
+        frame: State of the scene at the stamp of the frame. Views have the channels that the formats need. If
+            no format needs channels, there are no views.
         settings: Settings of the export.
     """
 
@@ -338,8 +340,8 @@ class ExportFrame:
 
 
 class FormatWriter:
-    """Writes one format. Each process has one writer, so it keeps nothing of a frame. ``settings``: settings
-    of the export."""
+    """Writes one format. Each process has its own writer, so a writer must keep no data of a frame.
+    ``settings``: settings of the export."""
 
     def __init__(self, settings: ExportSettings) -> None:
         self.settings = settings
@@ -357,7 +359,8 @@ class FormatWriter:
         """Write the files of the whole export.
 
         Args:
-            records: Number and result of :meth:`frame` for each frame, in order. It may be iterated again.
+            records: Number and result of :meth:`frame` for each frame, in order. Several iterations are
+                possible.
             folder: Folder of the format.
 
         Raises:

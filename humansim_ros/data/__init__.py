@@ -1,4 +1,4 @@
-"""Messages, bags, data sets and evaluation: what a scene gives to others."""
+"""Output of a scene for other programs: messages, bags, data sets; and evaluation."""
 
 from humansim_ros.lazy import lazy_exports
 

@@ -39,20 +39,21 @@ ImageFormat: TypeAlias = Literal["raw", "jpeg", "png"]
 DepthFormat: TypeAlias = Literal["raw", "png"]
 LabelFormat: TypeAlias = Literal["raw", "png"]
 
-#: Name of the plan in ``custom_data`` of ``metadata.yaml``.
+#: Key of the plan in ``custom_data`` of ``metadata.yaml``.
 PLAN = "humansim_recording"
 #: Most topics that an error lists.
 _MAX_LISTED = 6
-#: After this number of new frames, the size of the others is estimated.
+#: After this number of new frames, the size of the remaining frames is estimated.
 _ESTIMATED_AFTER = 5
-#: Multiples of the free space: an estimate above the first causes a warning, above the second an error.
-#: Frames differ in size.
+#: Shares of the free space: an estimated size above the first causes a warning, above the second an error.
+#: (Frames differ in size.)
 _MUCH, _TOO_MUCH = 0.9, 1.5
 
 
 @dataclass(frozen=True)
 class RecordingPlan:
-    """Everything that determines the content of a recording.
+    """Everything that determines the content of a recording. A recording is continued only with the same
+    plan.
 
     Attributes:
         scene: Hash of the scene and of the files that it names.
@@ -136,12 +137,12 @@ class RecordingPlan:
         return plan, _rows(table, chosen)
 
     def to_json(self) -> str:
-        """The plan as text. Equal plans have equal texts."""
+        """Convert the plan to JSON. Equal plans have equal texts."""
         return json.dumps(asdict(self), sort_keys=True)
 
     @classmethod
     def of_bag(cls, folder: Path) -> RecordingPlan:
-        """Read the plan of a bag. Raises BagError if the bag has no plan, such as a bag from another
+        """Read the plan of a bag. Raises BagError if the bag has no plan, for example a bag of another
         program."""
         custom = read_metadata(folder).get("custom_data") or {}
         try:
@@ -153,7 +154,7 @@ class RecordingPlan:
             ) from None
 
     def differences(self, bag: RecordingPlan) -> list[str]:
-        """Differences from the plan of a bag, in words."""
+        """Describe in words how this plan differs from the plan of a bag. Empty if they are equal."""
         texts = []
         for field in fields(self):
             here, there = getattr(self, field.name), getattr(bag, field.name)
@@ -168,7 +169,7 @@ class RecordingPlan:
         return texts
 
     def recorded_topics(self, scene: Scene) -> list[Topic[Any]]:
-        """Topics of the table of the scene that are recorded, in its order."""
+        """Topics of the scene that are recorded, in the order of :func:`scene_topics`."""
         return _rows(scene_topics(scene, _image_compression(self.images), png_labels=True), self.topics)
 
 
@@ -177,7 +178,7 @@ def _image_compression(images: ImageFormat) -> ImageCompression:
 
 
 def _rows(table: Sequence[Topic[Any]], names: Collection[str]) -> list[Topic[Any]]:
-    """Topics of a table with these absolute names."""
+    """Topics in ``table`` with the absolute names ``names``."""
     chosen = set(names)
     return [topic for topic in table if f"/{topic.name}" in chosen]
 
@@ -219,7 +220,8 @@ def _chosen(
 
 
 def _matching(pattern: str, names: Collection[str]) -> list[str]:
-    """Topics that fit a name or pattern. The first slash may be missing. Raises BagError if no topic fits."""
+    """Names that match a name or pattern. The first slash may be missing. Raises BagError if no topic
+    fits."""
     absolute = pattern if pattern.startswith("/") else f"/{pattern}"
     found = [name for name in names if fnmatchcase(name, absolute)]
     if found:
@@ -241,7 +243,7 @@ def _listed_difference(bag: Collection[str], now: Collection[str]) -> str:
     return "; ".join(parts) or "in another order"
 
 
-#: Steps of a recording, for the summary of costs.
+#: Names of the steps of a recording in the summary of costs.
 STARTING, RENDERING = "first frame of each process", "rendering"
 TRUTH, IMAGE_COMPRESSION = "truth and messages", "image compression"
 SERIALISING, CHUNKS, WRITING = "serialising", "checksums and chunk compression", "writing"
@@ -249,8 +251,8 @@ SERIALISING, CHUNKS, WRITING = "serialising", "checksums and chunk compression",
 
 @dataclass(frozen=True)
 class SceneRecording:
-    """A scene and the plan of its recording. It is a job that can be copied to other processes and machines.
-    A frame is a group of chunks: one for the topics that belong to no camera, then one for each camera."""
+    """Job that records a scene according to a plan. It can be copied to other processes and machines. A frame
+    becomes a group of chunks: one with the topics of no camera, then one for each camera."""
 
     scene: Scene
     plan: RecordingPlan
@@ -265,7 +267,7 @@ class SceneRecording:
             scene: The scene.
             frames: Number of frames, at least 1.
             patterns: Names of topics, or patterns with ``*`` and ``?``. If empty, the default topics.
-            jobs: Number of processes that will record. With 1, the renderer of this process is made here.
+            jobs: Number of processes that will record. If 1, the renderer of this process is created here.
             options: See :meth:`RecordingPlan.of`.
 
         Raises:
@@ -287,12 +289,12 @@ class SceneRecording:
 
     @cached_property
     def table(self) -> Sequence[Topic[Any]]:
-        """Topics that are recorded. A chunk names a topic by its index."""
+        """Topics that are recorded. Messages in chunks refer to a topic by its index here."""
         return self.plan.recorded_topics(self.scene)
 
     @property
     def topics(self) -> Sequence[BagTopic]:
-        """Topics of the bag."""
+        """The recorded topics as topics of a bag."""
         return [described(_bag_topic(topic)) for topic in self.table]
 
     @property
@@ -312,7 +314,7 @@ class SceneRecording:
         return list(dict.fromkeys(topic.camera for topic in self.table if topic.camera))
 
     def start(self) -> RecordingWorker:
-        """Make the renderer, or take the one of :meth:`of`.
+        """Start a worker with a new renderer, or with the renderer of :meth:`of`.
 
         Raises:
             RenderError: This machine renders on another device than that of the plan, so that pixels would
@@ -346,7 +348,7 @@ class RecordingWorker:
 
     def __init__(self, recording: SceneRecording, renderer: Renderer) -> None:
         self._compression = recording.plan.compression
-        #: By camera: topics with their index. Topics of no camera come first.
+        #: By camera: topics with their indices. Topics of no camera come first.
         self._parts: dict[str, list[tuple[int, Topic[Any]]]] = {}
         #: Latched topics that may have a new message in each frame.
         self._latched: list[tuple[int, Topic[Any]]] = []
@@ -367,8 +369,8 @@ class RecordingWorker:
         self._simulation.close()
 
     def work(self, index: int) -> FrameResult:
-        """Encode a frame. :func:`chunks_of` returns its chunks in the order of the bag. The bytes are always
-        the same.
+        """Render and encode a frame. The result has its chunks in the order of the bag. Equal frames have
+        equal bytes.
 
         If all topics have a single message for the whole scene, only frame 0 has a chunk.
 
@@ -400,7 +402,7 @@ class RecordingWorker:
         return messages
 
     def _chunk(self, frame: Frame, topics: Sequence[tuple[int, Topic[Any]]]) -> Chunk | None:
-        """Chunk of one camera, or of the topics of no camera; None if there are no messages."""
+        """Encode the chunk of one camera, or of the topics of no camera; None if there are no messages."""
         messages = self._messages(frame, topics)
         if not messages:
             return None
@@ -412,23 +414,25 @@ class RecordingWorker:
 
 
 def result_of(chunks: Sequence[Chunk], latched: Sequence[BagMessage] = ()) -> FrameResult:
-    """Result of a worker: chunks, and messages of latched topics that may repeat earlier messages."""
+    """Pack the result of a worker: chunks, and messages of latched topics, which may repeat earlier
+    messages."""
     held = [message._replace(data=bytes(message.data)) for message in latched]
     bare = [replace(chunk, buffers=()) for chunk in chunks]
     return FrameResult((bare, held), [chunk.buffers for chunk in chunks])
 
 
 class FrameChunks:
-    """Chunks of frames in their order. A message of a latched topic that repeats the previous one is left
-    out. ``compression``: compression of the chunks with messages of latched topics."""
+    """Unpacks the chunks of frames, one frame after the other. Messages of latched topics that repeat the
+    previous message are left out. ``compression``: compression of the chunks with messages of latched
+    topics."""
 
     def __init__(self, compression: Compression) -> None:
         self._compression = compression
-        #: Newest message by topic.
+        #: Newest message of each latched topic.
         self._newest: dict[int, Buffer] = {}
 
     def follow(self, bag: Path) -> None:
-        """Continue a bag that has been opened for writing."""
+        """Read the newest latched messages from a bag that is continued."""
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", HumansimWarning)  # warns that the bag is not finished
             with BagReader(bag) as reader:
@@ -436,7 +440,7 @@ class FrameChunks:
                 self._newest = {each.topic: bytes(each.data) for each in reader.messages(latched)}
 
     def of(self, result: FrameResult) -> list[Chunk]:
-        """Chunks of a result of :func:`result_of`, for the next frame."""
+        """Return the chunks of the next frame from its result, made by :func:`result_of`."""
         bare, latched = result.value
         changed = [message for message in latched if message.data != self._newest.get(message.topic)]
         self._newest |= {message.topic: message.data for message in changed}
@@ -454,7 +458,7 @@ def record(
 ) -> FrameProgress:
     """Record a scene. The bytes of the bag do not depend on ``jobs``.
 
-    However the recording ends, the bag is readable and has whole frames.
+    However the recording ends, the bag is readable and has only complete frames.
 
     Args:
         recording: Scene and plan.
@@ -464,7 +468,7 @@ def record(
         on_progress: Called after each frame with the progress, which is also the result.
 
     Raises:
-        BagError: The folder exists, or cannot be written or continued; the disk is full.
+        BagError: The folder exists, or cannot be written or continued; or the disk is full.
         WorkerDiedError: A worker process has died.
         HumansimError: A frame cannot be rendered.
     """
@@ -521,11 +525,11 @@ def record(
 
 
 def check_space(folder: Path, frame_size: float, frames: int) -> None:
-    """Warn if the remaining frames hardly fit on the disk of a bag.
+    """Warn if the remaining frames may not fit on the disk of a bag.
 
     Args:
         folder: Folder of the bag.
-        frame_size: Bytes of a frame.
+        frame_size: Size of a frame, bytes.
         frames: Number of remaining frames.
 
     Raises:
@@ -543,7 +547,7 @@ def check_space(folder: Path, frame_size: float, frames: int) -> None:
 
 
 def check_plan(plan: RecordingPlan, folder: Path) -> None:
-    """Raise BagError unless a bag has the same plan."""
+    """Check that a bag has the same plan. Raises BagError, which names the differences."""
     if not folder.is_dir():
         raise BagError("there is no bag to continue here", path=folder)
     bag = RecordingPlan.of_bag(folder)

@@ -30,7 +30,7 @@ from humansim_ros.data.recording import FrameChunks, SceneRecording
 from humansim_ros.errors import BagError
 from humansim_ros.files.reading import temporary_folder
 
-#: File in a folder with incomplete shards. It states what is being recorded.
+#: Name of a file in the folder of an incomplete bag, which states what is being recorded.
 _PLAN = "recording.json"
 
 
@@ -44,11 +44,11 @@ class ShardResult:
 
 @dataclass(frozen=True)
 class ClusterRecording:
-    """A bag to record; each shard is one of its files.
+    """Job that records a bag on a cluster. Each shard becomes one file of the bag.
 
     Attributes:
-        recording: Content.
-        output: Folder of the bag. The bag has its name.
+        recording: Scene and plan of the recording.
+        output: Folder of the bag, which also gives the bag its name.
         shard_frames: Number of frames of a shard. The last shard may have fewer.
     """
 
@@ -71,7 +71,7 @@ class ClusterRecording:
 
     @property
     def plan(self) -> str:
-        """Text that states which files the folder will have, with which content."""
+        """Text that determines which files the folder will have, and their content."""
         places = [(self.output.name, shard.name) for shard in self.shards]
         return json.dumps({"version": __version__, "custom": dict(self.recording.custom), "shards": places})
 
@@ -85,10 +85,10 @@ class ClusterRecording:
         return self.recording.start()
 
     def write_part(self, worker: FrameWorker, part: ClusterPart) -> PartResult:
-        """Write a shard and move it to the output. This runs in a task.
+        """Write a shard and move it to the output. This method runs in a task.
 
         Raises:
-            HumansimError: A disk is full, or a frame cannot be rendered there.
+            HumansimError: A disk is full, or the host of the task cannot render a frame.
         """
         from humansim_ros.data.bags.mcap_file import McapFile
 
@@ -116,15 +116,16 @@ class ClusterRecording:
 def cluster_recordings(
     scenes: Mapping[str, SceneRecording], output: str, shard_frames: int = PART_FRAMES
 ) -> list[ClusterRecording]:
-    """Bags of scenes.
+    """Create the jobs that record scenes on a cluster.
 
     Args:
-        scenes: Recordings by name of their folder in ``output``. An empty name is ``output`` itself.
+        scenes: Recordings by the name of their folder in ``output``. The empty name stands for ``output``
+            itself.
         output: Absolute path or URL.
         shard_frames: Number of frames of a shard.
 
     Raises:
-        BagError: The options of a plan are not for clusters.
+        BagError: A plan has options that a cluster does not support.
     """
     recordings = []
     for name, scene in scenes.items():
@@ -153,7 +154,7 @@ def record_on_cluster(
         address: ``local`` starts Ray on this machine. ``auto``, ``host:port`` and ``ray://host:port`` name a
             cluster.
         workers: Number of workers of ``local``. If None, one for each core.
-        resume: Record only what is missing in the outputs.
+        resume: Whether to continue, and record only shards that are missing in the outputs.
         on_progress: Called after each shard with the progress, in camera-frames. The last progress is also
             the result.
 
@@ -180,7 +181,8 @@ def record_on_cluster(
 
 
 def _unwritten(recording: ClusterRecording, resume: bool) -> list[ClusterPart]:
-    """Shards that an output lacks. Raises BagError if the output must not be used."""
+    """Shards that are missing in an output. Raises BagError if the output exists and must not be
+    continued."""
     output, shards = recording.output, recording.shards
     found = output.names()
     if not resume:
@@ -202,14 +204,14 @@ def _unwritten(recording: ClusterRecording, resume: bool) -> list[ClusterPart]:
 
 
 def _begin(recording: ClusterRecording) -> None:
-    """Make the folder of the shards, with the plan."""
+    """Create the folder of the shards, with a file that states the plan."""
     if METADATA not in recording.output.names():
         recording.output.create()
         recording.output.write(_PLAN, recording.plan.encode())
 
 
 def _finish(recording: ClusterRecording, results: Mapping[ClusterPart, PartResult]) -> None:
-    """Make a bag of the shards of a recording when all are written."""
+    """Complete the bag of a recording, if all its shards are written: write the metadata."""
     output, recipe = recording.output, recording.recording
     if _PLAN not in output.names():
         return  # it was complete before
@@ -219,7 +221,7 @@ def _finish(recording: ClusterRecording, results: Mapping[ClusterPart, PartResul
 
 
 def _content(output: OutputFolder, shard: ClusterPart, results: Mapping[ClusterPart, PartResult]) -> Content:
-    """Content of a shard that this or an earlier run has written."""
+    """Numbers and times of the messages in a shard that this run or an earlier run has written."""
     from humansim_ros.data.bags.mcap_file import content_in
 
     if isinstance(result := results.get(shard), ShardResult):

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from humansim_ros.scene.core import Scene
 
 
-#: Default values of the options for 3D poses. Any other value counts as given.
+#: Default values of the options for 3D poses. Another value means that the user has set the option.
 _DEFAULTS = {"scale": 1, "offset": 0}
 
 
@@ -54,7 +54,8 @@ def compare(truth: Path, estimate: Sequence[str], min_score: float | None, **opt
 
 
 def _refuse(options: Mapping[str, Any], content: str) -> None:
-    """Raise EvaluationError if options for 3D poses are given with another kind of estimate."""
+    """Check that no options for 3D poses are given, since the estimate is of another kind. Raises
+    EvaluationError."""
     for name, value in options.items():
         if value != _DEFAULTS.get(name):
             raise EvaluationError(f"is for 3D poses; the estimate is {content}", key=f"--{name}")
@@ -77,7 +78,7 @@ def _poses(
     offset: float | Literal["auto"],
     gate: float | None,
 ) -> Comparison:
-    """Compare 3D poses."""
+    """Compare 3D poses of people."""
     from humansim_ros.data.evaluation.alignment import MAX_OFFSET
     from humansim_ros.data.evaluation.evaluation import DEFAULT_GATE, evaluate_poses
     from humansim_ros.data.evaluation.html import html_report
@@ -125,7 +126,7 @@ def _poses(
 
 
 def _boxes(truth: Path, estimate: Sequence[str], gate: float | None) -> Comparison:
-    """Compare upright boxes."""
+    """Compare upright 3D boxes of people."""
     from humansim_ros.data.evaluation.boxes import DEFAULT_GATE, evaluate_boxes
     from humansim_ros.data.evaluation.export_truth import ExportTruth, is_export, open_box_truth
     from humansim_ros.data.evaluation.html import table_html_report
@@ -217,7 +218,7 @@ def write_bag(
     """Record a scene. See :func:`humansim_ros.data.api.record`.
 
     Args:
-        scene, output, frames, seconds, topics, jobs, resume, on_progress: The same as there.
+        scene, output, frames, seconds, topics, jobs, resume, on_progress: The same as for ``record``.
         options: Options of :class:`RecordingPlan`.
     """
     from humansim_ros.data.recording import SceneRecording, record
@@ -247,9 +248,9 @@ def write_data_set(
     """Export a scene, bag or recipe. See :func:`humansim_ros.data.api.export`.
 
     Args:
-        source, output, formats, scenes, frames, keypoints, images, shard_size, jobs, resume: The same as
-            there.
-        on_progress: The same as there.
+        source, output, formats, scenes, frames, keypoints, images, shard_size, jobs, resume: The same as for
+        ``export``.
+        on_progress: The same as for ``export``.
     """
     from humansim_ros.data.formats.exporting import Export, export
     from humansim_ros.data.formats.formats import chosen_formats
@@ -278,7 +279,7 @@ def recipe_data_set(
     scenes: int | None,
     options: Mapping[str, Any],
 ) -> DataSet | None:
-    """Create the data set of many scenes if the source is a recipe; else None.
+    """Create the data set of many scenes if the source is a recipe; otherwise return None.
 
     Args:
         source: Scene, bag or recipe.
@@ -308,7 +309,7 @@ def recipe_data_set(
 def export_source(
     source: Scene | str | os.PathLike[str] | None, formats: tuple[ExportFormat, ...], keypoints: str
 ) -> ExportSource:
-    """The scene or bag to export."""
+    """Create the source of an export from a scene, its file, or a bag."""
     from humansim_ros.data.bags import is_bag
     from humansim_ros.data.formats.source import SimulatedSource
     from humansim_ros.people.keypoints import keypoint_set

@@ -17,16 +17,16 @@ from humansim_ros.data.bags.topics import BagTopic, described
 from humansim_ros.data.bags.writer import BagWriter
 from humansim_ros.errors import HumansimError
 
-#: Messages with this size in total, bytes, become a chunk.
+#: Messages become a chunk when their total size reaches this, bytes.
 _CHUNK_BYTES = 4 << 20
-#: After this time, seconds, messages become a chunk even if they are few, so that a killed recorder loses no
-#: more.
+#: After this time, seconds, messages become a chunk even if they are few. A killed recorder loses no more
+#: than this.
 _CHUNK_SECONDS = 0.5
 
 
 @dataclass(frozen=True)
 class _FrameEnd:
-    """Marks that all messages of a frame have been queued. ``stamp``: stamp of the frame."""
+    """Item of the queue: all messages of a frame come before this item. ``stamp``: stamp of the frame."""
 
     stamp: int
 
@@ -35,19 +35,20 @@ _Item: TypeAlias = BagTopic | BagMessage | _FrameEnd
 
 
 class BagThread:
-    """A queue of messages, bounded in bytes, and the thread that writes them into a bag.
+    """A queue of messages, limited in bytes, and a thread that writes the messages into a bag.
 
     Args:
-        open_bag: Opens the bag. It is called in the thread. Only this thread uses and closes the bag.
+        open_bag: Function that opens the bag. The thread calls it, and is the only one to use and close the
+            bag.
         max_bytes: Most bytes of messages in the queue. A longer message is accepted when the queue is empty.
         compression: Compression of the chunks.
-        on_written: Called in the thread with the stamp of a frame when its messages are in the file. If None,
-            messages do not belong to frames, and are written after half a second.
+        on_written: Called in the thread with the stamp of a frame, after the messages of the frame have been
+            written. If None, messages do not belong to frames, and are written after half a second.
 
     Attributes:
         error: The error that has ended the thread. None while it writes.
         written: Number of messages in the file.
-        written_bytes: Bytes of these messages.
+        written_bytes: Total size of these messages, bytes.
 
     Raises:
         HumansimError: The bag cannot be opened.
@@ -73,7 +74,7 @@ class BagThread:
         self._topics = {topic.name: number for number, topic in enumerate(opened.result())}
 
     def add_topic(self, topic: BagTopic) -> int:
-        """Add a topic, unless the bag has it already. Returns its number for messages."""
+        """Add a topic, unless the bag has it already. Returns the index of the topic for messages."""
         if topic.name not in self._topics:
             self._topics[topic.name] = len(self._topics)
             self._put(topic)
@@ -96,8 +97,8 @@ class BagThread:
         return True
 
     def end_frame(self, stamp: int) -> None:
-        """Write everything in the queue at once, as a group of chunks that is never split. Then call
-        ``on_written``."""
+        """Let the thread write everything in the queue now, as a group of chunks that stays in one file. Then
+        ``on_written`` is called."""
         self._put(_FrameEnd(stamp))
 
     def close(self) -> None:
@@ -160,7 +161,8 @@ class BagThread:
                 return
 
     def _next(self, due: float) -> _Item | None:
-        """Next item. None at the monotonic time ``due``, and at the end."""
+        """Wait for the next item of the queue. None if there is none until the monotonic time ``due``, or at
+        the end."""
         with self._changed:
             while time.monotonic() < due:
                 if self._items:
@@ -171,7 +173,7 @@ class BagThread:
             return None
 
     def _release(self, number: int, size: int) -> None:
-        """Note that messages have been written, so that there is space for others."""
+        """Note that messages have been written, so that the queue has space for others."""
         with self._changed:
             self.written += number
             self.written_bytes += size

@@ -1,4 +1,4 @@
-"""Chunks of messages: the unit in which a bag is encoded, compressed, appended and found again.
+"""Chunks of messages. A bag is encoded, compressed and appended chunk by chunk, and searched by chunks.
 
 A chunk is an MCAP Chunk record with its MessageIndex records. Its bytes do not depend on its place in the
 file, so that workers can encode chunks and one process appends them. The mcap library would copy the messages
@@ -23,7 +23,7 @@ from humansim_ros.errors import BagError
 if TYPE_CHECKING:
     from zstandard import ZstdCompressor
 
-#: Bytes in memory; a NumPy array or shared memory as ``memoryview``.
+#: Bytes in memory. A NumPy array or shared memory is passed as ``memoryview``.
 Buffer: TypeAlias = bytes | bytearray | memoryview
 Compression: TypeAlias = Literal["none", "zstd", "lz4"]
 COMPRESSIONS: tuple[Compression, ...] = get_args(Compression)
@@ -31,28 +31,30 @@ COMPRESSIONS: tuple[Compression, ...] = get_args(Compression)
 #: To write directly to a disk, positions in files and memory must be aligned to this number of bytes.
 BLOCK = 4096
 MESSAGE, CHUNK, MESSAGE_INDEX = 0x05, 0x06, 0x07
-#: Opcode and length, which begin every record.
+#: Format of the start of every record: opcode and length.
 RECORD = struct.Struct("<BQ")
-#: Opcode, length, start, end, size before compression, checksum, length of the name of the compression.
+#: Format of the head of a Chunk record: opcode, length, first and last time, size before compression,
+#: checksum, length of the name of the compression.
 _CHUNK_HEAD = struct.Struct("<BQQQQII")
 _SIZE = struct.Struct("<Q")
-#: Opcode, length, channel, sequence, log time, publish time.
+#: Format of the head of a Message record: opcode, length, channel, sequence, log time, publish time.
 _MESSAGE_HEAD = struct.Struct("<BQHIQQ")
 #: ``_MESSAGE_HEAD`` without opcode and length.
 _MESSAGE_CONTENT = struct.Struct("<HIQQ")
-#: Opcode, length, channel, size of the entries. Each entry is log time and offset in the chunk, 8 bytes each.
+#: Format of the head of a MessageIndex record: opcode, length, channel, size of the entries. An entry is log
+#: time and offset in the chunk, 8 bytes each.
 _INDEX_HEAD = struct.Struct("<BQHI")
 _INDEX_ENTRY = 16
 #: Compression level of zstd. Level 3 would make rendered frames 12 % smaller, but take twice the time.
 _ZSTD_LEVEL = 1
-#: A chunk that claims to be larger is damaged, since nothing writes such chunks.
+#: A chunk with a larger size in its head counts as damaged, since no program writes such chunks.
 _MAX_CHUNK = 1 << 32
 
 
 class BagMessage(NamedTuple):
     """A message of a bag. ``topic`` is the index in the topics of the bag, ``stamp`` the log time in
-    nanoseconds, ``data`` the message in CDR with its header of 4 bytes, ``published`` the publish time, if
-    this differs from the log time."""
+    nanoseconds, ``data`` the message in CDR with its header of 4 bytes, ``published`` the publish time (None
+    if equal to the log time)."""
 
     topic: int
     stamp: int
@@ -64,9 +66,9 @@ class BagMessage(NamedTuple):
 class Chunk:
     """An encoded chunk.
 
-    ``buffers`` are the bytes, one after the other: the Chunk record, of ``chunk_length`` bytes, and the
-    MessageIndex records. ``start`` and ``end`` are the first and last log time, ``counts`` the number of
-    messages for each index of a topic.
+    ``buffers`` are the bytes in their order: the Chunk record (``chunk_length`` bytes), then the MessageIndex
+    records. ``start`` and ``end`` are the first and last log time, nanoseconds. ``counts`` has the number of
+    messages by topic index.
     """
 
     buffers: tuple[Buffer, ...]
@@ -80,29 +82,28 @@ class Chunk:
 
     @property
     def size(self) -> int:
-        """Number of bytes."""
+        """Size of the chunk, bytes."""
         return self.chunk_length + self.index_length
 
     @property
     def index_length(self) -> int:
-        """Number of bytes of the MessageIndex records."""
+        """Total size of the MessageIndex records, bytes."""
         return sum(length for _, length in self.index_lengths())
 
     def index_lengths(self) -> Iterator[tuple[int, int]]:
-        """Index of the topic and number of bytes of each MessageIndex record, in their order."""
+        """Yield topic index and size in bytes of each MessageIndex record, in their order."""
         for topic, count in self.counts.items():
             yield topic, _INDEX_HEAD.size + count * _INDEX_ENTRY
 
     def data(self) -> Buffer:
-        """The bytes in one buffer."""
+        """All bytes of the chunk in one buffer."""
         return self.buffers[0] if len(self.buffers) == 1 else b"".join(self.buffers)
 
 
 def encode_chunk(messages: Sequence[BagMessage], compression: Compression = "none") -> Chunk:
     """Encode messages as one chunk.
 
-    Without compression the data are not copied, so that they must not change until the chunk has been
-    appended.
+    Without compression the data are not copied, so they must not change until the chunk has been appended.
 
     Args:
         messages: At least one message, in the order of their times.
@@ -144,7 +145,7 @@ def encode_chunk(messages: Sequence[BagMessage], compression: Compression = "non
 
 
 def _index_records(entries: Mapping[int, Sequence[tuple[int, int]]]) -> bytes:
-    """MessageIndex records: log time and offset of each message, for each topic."""
+    """Encode the MessageIndex records: one for each topic, with log time and offset of each message."""
     records = []
     for topic in sorted(entries):
         size = len(entries[topic]) * _INDEX_ENTRY
@@ -168,8 +169,8 @@ def _compress(parts: Sequence[Buffer], compression: Compression) -> bytes:
 
 @lru_cache(maxsize=16)
 def _zstd_compressor(thread: int) -> ZstdCompressor:
-    """The compressor of a thread. Threads must not share one, and making one takes a fifth of a chunk's
-    time."""
+    """Compressor of a thread. Cached: threads must not share a compressor, and making one takes a fifth of
+    the time of a chunk."""
     with needs_libraries():
         import zstandard
 
@@ -177,9 +178,10 @@ def _zstd_compressor(thread: int) -> ZstdCompressor:
 
 
 def chunk_records(record: Buffer) -> Iterator[tuple[int, memoryview]]:
-    """Opcode and content of the records in a Chunk record. Sizes and checksum are checked first.
+    """Yield opcode and content of the records in a Chunk record, after a check of sizes and checksum.
 
-    ``record``: all bytes of the Chunk record. The contents are views of it, if it is not compressed.
+    ``record``: all bytes of the Chunk record. Without compression, contents are views of ``record``, not
+    copies.
 
     Raises:
         BagError: The chunk is damaged, or its compression is not known.
@@ -203,7 +205,7 @@ def chunk_records(record: Buffer) -> Iterator[tuple[int, memoryview]]:
 
 
 def message_of(content: memoryview) -> BagMessage:
-    """The message of a Message record. Its ``topic`` is the number of the channel minus 1.
+    """Read a Message record. ``topic`` of the message is the number of the channel minus 1.
 
     Raises:
         BagError: The record is damaged.
@@ -215,7 +217,7 @@ def message_of(content: memoryview) -> BagMessage:
 
 
 def chunk_messages(record: Buffer) -> list[BagMessage]:
-    """Messages of a Chunk record in their order there.
+    """Read the messages of a Chunk record, in the order of the record.
 
     Raises:
         BagError: The chunk is damaged, or its compression is not known.
@@ -223,7 +225,8 @@ def chunk_messages(record: Buffer) -> list[BagMessage]:
     return [message_of(content) for opcode, content in chunk_records(record) if opcode == MESSAGE]
 
 
-#: Enough bytes for the head of a Chunk record, since names of compressions are shorter than 23 characters.
+#: This number of bytes contains the head of a Chunk record, since names of compressions are shorter than 23
+#: characters.
 HEAD_SIZE = 80
 
 
@@ -249,7 +252,7 @@ def read_chunk_head(record: Buffer) -> tuple[Chunk, int, int]:
 
 
 def read_index_head(record: Buffer) -> tuple[int, int]:
-    """Index of the topic and number of messages of a MessageIndex record, from its first bytes."""
+    """Read topic index and number of messages from the first bytes of a MessageIndex record."""
     _, _, channel, size = _INDEX_HEAD.unpack_from(record)
     return channel - 1, size // _INDEX_ENTRY
 

@@ -1,15 +1,15 @@
 """One MCAP file of a bag: append chunks, finish with summary and footer, find whole chunks, read messages.
 
-Each chunk is followed by a small record of our own, the mark (opcode 0x80; readers skip it). It says that the
-chunk is complete, and whether it ends a group (the chunks of one frame). With marks, a file that was cut
-anywhere can be finished or continued.
+Each chunk is followed by a mark, a small record of our own (opcode 0x80) that other readers skip. The mark
+says that the chunk is complete, and whether the chunk is the last of its group (the chunks of one frame).
+With marks, a file that was cut anywhere can be finished or continued.
 
 Large chunks begin and end at block borders of the file. They are written to the disk directly (O_DIRECT),
 without a copy in the memory of the system. This takes 0.5 ms of processor time for 2.5 MB instead of 2 to 6
 ms. Positions depend only on sizes, so that the bytes of a file are the same on every disk.
 
-The mcap library writes and reads all records but chunks and marks. Its readers end at the first damage and
-read all bytes of a file without summary; the scan here reads 80 bytes of each record.
+The mcap library writes and reads all records but chunks and marks. Its readers stop at the first damage, and
+read all bytes of a file without summary. The scan here reads only 80 bytes of each record.
 """
 
 from __future__ import annotations
@@ -73,22 +73,23 @@ with needs_libraries():
     from mcap.summary import Summary
 
 MAGIC = b"\x89MCAP0\r\n"
-#: A chunk of at least this size, bytes, is aligned. The space between such chunks is 0.2 % of them on average
-#: at most.
+#: Chunks of at least this size, bytes, begin at block borders. The gaps before them are at most 0.2 % of the
+#: file on average.
 LARGE_CHUNK = 1 << 20
 #: Opcode of the record after each chunk. Opcodes from 0x80 on are free for applications.
 _MARK = 0x80
 #: Opcode of the record that fills the space before a chunk that must be aligned.
 _PADDING = 0x81
-#: Name, number of the group, and whether the chunk is the last of the group.
+#: Format of the content of a mark: name, number of the group, whether the chunk is the last of the group.
 _MARK_CONTENT = struct.Struct("<8sQB")
 _MARK_NAME = b"humansim"
-#: Size of the index that is kept in memory, bytes. The rest is in a file without name in the folder of the
+#: The index is kept in memory up to this size, bytes, then in an unnamed temporary file in the folder of the
 #: bag.
 _INDEX_IN_MEMORY = 1 << 22
-#: Errors of file systems that refuse direct writing.
+#: Error numbers of file systems that do not support direct writing.
 _REFUSALS = (errno.EINVAL, errno.EOPNOTSUPP)
-#: Readers of the records that describe topics. If the content is damaged, they raise one of ``_DAMAGES``.
+#: Functions that read the records that describe topics, by opcode. For damaged content they raise
+#: ``_DAMAGES``.
 _TOPIC_RECORDS: dict[int, Callable[[ReadDataStream], Schema | Channel]] = {
     Opcode.SCHEMA: Schema.read,
     Opcode.CHANNEL: Channel.read,
@@ -98,15 +99,16 @@ _DAMAGES = (McapError, struct.error, UnicodeDecodeError, ValueError, OverflowErr
 
 
 def mark(group: int, ends_group: bool, space: int = 0) -> bytes:
-    """The record that follows a chunk. It says that the chunk is complete, to which group (the chunks of one
-    frame) the chunk belongs, and whether it is the last of the group. ``space``: number of zeros to add."""
+    """Encode the mark, the record that follows a chunk. It says that the chunk is complete, to which group
+    (the chunks of one frame) the chunk belongs, and whether it is the last of the group. ``space``: number of
+    zeros to add."""
     content = _MARK_CONTENT.pack(_MARK_NAME, group, ends_group) + bytes(space)
     return RECORD.pack(_MARK, len(content)) + content
 
 
 def padding(position: int, block: int) -> bytes:
-    """The record that fills the space from a position to a multiple of ``block``. Empty if the position is
-    one."""
+    """Encode the record that fills the space from a position to the next multiple of ``block``. Empty if the
+    position is a multiple of ``block``."""
     space = -position % block
     if space == 0:
         return b""
@@ -123,7 +125,7 @@ def _encoded(*records: McapRecord) -> bytes:
 
 
 def _after(views: Sequence[memoryview], written: int) -> list[memoryview]:
-    """The rest of buffers after some bytes of them have been written. Empty buffers are left out."""
+    """Parts of buffers that remain after the first ``written`` bytes. Empty buffers are left out."""
     left = []
     for view in views:
         if written < view.nbytes:
@@ -133,7 +135,7 @@ def _after(views: Sequence[memoryview], written: int) -> list[memoryview]:
 
 
 def _chunk_index(chunk: Chunk, position: int) -> ChunkIndex:
-    """The record of the summary about a chunk at a position."""
+    """Make the record of the summary that describes a chunk at a position."""
     offsets, offset = {}, position + chunk.chunk_length
     for topic, length in chunk.index_lengths():
         offsets[topic + 1] = offset
@@ -152,7 +154,8 @@ def _chunk_index(chunk: Chunk, position: int) -> ChunkIndex:
 
 
 class DirectFile:
-    """A second way to write an open file. ``descriptor``: the first way, with read and write access."""
+    """Writes an open file directly to the disk (O_DIRECT). ``descriptor``: the open file, with read and write
+    access."""
 
     def __init__(self, descriptor: int) -> None:
         self._descriptor = -1
@@ -164,11 +167,11 @@ class DirectFile:
     def write(self, views: Sequence[memoryview], position: int) -> int:
         """Write buffers one after the other. Returns how many bytes are written, a multiple of ``BLOCK``.
 
-        The result is 0 if direct writing is refused, and less than all if the system ends the write early.
-        Aligned bytes at the start of the first buffer are not copied.
+        The result is 0 if the file system does not support direct writing, and may be less than the total
+        size. Aligned bytes at the start of the first buffer are not copied.
 
         Args:
-            views: Bytes. Their sizes add up to a multiple of ``BLOCK``.
+            views: Buffers. The sum of their sizes must be a multiple of ``BLOCK``.
             position: Place in the file, a multiple of ``BLOCK``.
 
         Raises:
@@ -188,7 +191,7 @@ class DirectFile:
             return 0
 
     def _staged(self, views: Sequence[memoryview]) -> memoryview:
-        """Copy buffers to aligned memory."""
+        """Copy buffers to memory that begins at a multiple of ``BLOCK``."""
         size = sum(view.nbytes for view in views)
         if size > len(self._staging):
             self._staging = mmap.mmap(-1, -(-size // BLOCK) * BLOCK)
@@ -199,7 +202,7 @@ class DirectFile:
         return staged[:size]
 
     def close(self) -> None:
-        """Refuse to write from now on."""
+        """End direct writing: :meth:`write` returns 0 from now on."""
         if self._descriptor >= 0:
             os.close(self._descriptor)
             self._descriptor = -1
@@ -230,8 +233,8 @@ class McapFile:
 
     @classmethod
     def create(cls, path: Path, topics: Sequence[BagTopic], profile: str = "ros2") -> McapFile:
-        """Create a file with its header and topics. It gets its name when these are complete. ``profile``:
-        profile of the file; empty for one that no ROS program reads."""
+        """Create a file with header and topics. The file appears under its name when these are written.
+        ``profile``: MCAP profile; empty for a file that no ROS program reads."""
         file = cls(path)
         temporary = path.with_name(f".{path.name}.new")
         try:
@@ -290,7 +293,8 @@ class McapFile:
 
     @classmethod
     def content_of(cls, path: Path) -> Content:
-        """Content of a finished file, from its summary. Raises BagError if the file is damaged."""
+        """Read numbers and times of the messages from the summary of a finished file. Raises BagError if the
+        file is damaged."""
         with open_file(path, BagError, "bag", ANY_SIZE) as file:
             return content_in(file, path)
 
@@ -300,7 +304,7 @@ class McapFile:
         self.size = size
 
     def _write(self, *buffers: Buffer, directly: bool = False) -> None:
-        """Write buffers one after the other, all or nothing. ``directly``: with O_DIRECT, as aligned
+        """Write all buffers one after the other; if that fails, none. ``directly``: with O_DIRECT, as aligned
         blocks."""
         views = [memoryview(buffer).cast("B") for buffer in buffers]
         size = sum(view.nbytes for view in views)
@@ -318,7 +322,7 @@ class McapFile:
         self.size += size
 
     def add_topic(self, topic: BagTopic) -> None:
-        """Add a topic after those that exist."""
+        """Add a topic. It comes after the existing topics."""
         new: list[McapRecord] = []
         schema = self._schemas.get(topic.type)
         if schema is None:
@@ -430,10 +434,11 @@ def _summary(file: BinaryIO) -> Summary | None:
 
 
 def content_in(file: BinaryIO, path: str | os.PathLike[str]) -> Content:
-    """Content of a finished file that this package has written. The file may be on another machine.
+    """Read numbers and times of messages from a finished file of this package, which may be on another
+    machine.
 
     Raises:
-        BagError: The summary of the file, which the error calls ``path``, is damaged.
+        BagError: The summary of the file is damaged. The error names the file ``path``.
     """
     summary = _summary(file)
     if summary is None or summary.statistics is None:
@@ -444,8 +449,9 @@ def content_in(file: BinaryIO, path: str | os.PathLike[str]) -> Content:
 
 
 class Unit(NamedTuple):
-    """A chunk with its mark, from ``start`` to ``end`` in the file; ``chunk`` has no bytes. ``group`` is -1
-    if there is no mark, as in files of other programs. A message outside of chunks is a unit, too."""
+    """Where a chunk and its mark are in the file: from ``start`` to ``end``. ``chunk`` has no bytes.
+    ``group`` is -1 without a mark, as in files of other programs. A message outside of chunks is a unit,
+    too."""
 
     chunk: Chunk
     start: int
@@ -480,7 +486,8 @@ class McapScan:
             raise BagError(f"cannot be read: {reason.strerror or reason}", path=path) from None
 
     def own_units(self) -> list[Unit]:
-        """Chunks with marks. Raises BagError if the file is damaged or was written by another program."""
+        """The units of a file that this package has written, all with marks. Raises BagError if the file is
+        damaged or was written by another program."""
         if self._is_foreign:
             raise BagError("this file was not written by humansim: it cannot be continued", path=self._path)
         if self.damaged:
@@ -526,7 +533,7 @@ class McapScan:
             self._is_foreign |= self._has_end
 
     def _records(self) -> Iterator[tuple[int, int, int, bytes]]:
-        """Opcode, position, end and first bytes of each complete record, up to the end of the data."""
+        """Yield opcode, position, end and first bytes of each complete record, up to the end of the data."""
         size = os.fstat(self._file.fileno()).st_size
         self._file.seek(0)
         if self._file.read(len(MAGIC)) != MAGIC:
@@ -548,8 +555,8 @@ class McapScan:
 
 
 def _group(opcode: int, head: bytes) -> tuple[int, bool]:
-    """Number of the group of the chunk before a record, and whether the chunk is its last. -1 if there is no
-    mark."""
+    """Read the record after a chunk. If it is a mark: number of the group, and whether the chunk is the last
+    of the group. Otherwise -1."""
     if opcode == _MARK:
         name, group, ends_group = _MARK_CONTENT.unpack_from(head, RECORD.size)
         if name == _MARK_NAME:
@@ -569,12 +576,12 @@ def _topic_of(channel: Channel, schemas: Mapping[int, Schema]) -> BagTopic:
 
 
 class McapInput:
-    """An MCAP file that is read.
+    """Reads an MCAP file.
 
     Attributes:
         topics: Topics of the channels in the order of the file.
         content: Numbers and times of the messages.
-        whole: Whether the file was finished. If not, its complete chunks are read.
+        whole: Whether the file was finished. If false, its complete chunks are read.
 
     Raises:
         BagError: The file cannot be read, or is no MCAP file.
@@ -605,7 +612,7 @@ class McapInput:
         self._file.close()
 
     def _read_summary(self) -> bool:
-        """Take topics and chunks from the summary. Returns False if the summary is missing or wrong."""
+        """Read topics and chunks from the summary. Returns False if the summary is missing or wrong."""
         size = os.fstat(self._file.fileno()).st_size
         summary = _summary(self._file)
         if summary is None or summary.statistics is None:
@@ -626,7 +633,7 @@ class McapInput:
         return True
 
     def _scan(self) -> None:
-        """Find topics and messages from the start of the file."""
+        """Find topics and messages without a summary, by a scan from the start of the file."""
         scan = McapScan(self._file, self.path)
         for position in scan.damaged:
             self._warn_about_damage(position)
@@ -648,7 +655,8 @@ class McapInput:
         self.whole = self._file.read() == MAGIC
 
     def _counts_in(self, index: ChunkIndex) -> dict[int, int]:
-        """Number of messages by topic index, read from a chunk that has no index or contains topics."""
+        """Count the messages of a chunk by topic index, for a chunk without MessageIndex or with topics
+        inside."""
         counts: dict[int, int] = {}
         for opcode, content in chunk_records(self._record(index)):
             if opcode in _TOPIC_RECORDS:
@@ -676,8 +684,8 @@ class McapInput:
 
         Args:
             topics: Indices of the topics.
-            start: First log time in nanoseconds.
-            end: Log time after the last one.
+            start: Smallest log time, nanoseconds.
+            end: Only messages before this log time, nanoseconds.
         """
         wanted = {number for number, index in self._indices.items() if index in topics}
         pending: list[tuple[int, int, BagMessage]] = []
@@ -697,7 +705,8 @@ class McapInput:
             yield heapq.heappop(pending)[2]
 
     def _messages(self, index: ChunkIndex) -> list[BagMessage]:
-        """Messages of a chunk, or of a Message record. If it is damaged, no messages and a warning."""
+        """Read the messages of a chunk, or of a Message record outside of chunks. If damaged: a warning, no
+        messages."""
         record = self._record(index)
         try:
             if record[:1] == bytes([MESSAGE]):

@@ -1,4 +1,5 @@
-"""Storages of bags, and ``metadata.yaml`` (version 9) in the form that rosbag2 of ROS 2 Jazzy writes."""
+"""Names of storage formats of bags; and ``metadata.yaml`` (version 9), as rosbag2 of ROS 2 Jazzy writes
+it."""
 
 from __future__ import annotations
 
@@ -17,7 +18,7 @@ from humansim_ros.files.reading import read_bytes
 Storage: TypeAlias = Literal["mcap", "sqlite3"]
 SUFFIXES: dict[Storage, str] = {"mcap": ".mcap", "sqlite3": ".db3"}
 NAME = "metadata.yaml"
-#: Start of a bag without messages, as rosbag2 writes it.
+#: Start time of a bag without messages, as rosbag2 writes it.
 _NEVER = (1 << 63) - 1
 # libyaml writes the same text ten times faster
 _Dumper: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
@@ -32,7 +33,8 @@ def is_bag(path: Path) -> bool:
 
 @dataclass
 class Content:
-    """Numbers and times of messages. ``counts``: number of messages by topic index. Times are nanoseconds."""
+    """Numbers and times of the messages of a file. ``counts``: number of messages by topic index. ``start``,
+    ``end``: first and last log time, nanoseconds."""
 
     counts: dict[int, int] = field(default_factory=dict)
     start: int | None = None
@@ -44,7 +46,7 @@ class Content:
         return sum(self.counts.values())
 
     def add(self, counts: Mapping[int, int], start: int | None, end: int | None) -> None:
-        """Add messages."""
+        """Add the numbers and times of further messages."""
         for topic, count in counts.items():
             self.counts[topic] = self.counts.get(topic, 0) + count
         if start is not None:
@@ -62,13 +64,13 @@ def _times(content: Content) -> dict[str, Any]:
 def metadata_text(
     storage: str, topics: Sequence[BagTopic], files: Sequence[tuple[str, Content]], custom: Mapping[str, str]
 ) -> str:
-    """Content of ``metadata.yaml``.
+    """Make the text of ``metadata.yaml``.
 
     Args:
         storage: ``mcap`` or ``sqlite3``.
         topics: Topics of the bag.
         files: Name and content of each file.
-        custom: Texts of the user.
+        custom: Texts for ``custom_data``.
     """
     whole = Content()
     for _, content in files:
@@ -144,7 +146,7 @@ def topics_in(information: Mapping[str, Any]) -> list[BagTopic]:
 
 
 def custom_in(information: Mapping[str, Any]) -> dict[str, str]:
-    """Texts of the user from the metadata of a bag."""
+    """Texts in ``custom_data`` of the metadata of a bag."""
     custom = information.get("custom_data")
     return {str(key): str(text) for key, text in custom.items()} if isinstance(custom, dict) else {}
 
@@ -153,7 +155,7 @@ def write_metadata(folder: Path, text: str) -> None:
     """Replace ``metadata.yaml`` of a bag atomically.
 
     Raises:
-        OSError: It cannot be written.
+        OSError: The file cannot be written.
     """
     temporary = folder / f".{NAME}.new"
     try:

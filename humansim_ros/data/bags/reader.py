@@ -1,4 +1,4 @@
-"""Read bags of rosbag2 that are finished, interrupted or cut: all complete messages."""
+"""Read all complete messages of bags of rosbag2, also of bags that were interrupted or cut."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _FOREVER = (1 << 63) - 1
 
 @dataclass(frozen=True)
 class BagInfo:
-    """What a bag holds. ``counts`` are the messages of each topic by its index, ``start`` and ``end`` the
+    """Summary of a bag. ``counts`` are the numbers of messages by topic index, ``start`` and ``end`` the
     first and last log time in nanoseconds (None if there are no messages), ``size`` the bytes of all files.
     ``whole`` is False if the bag was interrupted or cut. ``custom`` are the texts of ``custom_data``."""
 
@@ -65,7 +65,7 @@ class BagReader:
         except BaseException:
             self.close()
             raise
-        #: Topics of all files. Messages name a topic by its index.
+        #: Topics of all files. A message refers to its topic by the index in this sequence.
         self.topics: Sequence[BagTopic] = self._merge_topics()
         self.info = self._make_info(storage, metadata)
         for each in self._inputs:
@@ -82,7 +82,7 @@ class BagReader:
             for topic in each.topics:
                 topics.setdefault((topic.name, topic.type), topic)
         places = {key: index for index, key in enumerate(topics)}
-        #: By file: the index in the bag of each topic of the file.
+        #: For each file: by topic of the file, the index of this topic in the bag.
         self._indices = [[places[topic.name, topic.type] for topic in each.topics] for each in self._inputs]
         return tuple(topics.values())
 
@@ -110,8 +110,8 @@ class BagReader:
 
         Args:
             topics: Names of topics. If None, all.
-            start: First log time in nanoseconds.
-            end: Log time after the last one.
+            start: Smallest log time, nanoseconds.
+            end: Only messages before this log time, nanoseconds.
 
         Raises:
             BagError: The bag has no topic with one of the names.
@@ -132,7 +132,7 @@ class BagReader:
             yield from heapq.merge(*streams, key=lambda message: message.stamp)
 
     def _in_order(self) -> bool:
-        """Whether the files follow each other in time."""
+        """Whether no file has messages before the end of the previous file."""
         contents = [each.content for each in self._inputs if each.content.total]
         return all((before.end or 0) <= (after.start or 0) for before, after in pairwise(contents))
 
@@ -166,7 +166,7 @@ def _open(storage: Storage, path: Path) -> McapInput | SqliteInput:
 
 
 def _files(path: Path) -> tuple[Storage, list[Path], Mapping[str, Any]]:
-    """Storage, files and metadata of a bag."""
+    """Find storage format, files and metadata of a bag."""
     if not path.is_dir():
         for storage, suffix in SUFFIXES.items():
             if path.suffix == suffix and path.exists():

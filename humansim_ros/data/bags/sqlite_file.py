@@ -1,10 +1,11 @@
 """One sqlite3 file of a bag, with the tables of rosbag2 (schema version 4): append, continue, read.
 
-Each group is one transaction, so that a killed process leaves complete groups. ``user_version`` counts them.
+Each group is one transaction, so that a killed process leaves only complete groups. ``user_version`` is the
+number of groups.
 
 rosbags does not replace this module. Its writer has one transaction for the whole bag. A killed process loses
-this, and it takes twice the processor time (0.75 ms instead of 0.37 ms for 0.6 MB). Its reader ignores locks
-and the journal of a killed process. It refuses a bag with a type that it does not know.
+the whole bag, and writing takes twice the processor time (0.75 ms instead of 0.37 ms for 0.6 MB). The reader
+of rosbags ignores locks and the journal of a killed process, and refuses bags with unknown types.
 """
 
 from __future__ import annotations
@@ -37,16 +38,16 @@ CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, timesta
 CREATE INDEX timestamp_idx ON messages (timestamp ASC);
 INSERT INTO schema(schema_version, ros_distro) VALUES (4, 'jazzy');
 """
-#: Size of a page, bytes. Images are written in half of the time that the usual 4096 bytes take.
+#: Size of a page, bytes. Writing images takes half of the time of the usual 4096 bytes.
 _PAGE = 1 << 16
-#: Marks our files in their header. Files of other programs are not continued.
+#: Number in the header of files of this package. Files of other programs are not continued.
 _APPLICATION = 0x68736D62
-#: Conditions that rows of an undamaged file fulfil.
+#: SQL condition that all rows of an undamaged file fulfil.
 _VALID = "typeof(topic_id) = 'integer' AND typeof(timestamp) = 'integer' AND typeof(data) = 'blob'"
 
 
 def _connect(path: Path, mode: str) -> sqlite3.Connection:
-    """Open a database; ``mode``: ``ro``, ``rw`` or ``rwc``."""
+    """Open a database. ``mode``: ``ro`` (read), ``rw`` (write) or ``rwc`` (create)."""
     return sqlite3.connect(
         f"file:{quote(str(path))}?mode={mode}", uri=True, isolation_level=None, check_same_thread=False
     )
@@ -79,7 +80,7 @@ class SqliteFile:
 
     @classmethod
     def create(cls, path: Path, topics: Sequence[BagTopic]) -> SqliteFile:
-        """Create a file with its topics. It gets its name when these are complete."""
+        """Create a file with its topics. The file appears under its name when these are written."""
         temporary = path.with_name(f".{path.name}.new")
         try:
             temporary.unlink(missing_ok=True)
@@ -101,8 +102,8 @@ class SqliteFile:
 
     @classmethod
     def reopen(cls, path: Path, *, spare: int = 0) -> tuple[SqliteFile, int | None]:
-        """Open a file to continue it after its last complete group. See :meth:`McapFile.reopen`. sqlite3
-        removes an incomplete group. ``spare`` has no effect, since finishing a file needs no space."""
+        """Open a file to continue it after its last complete group. See :meth:`McapFile.reopen`. Incomplete
+        groups are removed by sqlite3. ``spare`` has no effect, since finishing needs no disk space."""
         file = cls(path, _connect(path, "rw"))
         try:
             (application,) = file._database.execute("PRAGMA application_id").fetchone()
@@ -122,14 +123,15 @@ class SqliteFile:
 
     @classmethod
     def content_of(cls, path: Path) -> Content:
-        """Content of a finished file. Raises BagError if the file is damaged."""
+        """Read numbers and times of the messages of a finished file. Raises BagError if the file is
+        damaged."""
         with closing(SqliteInput(path)) as found:
             if not found.whole:
                 raise BagError("this file was not finished", path=path)
             return found.content
 
     def add_topic(self, topic: BagTopic) -> None:
-        """Add a topic after those that exist."""
+        """Add a topic. It comes after the existing topics."""
         if topic.type not in self._types:
             self._database.execute(
                 "INSERT INTO message_definitions(topic_type, encoding, encoded_message_definition, "
@@ -144,7 +146,7 @@ class SqliteFile:
         self.topics.append(topic)
 
     def append(self, chunk: Chunk, group: int, ends_group: bool) -> None:
-        """Append a chunk. ``group``: number of its group in the bag."""
+        """Append a chunk. ``group``: number of the group in the bag."""
         record = memoryview(chunk.data())[: chunk.chunk_length]
         if not self._database.in_transaction:
             self._database.execute("BEGIN")
@@ -158,7 +160,7 @@ class SqliteFile:
         self.content.add(chunk.counts, chunk.start, chunk.end)
 
     def finish(self) -> None:
-        """Close the file. Everything has been written with its group."""
+        """Close the file. No more work is needed, since each group has been written as a whole."""
         self.close()
 
     def close(self) -> None:
@@ -179,7 +181,7 @@ def _was_cut(path: Path) -> bool:
 
 
 class SqliteInput:
-    """A sqlite3 file that is read. ``whole`` is False if the file had to be repaired.
+    """Reads a sqlite3 file. ``whole`` is False if the file had to be repaired.
 
     Raises:
         BagError: The file cannot be read, is damaged, or is no sqlite3 file of a bag.
@@ -188,7 +190,7 @@ class SqliteInput:
     def __init__(self, path: Path) -> None:
         self.path = path
         journal = path.with_name(f"{path.name}-journal")
-        #: A killed process leaves a journal. sqlite3 then takes back what was incomplete.
+        #: A killed process leaves a journal, with which sqlite3 undoes the incomplete transaction.
         self.whole = not journal.exists()
         with self._errors():
             if self.whole and _was_cut(path):
@@ -241,8 +243,8 @@ class SqliteInput:
 
         Args:
             topics: Indices of the topics.
-            start: First log time in nanoseconds.
-            end: Log time after the last one.
+            start: Smallest log time, nanoseconds.
+            end: Only messages before this log time, nanoseconds.
         """
         query = (
             "SELECT topic_id, timestamp, data FROM messages "

@@ -23,13 +23,13 @@ if TYPE_CHECKING:
 
 _NAME = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
 _TYPE = re.compile(r"[a-z][a-z0-9_]*(/[a-z]+)?/[A-Z][A-Za-z0-9]*")
-#: Duration that means no limit, in the form that Fast DDS and rosbag2 write.
+#: Duration that means "no limit", as Fast DDS and rosbag2 write it.
 _INFINITE = {"sec": 9223372036, "nsec": 854775807}
 
 
 @dataclass(frozen=True)
 class Qos:
-    """Quality of service that a publisher of a topic offered; all other policies have their defaults."""
+    """Quality of service of a publisher of a topic. Policies that are not listed here have their defaults."""
 
     reliable: bool = True
     transient_local: bool = False
@@ -52,7 +52,7 @@ class Qos:
 
     @classmethod
     def from_yaml(cls, policies: dict[str, Any]) -> Qos:
-        """Read policies of ``metadata.yaml``. Up to version 8, numbers stand for names."""
+        """Read policies of ``metadata.yaml``. Up to version 8, the file has numbers in place of names."""
         return cls(
             reliable=policies.get("reliability") not in ("best_effort", 2),
             transient_local=policies.get("durability") in ("transient_local", 1),
@@ -80,7 +80,7 @@ class BagTopic:
 
     @property
     def encoding(self) -> str:
-        """Format of the definition, in the words of bags. Empty if the type is unknown."""
+        """Format of the definition, such as ``ros2msg``, as bags name it. Empty if the type is unknown."""
         if self.serialization == "json":
             return "jsonschema"
         return "ros2msg" if self.definition or self.type_hash else ""
@@ -95,8 +95,8 @@ def qos_text(topic: BagTopic) -> str:
 
 @lru_cache(maxsize=64)
 def qos_of_text(text: str) -> tuple[Qos, ...]:
-    """Read QoS profiles from such a text. Empty if it cannot be read. (Cached, since many topics share a
-    text.)"""
+    """Read QoS profiles from a text of :func:`qos_text`. Empty if not readable. Cached, since many topics
+    share a text."""
     try:
         return tuple(Qos.from_yaml(profile) for profile in yaml.safe_load(text) or [])
     except (yaml.YAMLError, AttributeError, TypeError, ValueError):
@@ -104,7 +104,7 @@ def qos_of_text(text: str) -> tuple[Qos, ...]:
 
 
 def check_topics(topics: Sequence[BagTopic]) -> None:
-    """Check names and types.
+    """Check the names and types of topics.
 
     Raises:
         BagError: A name is no absolute topic name, a type is no message type, or a name occurs twice.
@@ -123,7 +123,7 @@ def check_topics(topics: Sequence[BagTopic]) -> None:
 
 
 def described(topic: BagTopic) -> BagTopic:
-    """The topic with definition and hash of its type.
+    """Return the topic with the definition and hash of its type added.
 
     The definition comes from rosbags' copy of the Jazzy messages, so that it is the same on every machine.
     For other types it comes from the ``.msg`` files of installed packages and of ``config/interfaces``. An
@@ -154,9 +154,9 @@ def message_types() -> Typestore:
 
 @lru_cache(maxsize=64)
 def types_of(name: str, definition: str) -> Typestore:
-    """Types for reading the messages of a topic.
+    """Types of rosbags for reading the messages of a topic.
 
-    A type that is not part of ROS itself gets the definition in the bag, since versions differ.
+    A type that is not part of ROS itself gets its definition from the bag, since its versions differ.
 
     Args:
         name: Name of the type.
@@ -180,7 +180,7 @@ def types_of(name: str, definition: str) -> Typestore:
 def is_defined(name: str) -> bool:
     """Return whether :func:`message_types` has a type such as ``sensor_msgs/msg/Image``.
 
-    Types of installed packages, and of the packages in ``config/interfaces``, are added to it.
+    Types of installed packages, and of the packages in ``config/interfaces``, are added first.
     """
     return _known(name, message_types())
 
@@ -197,8 +197,8 @@ def _description(name: str) -> tuple[str, str]:
 
 
 def _installed_hash(name: str) -> str:
-    """Hash of a type from ROS itself, since rosbags computes another hash for types with a field of kind
-    char."""
+    """Hash of a type as installed with ROS, since rosbags computes a wrong hash for types with a field of
+    kind char."""
     path = _installed_file(name, ".json")
     if path is None:
         return ""
@@ -210,7 +210,8 @@ def _installed_hash(name: str) -> str:
 
 
 def _known(name: str, store: Typestore) -> bool:
-    """Whether the store has a type with all types that it contains. They are loaded from ``.msg`` files."""
+    """Whether the store has a type and all types in its fields. Missing types are loaded from ``.msg``
+    files."""
     from rosbags.typesys import TypesysError, get_types_from_msg
 
     if name in store.fielddefs:
@@ -230,8 +231,8 @@ def _known(name: str, store: Typestore) -> bool:
 
 
 def _names_in(field: Any) -> list[str]:
-    """Message types in the description of a field. A description is (kind, content), where content may be a
-    description."""
+    """Names of the message types in the description of a field. A description is (kind, content); the content
+    may be another description."""
     from rosbags.interfaces import Nodetype
 
     kind, content = field
@@ -241,7 +242,8 @@ def _names_in(field: Any) -> list[str]:
 
 
 def _installed_file(name: str, suffix: str) -> Path | None:
-    """The file of a type in the installed packages, or in ``config/interfaces``."""
+    """Path of the file of a type in the installed packages or in ``config/interfaces``; None if there is
+    none."""
     package, kind, base = name.split("/")
     prefixes = [*filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)), sys.prefix]
     folders = [*(Path(prefix, "share") for prefix in prefixes), resource_root() / "config" / "interfaces"]

@@ -1,4 +1,4 @@
-"""Write a bag of rosbag2: append encoded chunks, split into files, keep ``metadata.yaml`` up to date.
+"""Write a bag of rosbag2: append encoded chunks, split the bag into files, and update ``metadata.yaml``.
 
 An interrupted bag can be finished or continued.
 """
@@ -39,16 +39,16 @@ if TYPE_CHECKING:
 
 #: Seconds between updates of metadata.yaml.
 _RENEWAL = 1.0
-#: Errors of writing a file of a bag.
+#: Exceptions that writing a file of a bag may raise.
 _ERRORS = (OSError, sqlite3.Error)
-#: Errors of a disk without space.
+#: Error numbers that mean a full disk.
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-#: Number of bytes that are freed first when the disk is full, for the summary and metadata.yaml.
+#: When the disk is full, this number of bytes is freed first, for the summary and metadata.yaml.
 _SPARE = 1 << 14
 
 
 def _file_class(storage: Storage) -> type[McapFile] | type[SqliteFile]:
-    """The class of the files of a storage.
+    """Class that writes the files of a storage format.
 
     Raises:
         BagError: There is no such storage, or the libraries of bags are not installed.
@@ -82,14 +82,14 @@ def _lock_bag(folder: Path) -> int:
 
 
 def check_unlocked(folder: Path) -> None:
-    """Raise BagError if another process writes a bag."""
+    """Check that no other process writes a bag. Raises BagError."""
     with _unwritable(folder):
         os.close(_lock_bag(folder))
 
 
 def _files(folder: Path, suffix: str) -> tuple[str, list[Path]]:
-    """Common prefix of the names, and the files of a bag in their order. Raises BagError if there are
-    none."""
+    """Find the files of a bag. Returns the common prefix of their names, and the files in order. Raises
+    BagError if there are none."""
     found: dict[str, dict[int, Path]] = {}
     for path in folder.glob(f"*{suffix}"):
         if match := re.fullmatch(r"(.+)_(\d+)", path.stem):
@@ -123,11 +123,11 @@ class BagWriter:
 
     Args:
         folder: Folder of the bag. It is created.
-        topics: Topics. A chunk names a topic by its index. Missing definitions are looked up.
+        topics: Topics. Messages refer to a topic by its index here. Missing definitions are looked up.
         storage: ``mcap`` or ``sqlite3``.
         compression: Compression of the chunks. sqlite3 files have none.
-        max_size: Size in bytes at which the next group begins a new file. If 0, never.
-        max_duration: Duration in seconds after which the next group begins a new file. If 0, never.
+        max_size: When a file has this size, bytes, the next group begins a new file. If 0, never.
+        max_duration: When a file has this duration, seconds, the next group begins a new file. If 0, never.
         custom: Texts for ``custom_data`` of metadata.yaml. ``writer.custom`` can be changed until the end.
 
     Attributes:
@@ -135,7 +135,7 @@ class BagWriter:
         groups: Number of complete groups in the bag.
 
     Raises:
-        BagError: The folder exists, cannot be created, or an option or a topic is wrong.
+        BagError: The folder exists or cannot be created, or an option or a topic is wrong.
     """
 
     def __init__(
@@ -181,8 +181,8 @@ class BagWriter:
     ) -> BagWriter:
         """Continue an interrupted or a finished bag after its last complete group.
 
-        ``groups``, ``topics``, ``end`` and ``custom`` of the writer describe what the bag has. With the same
-        limits and the same chunks as before, the bag becomes the same as without interruption.
+        ``groups``, ``topics``, ``end`` and ``custom`` of the writer describe the existing content of the bag.
+        With the same limits and the same chunks as before, the bag becomes the same as without interruption.
 
         Args:
             folder: Folder of the bag.
@@ -223,7 +223,7 @@ class BagWriter:
     def _reopen(self, spare: int = 0) -> None:
         """Open the files to continue them after their last complete group.
 
-        ``spare``: remove groups with at least this number of bytes from the end.
+        ``spare``: to free disk space, remove groups with at least this number of bytes from the end.
 
         Raises:
             BagError: The folder holds no bag of humansim, or the bag is damaged.
@@ -293,16 +293,16 @@ class BagWriter:
         return len(self.topics) - 1
 
     def append(self, chunk: Chunk, *, ends_group: bool = True) -> None:
-        """Append a chunk. The system gets its bytes at once, so that they may change afterwards.
+        """Append a chunk. Its bytes are passed to the system at once, so they may change after the call.
 
         Args:
             chunk: Encoded messages. Chunks must come in the order of their times.
             ends_group: Whether the chunk is the last of its group. If False, the next chunk belongs to the
-                same group, such as another camera of a frame. Files are split, and bags are continued, only
-                between groups.
+                same group, for example with another camera of the frame. Files are split, and bags are
+                continued, only between groups.
 
         Raises:
-            BagError: The disk is full. The bag is finished with the groups before.
+            BagError: The disk is full. The bag is finished with the previous groups.
         """
         with self._writing():
             if not self._in_group and self._is_full(chunk.end):
@@ -329,7 +329,8 @@ class BagWriter:
 
     @contextmanager
     def _writing(self) -> Iterator[None]:
-        """Write to the files. If that fails, finish the bag after its last complete group."""
+        """Context for writing to the files. If writing fails, the bag is finished after its last complete
+        group."""
         if self._closed:
             raise BagError("the bag is closed", path=self.folder)
         try:
@@ -348,7 +349,7 @@ class BagWriter:
         """Update metadata.yaml. This also happens every second while chunks are appended.
 
         Raises:
-            BagError: The disk is full. The bag is finished with the groups before.
+            BagError: The disk is full. The bag is finished with the previous groups.
         """
         self._renewed = time.monotonic()
         with self._writing():
@@ -382,8 +383,8 @@ class BagWriter:
         self._write_metadata()
 
     def _finish_again(self) -> None:
-        """Finish the bag from the content of its files. If the disk is full, groups are removed until there
-        is space."""
+        """Finish the bag after an error: open its files again, and finish them. If the disk is full, groups
+        are removed until there is space."""
         custom, spare = self.custom, 0
         while True:
             self._file.close()

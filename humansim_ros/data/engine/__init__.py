@@ -1,4 +1,4 @@
-"""Work on frames in processes and on Ray."""
+"""Work on the frames of a scene in several processes, or on a Ray cluster."""
 
 from humansim_ros.lazy import lazy_exports
 

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol, TypeAlias
 
-#: Bytes in memory; a NumPy array or shared memory as ``memoryview``.
+#: Bytes in memory. A NumPy array or shared memory is passed as ``memoryview``.
 Buffer: TypeAlias = bytes | bytearray | memoryview
 
 
@@ -20,7 +20,7 @@ class FrameResult(NamedTuple):
     """What a worker returns for a frame.
 
     Attributes:
-        value: Small object, which is pickled for another process.
+        value: Small object, which is pickled if it goes to another process.
         data: Groups of buffers. If another process has made the result, each group is one buffer in shared
             memory, which is valid until the next result.
     """
@@ -33,7 +33,7 @@ class Costs(dict[str, float]):
     """Seconds of processor time by step."""
 
     def add(self, step: str, start: float) -> float:
-        """Add the processor time since ``start`` to a step. Returns the time now."""
+        """Add the processor time since ``start`` to a step. Returns the present processor time."""
         now = time.process_time()
         self[step] = self.get(step, 0.0) + now - start
         return now
@@ -43,15 +43,15 @@ class FrameWorker(Protocol):
     """Does the work of single frames.
 
     Attributes:
-        costs: Processor time of its frames. In a worker process, it is set back before each frame.
+        costs: Processor time by step. In a worker process, all costs are set to 0 before each frame.
     """
 
     costs: Costs
 
     def work(self, frame: Any, /) -> FrameResult:
-        """Do the work of a frame. Raises HumansimError if the frame cannot be made.
+        """Do the work of one frame. Raises HumansimError if that fails.
 
-        ``frame``: number of the frame, or another object that names it.
+        ``frame``: number of the frame, or another object that identifies the frame.
         """
 
     def close(self) -> None:
@@ -62,7 +62,8 @@ class FrameJob(Protocol):
     """Work on the frames of a scene. It can be copied to another process."""
 
     def start(self) -> FrameWorker:
-        """Load what the work needs. Raises HumansimError if this machine cannot do it."""
+        """Create a worker, and load everything that it needs. Raises HumansimError if this machine cannot do
+        the work."""
 
 
 @dataclass
@@ -87,7 +88,8 @@ class FrameProgress:
 
     @classmethod
     def of(cls, frames: int, missing: int | None = None) -> FrameProgress:
-        """Progress of work with ``missing`` frames left. If None, all frames are left."""
+        """Progress at the start of a run, with ``missing`` frames left to do. If None, all frames are
+        left."""
         done = 0 if missing is None else frames - missing
         return cls(done, frames, done)
 

@@ -13,7 +13,7 @@ from typing import Any, BinaryIO
 
 from humansim_ros.errors import BagError, HumansimError
 
-#: File systems where an object appears only when its upload is complete. Moving a file there copies it.
+#: File systems where a file appears only when its upload is complete. Renaming a file there would copy it.
 _OBJECT_STORES = {"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "adl", "oss", "oci", "http", "https"}
 #: Prefix of the names of incomplete files.
 _PARTIAL = ".partial-"
@@ -27,7 +27,7 @@ def is_url(text: str) -> bool:
 @dataclass(frozen=True)
 class OutputFolder:
     """A folder, named by a path or a URL that fsspec knows. It can be sent to other processes. All methods
-    raise BagError with the URL if the file system cannot be used or refuses."""
+    raise BagError, which names the URL, if the file system fails."""
 
     url: str
 
@@ -62,7 +62,7 @@ class OutputFolder:
         return OutputFolder(f"{self.url.rstrip('/')}/{name}")
 
     def names(self) -> set[str]:
-        """Names of the files and folders in it. Empty if the folder does not exist."""
+        """Names of files and subfolders. Empty if the folder does not exist."""
         system, path = self._place
         with self._errors():
             system.invalidate_cache()
@@ -86,7 +86,7 @@ class OutputFolder:
             system.rm_file(f"{path}/{probe}")
 
     def put(self, source: Path, name: str) -> None:
-        """Move a local file into the folder. The file gets its name there when it is complete."""
+        """Move a local file into the folder. It appears there only when it is complete."""
         if (folder := self.local) is not None:
             with suppress(OSError):  # the file is on another disk
                 source.replace(folder / name)
@@ -102,8 +102,8 @@ class OutputFolder:
 
     @contextmanager
     def _complete(self, name: str) -> Iterator[str]:
-        """Path to write a file to. If the file system shows incomplete files, the path is renamed at the
-        end."""
+        """Give a path to write a file to. If the file system shows incomplete files, it has another name
+        until the end."""
         system, path = self._place
         if self._protocols(system) & _OBJECT_STORES:
             yield f"{path}/{name}"

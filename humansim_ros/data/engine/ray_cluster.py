@@ -1,4 +1,4 @@
-"""A job on a Ray cluster. Each task does a part of the job: some consecutive frames."""
+"""Run a job on a Ray cluster. Each task does a part of the job: some consecutive frames."""
 
 from __future__ import annotations
 
@@ -21,16 +21,17 @@ from humansim_ros.errors import BagError, HumansimError, RenderError, some_of
 #: Number of frames of a part. With four cameras they are some seconds of work for one core, and 1 GB of raw
 #: images.
 PART_FRAMES = 100
-#: Number of further attempts after a worker has died, or after an error that another machine may not have.
+#: Number of further attempts after a worker has died, or after an error that may not occur on another
+#: machine.
 _RETRIES = 3
 _RETRIED = [OSError, BagError, RenderError, MemoryError]
 #: Number of tasks for each core, so that one task waits while another runs.
 _TASKS_PER_CORE = 2
-#: A host that does not answer is given up after this time, seconds.
+#: Longest wait for the answer of a host, seconds.
 _CONNECT_LIMIT = 5.0
 #: Size of the object store, bytes, of a Ray that is started here. The store holds the scenes.
 _OBJECT_STORE = 2**29
-#: Environment variables of a task. A task has one core.
+#: Environment variables of a task, which limit the task to one core.
 _ONE_CORE = {"LP_NUM_THREADS": "0", "OPENCV_FOR_THREADS_NUM": "1"}
 #: Most parts that an error lists.
 _MAX_LISTED = 5
@@ -38,14 +39,14 @@ _MAX_LISTED = 5
 
 @dataclass(frozen=True)
 class ClusterPart:
-    """Frames that one task makes.
+    """A part of a job: the frames that one task makes.
 
     Attributes:
-        name: Name among the parts that are missing.
-        text: Name in the reason of a failure.
+        name: Short name, for the list of missing parts.
+        text: Name for messages about failures.
         frames: Numbers of the frames.
         size: Number of frames that the part adds to the progress.
-        target: Path of its file, if the job writes one file for each part.
+        target: Path of the file of the part, if the job writes one file for each part.
         version: Version of the package.
     """
 
@@ -70,7 +71,7 @@ class ClusterJob(FrameJob, Protocol):
 
     @property
     def key(self) -> str:
-        """Key that is equal for jobs with equal workers."""
+        """Key that is equal for jobs that can use the same worker."""
 
     def write_part(self, worker: FrameWorker, part: ClusterPart) -> PartResult:
         """Write the files of a part; this runs in a task. Raises HumansimError, OSError."""
@@ -84,12 +85,14 @@ class _Work:
 
 @lru_cache(maxsize=1)
 def _worker(work: _Work) -> FrameWorker:
-    """Worker that is kept for the next part, since a new renderer takes seconds to draw the static scene."""
+    """Start a worker. It is cached for the next part, since a new renderer needs seconds for the static
+    scene."""
     return work.job.start()
 
 
 def write_part(job: ClusterJob, part: ClusterPart) -> PartResult:
-    """Write a part of a job. This is a task. Raises HumansimError if the driver has another version."""
+    """Write a part of a job. A task runs this function. Raises HumansimError if the command has another
+    version."""
     if part.version != __version__:
         message = (
             f"has humansim_ros {__version__}, and the driver {part.version}: install the same everywhere"
@@ -110,10 +113,10 @@ def run_parts(
     progress: FrameProgress,
     on_progress: Callable[[FrameProgress], None] = lambda _: None,
 ) -> tuple[dict[ClusterPart, PartResult], list[str]]:
-    """Do parts of jobs on a cluster. After a failure no further part is begun.
+    """Run parts of jobs on a cluster. After a failure, no further parts start.
 
     Args:
-        ray: The module, connected.
+        ray: The module ``ray``, connected to a cluster.
         work: Jobs, each with its parts.
         progress: State before the first part. This function updates it.
         on_progress: Called with ``progress`` after each part.
@@ -157,7 +160,7 @@ def run_parts(
 
 
 def _reason(error: Any) -> str:
-    """Reason of a failed task, for people."""
+    """Reason of a failed task as text for the user."""
     if type(error).__name__ == "WorkerCrashedError":
         return "its worker was killed, or crashed"
     cause = getattr(error, "cause", None) or error
@@ -177,9 +180,9 @@ def missing_text(
     Args:
         work: Jobs, each with its parts.
         results: Results of the parts that are written.
-        failures: Reasons.
-        what: Kind of the parts, such as ``shards``.
-        does: What ``--resume`` does with the parts, such as ``records``.
+        failures: Reasons of failures.
+        what: Noun for the parts, such as ``shards``.
+        does: Verb for what ``--resume`` does with missing parts, such as ``records``.
     """
     missing = [part.name for _, parts in work for part in parts if part not in results]
     if not missing:
@@ -193,7 +196,7 @@ def missing_text(
 
 @contextmanager
 def connected(address: str, workers: int | None) -> Iterator[Any]:
-    """Ray, connected to a cluster. If this process is connected already, that connection is used.
+    """Connect Ray to a cluster, and give the module ``ray``. An existing connection of this process is used.
 
     Raises:
         BagError: Ray is not installed, or the address does not answer.

@@ -1,8 +1,9 @@
 """Do the work of a job in this process or in others, frame by frame.
 
-A worker process inherits file descriptors: a socket to the process that started it, and slots, each a piece
-of memory for the data of one result. A worker may be ahead by as many frames as it has slots. The memory has
-no name, so that nothing is left of it, however the processes end. A worker ends when its socket is closed.
+A worker process inherits file descriptors: a socket to the process that started it, and slots. A slot is
+shared memory for the data of one result. A worker can be ahead by as many frames as it has slots. The memory
+has no name, so nothing is left when the processes end, even if they are killed. A worker ends when its socket
+is closed.
 """
 
 from __future__ import annotations
@@ -35,9 +36,9 @@ from humansim_ros.files.reading import thread_limits
 COPYING = "copying"
 #: Number of slots: a worker makes the next frame while the last one is being written.
 _SLOTS = 2
-#: The module is not run by ``-m``, since its objects could then not be sent to another process.
+#: Program of a worker. Run with ``-m``, objects of this module could not be sent to another process.
 _PROGRAM = "from humansim_ros.data.engine.workers import main; main()"
-#: A worker ends within this time, seconds, after its socket is closed.
+#: A worker that has not ended this time after its socket is closed, seconds, is killed.
 _ENDING = 2.0
 #: File descriptors of a copy are below this number; seconds between checks whether a copy has ended.
 _MOST_DESCRIPTORS, _LOOK_EVERY = 1 << 16, 0.02
@@ -59,16 +60,16 @@ class WorkerDiedError(HumansimError):
 
 
 class _Load(NamedTuple):
-    """Request to start a job. The job is pickled in a slot. Size 0 means the job that a copied process has
-    already."""
+    """Request to start a job, which is pickled in slot ``slot``. ``size``: bytes; 0 means the job that a
+    copied process has already."""
 
     slot: int
     size: int
 
 
 class _Answer(NamedTuple):
-    """Result in a slot: its value, the sizes of the groups of data, the size of the slot, and processor time
-    by step."""
+    """Answer of a worker: value of the result, sizes of the groups of data in the slot, size of the slot, and
+    processor time by step."""
 
     value: Any
     sizes: list[int]
@@ -77,8 +78,8 @@ class _Answer(NamedTuple):
 
 
 def _positions(sizes: Sequence[int]) -> list[int]:
-    """Places of groups of data in their slot. Each begins at a page, so that it can be written to a disk
-    directly."""
+    """Positions of groups of data in their slot. Groups begin at memory pages, so that they can be written to
+    a disk directly."""
     places = [0]
     for size in sizes:
         places.append(places[-1] + -(-size // mmap.PAGESIZE) * mmap.PAGESIZE)
@@ -86,11 +87,11 @@ def _positions(sizes: Sequence[int]) -> list[int]:
 
 
 class CopiedProcess:
-    """Copy of this process that runs a function. It has those methods of ``subprocess.Popen`` that are used
-    here.
+    """A forked copy of this process, which runs a function. It has the methods of ``subprocess.Popen`` that
+    are used here.
 
     Args:
-        function: What the copy runs. Afterwards the copy ends.
+        function: Function that the copy runs before it ends.
         environment: Environment variables of the copy.
         descriptors: File descriptors that the copy keeps, in addition to standard output and standard error.
     """
@@ -133,7 +134,7 @@ class CopiedProcess:
         return self._code
 
     def wait(self, timeout: float | None = None) -> int:
-        """Wait for the end. Returns the exit code. Raises ``subprocess.TimeoutExpired``."""
+        """Wait until the copy has ended. Returns its exit code. Raises ``subprocess.TimeoutExpired``."""
         end = None if timeout is None else time.monotonic() + timeout
         while (code := self.poll()) is None:
             if end is not None and time.monotonic() > end:
@@ -157,12 +158,12 @@ class _Worker:
         number: Number of the worker.
         environment: Environment variables of the worker.
         nice: Number that is added to its niceness.
-        copied: Job of a copy of this process. If None, a new process is started.
+        copied: Job for a worker that is a copy of this process. If None, a new process is started.
 
     Attributes:
         connection: Socket to the process.
-        job: The job that it was given last.
-        asked: Frames that were asked for and have not arrived, with their slots. None stands for the start of
+        job: The last job that the worker was given.
+        asked: Frames that were requested and have not arrived, with their slots. None stands for the start of
             a job.
     """
 
@@ -195,8 +196,8 @@ class _Worker:
             other.close()
 
     def load(self, job: bytes) -> None:
-        """Start a job. All slots must be free. The job goes through a slot, since a socket would have to
-        wait. A copy has its first job already."""
+        """Start a job. All slots must be free. The pickled job is passed in a slot, since writing it to the
+        socket could block. A copy has its first job already."""
         slot = self._free.popleft()
         position = 0
         size = 0 if self._is_copy and self.job is None else len(job)
@@ -206,7 +207,7 @@ class _Worker:
         self._send(None, slot, _Load(slot, size))
 
     def ask(self, frame: Any) -> None:
-        """Ask for a frame. A slot must be free."""
+        """Request a frame from the worker. A slot must be free."""
         slot = self._free.popleft()
         self._send(frame, slot, (frame, slot))
 
@@ -231,7 +232,7 @@ class _Worker:
         return frame, slot, FrameResult(answer.value, self._data(slot, answer))
 
     def release(self, slot: int) -> None:
-        """Let the process use a slot again."""
+        """Free a slot for the next result."""
         self._free.append(slot)
 
     def _data(self, slot: int, answer: _Answer) -> list[tuple[Buffer]]:
@@ -271,8 +272,8 @@ class Workers:
         job: The work.
         count: Number of processes.
         nice: Number that is added to the niceness of this process for the workers.
-        copies: Workers are copies of this process, so that they have its modules and the job at once. This
-            process must have no other threads, and must not have used OpenGL or threads of OpenCV.
+        copies: Whether workers are copies of this process, so that they have its modules and the job at once.
+            This process must have no other threads, and must not have used OpenGL or threads of OpenCV.
 
     Attributes:
         costs: Seconds of processor time of all workers by step.
@@ -303,11 +304,11 @@ class Workers:
         return [worker.process for worker in self._workers]
 
     def use(self, job: FrameJob) -> None:
-        """Do another job from the next :meth:`ask` on."""
+        """Change the job. The new job is used from the next :meth:`ask` on."""
         self._job = pickle.dumps(job)
 
     def wait_until_ready(self) -> None:
-        """Wait until all processes have started the job. Raises HumansimError if one cannot."""
+        """Wait until all processes have started the job. Raises HumansimError if a process cannot."""
         for worker in self._workers:
             _, slot, answer = worker.receive()
             if isinstance(answer, HumansimError):
@@ -315,7 +316,8 @@ class Workers:
             worker.release(slot)
 
     def idle(self) -> list[int]:
-        """Numbers of the processes without work, or with nothing but the start of the present job."""
+        """Numbers of the processes that have no frame to work on. They may still be starting the present
+        job."""
         return [
             worker.number
             for worker in self._workers
@@ -324,8 +326,8 @@ class Workers:
         ]
 
     def ask(self, frame: Any, number: int | None = None) -> bool:
-        """Ask an idle process for a frame. Returns False if none is idle. ``number``: number of a process
-        from :meth:`idle`. If None, any process."""
+        """Request a frame from an idle process. Returns False if no process is idle. ``number``: number of a
+        process from :meth:`idle`. If None, any process."""
         idle = self.idle()
         if not idle:
             return False
@@ -336,9 +338,11 @@ class Workers:
         return True
 
     def arrived(self, timeout: float | None = None) -> Iterator[tuple[Any, FrameResult | HumansimError]]:
-        """Frames that have arrived, each with its result or error. None stands for the start of a job.
+        """Yield the frames that have arrived, each with its result or error. None stands for the start of a
+        job.
 
-        The data of a result are valid until the next step. ``timeout``: seconds to wait for the first frame.
+        The data of a result are valid until the next iteration. ``timeout``: seconds to wait for the first
+        frame.
 
         Raises:
             WorkerDiedError: A process has died.
@@ -358,7 +362,7 @@ class Workers:
             yield asked[connection], *asked[connection].receive()
 
     def results(self, frames: Sequence[int]) -> Iterator[FrameResult]:
-        """Results of frames, in the order of ``frames``: numbers, each once.
+        """Yield the results of frames in the order of ``frames`` (numbers without repetitions).
 
         Raises:
             WorkerDiedError: A process has died.
@@ -411,12 +415,12 @@ def run_frames(
 
     Args:
         job: The work.
-        frames: Numbers of the frames, each once; at least one.
+        frames: Numbers of the frames without repetitions; at least one.
         jobs: Number of processes. If 1, this process does the work.
         progress: State before the first frame. This function updates it.
         take: Called with each number and result, in the order of ``frames``. Returns the number of bytes
             written.
-        begin: Called after the workers have started. On a machine without OpenGL, the start fails first.
+        begin: Called after the workers have started, so not if their start fails, for example without OpenGL.
         on_progress: Called with ``progress`` after each frame.
 
     Raises:
@@ -474,14 +478,15 @@ class _Slot:
 
 
 def main() -> None:
-    """Do what the other process asks for, until it closes the socket or ends."""
+    """Main function of a worker process: answer requests until the other process closes the socket or
+    ends."""
     nice, *descriptors = map(int, sys.argv[1:])
     _work(nice, descriptors)
 
 
 def _work(nice: int, descriptors: Sequence[int], job: FrameJob | None = None) -> None:
-    """Do what the other process asks for. ``descriptors``: a socket and slots. ``job``: job of a copied
-    process."""
+    """Answer the requests of the other process. ``descriptors``: the socket and the slots. ``job``: job of a
+    copied process."""
     for number in (signal.SIGINT, signal.SIGHUP, signal.SIGQUIT):
         signal.signal(number, signal.SIG_IGN)  # the other process stops its workers
     signal.signal(signal.SIGTERM, signal.SIG_DFL)  # a copy has the handler of the other process

@@ -323,7 +323,7 @@ class JointPoses:
         return [part for part in parts if part is not None]
 
     def _changed(self, names: tuple[str, ...], change: Callable[[Array], Array]) -> JointPoses:
-        """Apply a change to each array."""
+        """Return poses with joints ``names``, and with ``change`` applied to each array."""
         return JointPoses(names, *map(change, self._arrays))
 
     def contiguous(self) -> JointPoses:

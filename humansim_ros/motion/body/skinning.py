@@ -45,8 +45,8 @@ def dominant_bones(weights: csr_matrix) -> NDArray[np.intp]:
 
 
 def without_details(weights: csr_matrix, skeleton: Skeleton) -> csr_matrix:
-    """Weights (V, B) with the weights of fingers, toes, jaw and eyes added to those of hand, foot and
-    head."""
+    """Add the weights of fingers, toes, jaw and eyes to the weights of hand, foot and head that carry them.
+    Returns weights (V, B)."""
     bones = len(skeleton)
     sums = csr_matrix((np.ones(bones), (np.arange(bones), skeleton.wholes)), shape=(bones, bones))
     return csr_matrix(weights @ sums)

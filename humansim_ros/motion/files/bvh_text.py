@@ -358,7 +358,7 @@ class _Rows:
         return bool(is_text and n_values and n_values == self.n_frames * self.n_channels)
 
     def _is_hopeless(self) -> bool:
-        """Whether there are already too many bad lines. Lines of text only may be the end of the file."""
+        """Whether there are too many bad lines. Lines without numbers do not count: the file may end there."""
         n_bad = self.n_damaged + self.n_odd * self.is_broken
         n_lines = max(self.n_lines, 0 if np.isnan(self.n_frames) else self.n_frames)
         return n_bad > min(_MAX_BAD, max(_FIRST_BAD, _BAD_SHARE * n_lines)) or len(self.bad) > _MAX_BAD

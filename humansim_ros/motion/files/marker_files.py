@@ -1,8 +1,8 @@
 """Read labelled 3D points from TRC and C3D files [C3D 2008], and find the points that belong to a person.
 
-Headers and parameters of C3D files may contradict each other. Then the layout counts for which the data fill
-the file. Content that the points do not need is not read. The name of a point, such as ``LKNE``, tells which
-joint, or which marker on the skin, the point is.
+Headers and parameters of C3D files may contradict each other. Then the reader uses the layout with which the
+data fill the file. Content that the points do not need is not read. The name of a point, such as ``LKNE``,
+tells which joint, or which marker on the skin, the point is.
 """
 
 from __future__ import annotations
@@ -113,8 +113,8 @@ class _C3dFile:
         return next((start for start in starts if start < len(self._data)), len(self._data))
 
     def _layout(self, room: int) -> tuple[float, int, int, int]:
-        """Scale, points per frame, analog values per frame, and number of frames: those that the file states,
-        if they fit its size. ``room``: bytes of the data. A negative scale means floats."""
+        """Scale, points per frame, analog values per frame, and number of frames: as the file states, or as
+        its size requires. ``room``: bytes of the data. A negative scale means that numbers are floats."""
         header, last = self._header, self._number("TRIAL:ACTUAL_END_FIELD")
         trial = last - self.first_frame
         counts = (

@@ -447,7 +447,7 @@ def _named_roles(table: JointTable, joint_names: Sequence[str]) -> dict[str, int
 
 
 def _loose_roles(table: JointTable, joint_names: Sequence[str]) -> dict[str, int]:
-    """Do what :func:`_named_roles` does, for any spelling of the sides that is the same on both sides."""
+    """Do what :func:`_named_roles` does, but accept any spelling of left and right."""
     joint_of = {key: number for number, key in reversed(list(enumerate(loose_keys(tuple(joint_names)))))}
     roles: dict[str, int] = {}
     for role, names in table.joints.items():

@@ -1,7 +1,7 @@
 """Match joints by the shape of the skeleton: tree, link lengths and symmetry, without names.
 
 Lengths along the tree do not depend on the pose. A person has two equal legs at one joint, two equal arms at
-another joint, and a head near the arms. Only left and right may need a pose: if names do not show the sides.
+another joint, and a head near the arms. Only left and right need a pose, if names do not show the sides.
 """
 
 from __future__ import annotations
@@ -148,7 +148,7 @@ def match_shape(motion: Motion, min_confidence: float = MIN_CONFIDENCE) -> Joint
 
     A motion has no person if its similarity to a person is below ``min_confidence``.
 
-    ``confidence`` is the similarity to a person. It is lower where left and right are uncertain.
+    The ``confidence`` of the match is the similarity to a person, lower if left and right are uncertain.
     """
     tree = JointTree(motion)
     best: tuple[float, dict[str, int]] | None = None
@@ -237,8 +237,8 @@ def _end_of_chain(tree: JointTree, chain: list[int], called: re.Pattern[str], fr
 def _limbs(
     tree: JointTree, pair: BranchPair, typical: Array, above: float, end: re.Pattern[str]
 ) -> list[_Limb] | None:
-    """Find the most likely three joints of both limbs. If the chains are equally long, both have the same
-    places.
+    """Find the most likely three joints of both limbs. If their chains are equally long, both limbs use the
+    same indices of their chains.
 
     Args:
         tree: Joint tree.
@@ -297,13 +297,13 @@ def _joint_triples(
 
 
 def _collar(tree: JointTree, chain: list[int], place: int) -> int | None:
-    """Last joint before an index of a chain with a position that differs from the joint at the index."""
+    """Last joint of a chain before ``place`` that is at another position than the joint at ``place``."""
     inner = [chain[m] for m in range(place) if tree.links[chain[m + 1]] > 1e-3 * tree.size]
     return inner[-1] if inner else None
 
 
 def _tip(tree: JointTree, chain: list[int], place: int) -> int | None:
-    """First joint after an index of a chain with a position that differs from the joint at the index."""
+    """First joint of a chain after ``place`` that is at another position than the joint at ``place``."""
     return next((joint for joint in chain[place + 1 :] if tree.links[joint] > 0.005 * tree.size), None)
 
 
@@ -317,7 +317,7 @@ def _path_between(tree: JointTree, a: int, b: int) -> list[int] | None:
 
 
 def _head(tree: JointTree, legs: BranchPair, arms: BranchPair, trunk: list[int]) -> list[int] | None:
-    """Chain of neck and head: the longest branch left over at the joint of the arms or at its parent."""
+    """Chain of neck and head: the longest branch except the arms, at the joint of the arms or its parent."""
     used = {*legs.branches, *arms.branches, *trunk}
     near = [arms.joint, *tree.path(arms.joint)[1:2]]
     near = [joint for joint in near if joint != legs.joint or joint == arms.joint]
@@ -332,7 +332,7 @@ def _head(tree: JointTree, legs: BranchPair, arms: BranchPair, trunk: list[int])
 
 
 def _assign_sides(motion: Motion, roles: dict[str, int]) -> tuple[dict[str, int], float]:
-    """Decide left and right by names, else by the direction of the feet. Also returns the confidence."""
+    """Decide left and right by names, else by the direction of the feet. Returns roles and confidence."""
 
     def named_side(part: str) -> int:
         """1 if the names agree with left and right, -1 if they are swapped, 0 if they do not tell."""

@@ -285,10 +285,10 @@ def detect_file_frame(
 class _UpEvidence:
     """What F frames of a motion tell about the up axis of its file.
 
-    ``points``: joints (F, J, 3), in heights of the person. ``heads``: directions (F, 3) from the ankles to
-    the head. ``hips``: directions (F, 3) from the ankles to the middle of the hips. ``lines``: lines of the
-    body in all frames. ``roles``: role -> joint. ``origin``: another place (3,) that may be the origin of the
-    file.
+    ``points``: joints (F, J, 3), as multiples of the person's height. ``heads``: directions (F, 3) from the
+    ankles to the head. ``hips``: directions (F, 3) from the ankles to the middle of the hips. ``lines``:
+    lines of the body in all frames. ``roles``: role -> joint. ``origin``: another place (3,) that may be the
+    origin of the file.
     """
 
     points: Array

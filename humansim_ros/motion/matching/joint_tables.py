@@ -109,7 +109,7 @@ _MAX_KEYS = 1 << 13
 
 @functools.cache
 def built_in_tables() -> tuple[JointTable, ...]:
-    """Tables of the package (config/joint_names). A test checks their keys, not this function."""
+    """Tables of the package (config/joint_names). This function does not check their keys; a test does."""
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # seven times faster than the loader that checks
     files = sorted(resource_path("config/joint_names").glob("*.yaml"))
     contents = (read_bytes(file, MotionError, "joint table", MAX_BYTES) for file in files)

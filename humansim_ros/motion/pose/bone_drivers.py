@@ -274,7 +274,7 @@ def loose_bones(poses: JointPoses, match: JointMatch, standing: bool) -> tuple[s
     the hips. The line between the shoulders turns with chest and spine, within some degrees. The links of
     limbs turn with their joints.
 
-    ``standing``: whether the rotations count from a rest pose that stands and faces +x.
+    ``standing``: whether rotations are measured from a rest pose that stands upright and faces +x.
     """
     roles = match.roles
     back = np.swapaxes(quaternion_to_matrix(poses.rotations), -1, -2)

@@ -77,8 +77,8 @@ class Gait:
     def of(cls, walk: WorldMotion, standing: WorldMotion | None = None) -> Gait:
         """Make a gait from a cycle of a walk. Raises MotionError if the walk does not go straight ahead.
 
-        ``standing``: a motion with the same joints. Its first frame stands. If None, the middle of the gait
-        is used.
+        ``standing``: a motion with the same joints; the person stands in its first frame. If None, the middle
+        of the gait is used.
         """
         cycle = replace(walk, placement=Placement(), loop="continue", speed=1.0, correction=None)
         hips = walk.match.roles["Hips"]

@@ -79,7 +79,7 @@ def link_directions_at_rest(poses: JointPoses, match: JointMatch) -> dict[str, A
 
 
 def is_standing_at_rest(poses: JointPoses, match: JointMatch) -> bool:
-    """Whether the joint rotations count from a rest pose that stands and faces +x."""
+    """Whether joint rotations are measured from a rest pose that stands upright and faces +x."""
     links = link_directions_at_rest(poses, match)
     legs = [links[bone] for bone in ("l_hip", "r_hip", "l_knee", "r_knee") if bone in links]
     across = poses.positions[:, match.roles["LeftHip"]] - poses.positions[:, match.roles["RightHip"]]

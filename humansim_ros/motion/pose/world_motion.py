@@ -536,8 +536,8 @@ _OFTEN = (30.0, 60.0, 120.0)
 def pace_warning(motion: Motion, roles: Mapping[str, int], frame: FileFrame, speed: float) -> str | None:
     """Warn about a frame rate with which a person is too fast or too slow, and name a likely rate.
 
-    Feet of people who walk go back and forth about once a second, whatever their speed. Rates that are wrong
-    by a factor of less than three or four remain plausible. They give None.
+    Feet of people who walk go back and forth about once a second, whatever their speed. A rate that is wrong
+    by a factor of less than three or four remains plausible, and the result is None.
 
     Args:
         motion: Motion of a file.

@@ -87,7 +87,7 @@ class KeypointSet:
         return {part: tuple(map(self.names.index, own)) for part, own in parts if set(own) <= {*self.names}}
 
     def subset(self, numbers: Sequence[int], sigmas: tuple[float, ...] | None = None) -> KeypointSet:
-        """Set of some of the keypoints. ``sigmas``: OKS constants of the new set."""
+        """Return a set of the given keypoints only. ``sigmas``: OKS constants of the new set."""
         names, points = (tuple(each[number] for number in numbers) for each in (self.names, self.points))
         places = {number: place for place, number in enumerate(numbers)}
         edges = tuple((places[a], places[b]) for a, b in self.edges if a in places and b in places)
@@ -129,7 +129,7 @@ def _other_side(name: str) -> str:
 
 
 def keypoint_set(name: str) -> KeypointSet:
-    """Keypoint set with a name. Raises KeypointError, which lists the known names.
+    """Return the keypoint set with a name. Raises KeypointError, which lists the known names.
 
     Example:
         >>> keypoint_set("coco17").names[:3]

@@ -334,7 +334,7 @@ class PackedData(MakeHumanData):
 
     @functools.cached_property
     def _components(self) -> NDArray[np.int32]:
-        """(R, 3, V) values in steps."""
+        """Values (R, 3, V) of the components, in steps (:data:`COMPONENT_STEPS` in a decimetre)."""
         arrays = self._arrays
         folded = arrays["low"].astype(np.int32) | arrays["high"].astype(np.int32) << 8
         return undone(np.where(folded & 1, -(folded + 1) // 2, folded // 2), self.base)

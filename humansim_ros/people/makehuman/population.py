@@ -392,7 +392,7 @@ def _face(uniform: Callable[[], float]) -> dict[str, float]:
 
 
 def _outfit(age: float, sex: Sex, tone: int, uniform: Callable[[], float]) -> Outfit:
-    """Colours of skin, hair, eyes and clothes, and traces of age."""
+    """Colours of skin, hair, eyes and clothes, and signs of age such as grey hair."""
 
     def one(kind: str, count: int | None = None) -> tuple[int, int, int]:
         options = _TABLE[kind]

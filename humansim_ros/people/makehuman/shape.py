@@ -414,7 +414,7 @@ def target_strengths(source: MakeHumanData, config: MakeHumanConfig) -> dict[str
 def _combined(
     source: MakeHumanData, config: MakeHumanConfig, combinations: Sequence[tuple[str, Sequence[str]]]
 ) -> dict[str, float]:
-    """Strengths of the targets of combinations of sliders."""
+    """Strengths of targets, by name, for combinations of sliders."""
     strengths: dict[str, float] = {}
     for start, sliders in combinations:
         for values in itertools.product(*(_shares(slider, config) for slider in sliders)):
@@ -454,7 +454,7 @@ def with_stature(source: MakeHumanData, config: MakeHumanConfig) -> tuple[MakeHu
 
 
 def read_body(source: MakeHumanData, targets: Mapping[str, float]) -> Array:
-    """Vertices (V, 3) of the naked body in metres, to nanometres. This is faster than the whole base mesh."""
+    """Vertices (V, 3) of the naked body, metres, rounded to nanometres. Faster than to read the base mesh."""
     base = source.base
     vertices = base.vertices[base.vertex_groups["body"]]
     for name, strength in targets.items():
@@ -510,6 +510,6 @@ class Dress:
 
     @property
     def cut(self) -> Cut:
-        """Where the body is cut."""
+        """The choices of this dress that decide where the body is cut."""
         sleeves, shoes = self.top.sleeves or self.sleeves, self.footwear
         return Cut(self.hair.base, sleeves, self.top.drop, self.bottom.hem, shoes.covers, shoes.shaft)

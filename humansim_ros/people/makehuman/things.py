@@ -143,7 +143,7 @@ def _turn(count: int) -> Array:
 
 
 def _power(values: Array, exponent: float) -> Array:
-    """Power that keeps the sign."""
+    """Raise absolute values to a power, and keep the signs."""
     return np.sign(values) * np.abs(values) ** exponent
 
 
@@ -333,7 +333,7 @@ def _skirts(config: MakeHumanConfig, wearer: Wearer) -> Iterator[WornPart]:
 
 
 def under_skirts(config: MakeHumanConfig, wearer: Wearer) -> Array:
-    """Vertices (V, 3) with thinner legs under skirts, so that legs stay inside when skirts swing."""
+    """Make legs under skirts thinner, so that they stay inside swinging skirts. Returns vertices (V, 3)."""
     length = max(BOTTOMS[config.bottom].skirt, TOPS[config.top].skirt)
     points, own = wearer.points, wearer.own
     if not length:

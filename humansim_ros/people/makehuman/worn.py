@@ -118,7 +118,7 @@ class WornPart:
         return np.full(len(self.mesh[0]), MATERIAL_LABELS[name], np.uint8)
 
     def texels(self) -> Array:
-        """(H, W, 3) positions at the texels of the tile."""
+        """Positions (H, W, 3) on the surface that the texels of the tile show."""
         height, width = self.size
         closed = np.concatenate([self.points, self.points[:, :1]], axis=1)
         if self.ring:
@@ -443,8 +443,8 @@ def strip_image(parts: Sequence[WornPart], config: MakeHumanConfig, outfit: Outf
 def add_parts(
     arrays: dict[str, NDArray[Any]], parts: Sequence[WornPart], texture: int
 ) -> dict[str, NDArray[Any]]:
-    """Add parts to arrays of a body: vertices, faces, uv, uv_faces, weights. The texture has ``texture``
-    rows. The strip of the parts is added below."""
+    """Add vertices, faces, uv, uv_faces and weights of parts to the arrays of a body. ``texture``: number of
+    rows of the body's texture, below which the strip of the parts is added."""
     if not parts:
         return arrays
     places, strip = placed(parts)

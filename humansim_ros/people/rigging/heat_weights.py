@@ -259,9 +259,9 @@ def _conjugate_gradients(matrix: sparse.csc_matrix, right: Array) -> Array:
 def _interpolation(
     mesh: Mesh, points: Array, triangles: NDArray[np.intp], number: NDArray[np.intp], size: float
 ) -> sparse.csr_matrix:
-    """Interpolation (V, P) from the point of a vertex and its neighbours; rows sum to 1. ``points``,
-    ``triangles``: coarser surface. ``number``: point of each vertex, (V,). ``size``: distance between
-    neighbouring points, metres."""
+    """Matrix (V, P) that interpolates values at vertices from the point of each vertex and its neighbouring
+    points. Rows sum to 1. ``points``, ``triangles``: coarser surface. ``number``: (V,) point of each vertex.
+    ``size``: distance between neighbouring points, metres."""
     edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     every = np.arange(len(points))
     rows = np.concatenate([every, edges[:, 0], edges[:, 1]])

@@ -124,8 +124,8 @@ _PLAUSIBLE_GROIN, _PLAUSIBLE_NECK = (0.36, 0.56), 0.8
 class Arm:
     """Centre line of an arm.
 
-    ``centres``: (K, 3) at ``distances`` (K,) from the finger tip. ``wrist``, ``armpit``: distances of the
-    narrowest section, and of the transition to the trunk. ``tip``: finger tip (3,).
+    ``centres``: (K, 3) at ``distances`` (K,) from the finger tip. ``wrist``: distance of the narrowest
+    section. ``armpit``: distance of the transition to the trunk. ``tip``: finger tip (3,).
     """
 
     distances: Array

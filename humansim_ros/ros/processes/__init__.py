@@ -1,4 +1,4 @@
-"""What each process of a node needs: options of time, start and end."""
+"""Processes of nodes: which nodes a scene has, how their processes start and end, and options of time."""
 
 from humansim_ros.lazy import lazy_exports
 

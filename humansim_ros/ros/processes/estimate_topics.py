@@ -1,4 +1,4 @@
-"""Topics of a live graph with an estimate: they are found, subscribed to, and read like topics of bags."""
+"""Find the topics of an estimate in a live ROS graph, subscribe to them, and read their messages."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from humansim_ros.ros.processes.transforms import TFMessage
 
 #: Seconds between two searches for topics and publishers.
 _DISCOVERY_EVERY = 0.25
-#: Most topics of one estimate. Each person may have a topic.
+#: Most topics of one estimate, which may have a topic for each person.
 _MAX_TOPICS = 100
 #: Longest message that is read, bytes, except point clouds: 100 people with 40 joints.
 _MAX_BYTES = 256 << 10
@@ -44,22 +44,23 @@ _LINE_EVERY = 5.0
 class PoseTopics:
     """Subscriptions of a node to all topics with poses that match a name, including topics that appear later.
 
-    Messages that are too long or cannot be read, and those that ``on_frame`` refuses with a HumansimError,
-    are ignored, with an error in the log.
+    Some messages are ignored, with an error in the log: those that are too long or cannot be read, and those
+    for which ``on_frame`` raises HumansimError.
 
     Args:
         node: The node.
         topic: Name of the topic. ``*`` stands for the name of a person. A relative name is in the namespace
             of the node.
-        options: Names for points without names.
-        on_frame: Called with each message, its topic, and the person that the topic names.
+        options: Options for reading, such as names for points without names.
+        on_frame: Called with the people of each message, its topic, and the person that the topic names (or
+            None).
 
     Raises:
-        RosError: The name is no name of a topic.
+        RosError: ``topic`` is no valid name of a topic.
 
     Attributes:
-        topic: Absolute name.
-        ignored: Number of messages that were ignored.
+        topic: Absolute name of the topic.
+        ignored: Number of ignored messages.
     """
 
     def __init__(
@@ -75,9 +76,10 @@ class PoseTopics:
         self._node, self._options, self._on_frame = node, options, on_frame
         self.ignored = 0
         self._pattern = topic_pattern(self.topic)
-        #: By topic: type, profile and subscription.
+        #: Message type, profile and subscription by topic.
         self._subscriptions: dict[str, tuple[str, QoSProfile, Any]] = {}
-        #: Transforms and subscriptions to them. They are made when a message is not in ``map``.
+        #: Transforms of tf, and subscriptions to tf. Both are created when the first message arrives that is
+        #: not in ``map``.
         self._transforms: Transforms | None = None
         self._tf: list[Any] = []
         node.create_timer(_DISCOVERY_EVERY, self.discover, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -85,7 +87,7 @@ class PoseTopics:
 
     @property
     def found(self) -> Sequence[str]:
-        """Names of the topics."""
+        """Names of the topics that have been found."""
         return list(self._subscriptions)
 
     def discover(self) -> None:
@@ -142,7 +144,8 @@ class PoseTopics:
             raise
 
     def _known_transforms(self) -> Transforms:
-        """Transforms of tf. After the first call, transforms that arrive are added."""
+        """Transforms of tf. The first call subscribes to tf; from then on, transforms are added as they
+        arrive."""
         if self._transforms is None:
             self._transforms = Transforms()
             if TFMessage is None:
@@ -161,7 +164,8 @@ class PoseTopics:
         self._node.get_logger().warn(text, throttle_duration_sec=_LINE_EVERY)
 
     def take_waiting(self, deadline: float) -> None:
-        """Read the messages that have arrived already, at most until a monotonic time."""
+        """Read the messages that have already arrived. Ends at ``deadline`` (monotonic seconds) at the
+        latest."""
         for *_, subscription in self._subscriptions.values():
             self._node.take_waiting(subscription, deadline)
 

@@ -1,4 +1,4 @@
-"""Lockstep without ROS: its rules, files and summary."""
+"""Rules of lockstep (each frame waits for its members), its files and its summary, without ROS."""
 
 from __future__ import annotations
 
@@ -13,19 +13,20 @@ from typing import Literal
 
 from humansim_ros.files.reading import atomic_path
 
-#: Most members that may join by their reports, since their names come from the network.
+#: Most members that may join by sending reports, since anybody in the network could send reports.
 MAX_JOINED = 100
-#: Seconds after a node has joined at which the frame is sent again, and seconds between later repetitions,
-#: since the endpoints of a node find each other one after the other.
+#: After a node has joined, the frame is sent again after these times, and then each time after the last
+#: number of seconds. One time is not enough, since the endpoints of a node find each other one after the
+#: other.
 _AGAIN_AFTER, _AGAIN_EVERY = (0.5, 1.0, 2.0, 4.0), 5.0
-#: Multiple of the longest recent time of a member after which the frame is sent again, besides
-#: ``_AGAIN_EVERY``: a message may have been lost.
+#: The frame is also sent again after ``_AGAIN_EVERY`` plus this many times the longest recent time of a
+#: member, since a message may be lost.
 _SLOWER = 3.0
-#: A member that answers sooner keeps this share of its longest time.
+#: If a member answers sooner than its stored longest time, this share of the stored time is kept.
 _FORGETTING = 0.9
-#: The nodes of a scene may take this time for their start, seconds.
+#: Time that the nodes of a scene have for their start before time-outs count, seconds.
 START_LIMIT = 60.0
-#: Seconds between two reminders about missing members.
+#: Seconds between two log lines about members that have not finished a frame.
 _REMIND_EVERY = 5.0
 
 
@@ -35,13 +36,14 @@ class Member:
 
     Attributes:
         name: Name of the node, or name of the topic.
-        required: Whether frames wait for it before its first report, and after it has left the graph.
-        since: Time from which frames wait for it, seconds.
-        finished: Number of frames that it has finished.
-        newest: Stamp of the newest frame that it has finished or reported.
-        heard: Whether it has reported.
-        absent: Whether it was given up. When it reports, frames wait for it again.
-        seconds: Longest time that it has recently needed for a frame.
+        required: Whether frames wait for this member even before its first report, or when it has left the
+            graph.
+        since: Time from which frames wait for this member, seconds.
+        finished: Number of frames that this member has finished.
+        newest: Stamp of the newest frame that this member has finished or reported.
+        heard: Whether this member has ever reported.
+        absent: Whether this member was given up. Frames wait for it again after its next report.
+        seconds: Longest time that this member has recently needed for a frame.
     """
 
     name: str
@@ -55,16 +57,17 @@ class Member:
 
 
 class Lockstep:
-    """The frame in flight, and the members that have finished it.
+    """Knows the frame in flight (the newest one sent), and which members have finished it.
 
-    A frame is sent at least once. It is sent again when a node joins the graph or has never reported, since a
-    node that was killed and started again has not seen it; and also when a member is silent for long. So
-    frame k + 1 is sent only when each member has finished frame k, even a member that was killed in between.
+    A frame is sent at least once. A frame is sent again when a node joins the graph or has never reported,
+    since a node that was killed and started again has not seen the frame; and also when a member is silent
+    for long. So frame k + 1 is sent only when each member has finished frame k, even a member that was killed
+    in between.
 
     Args:
         required: Names of the members that frames wait for from the start.
-        starting: Members that belong to the scene. Until each of them has reported once, or for 60 s,
-            no time-out counts.
+        starting: Members that start with the scene. No time-out counts until all of them have reported, at
+            most for 60 s.
         timeout: Seconds after which a member is overdue.
         now: Present time. All times are seconds of one clock that never goes back.
     """
@@ -76,19 +79,20 @@ class Lockstep:
         self._starting = set(starting)
         self._timeout = timeout
         self._started, self._ready = now, now
-        #: Time at which a dead node of the scene was last started; None if frames have gone on since.
+        #: Time at which a dead node of the scene was last started again; None if a frame has been finished
+        #: since.
         self._restarted: float | None = None
-        #: Members that have left, each with the number of frames that it had finished.
+        #: Number of finished frames of each member that has left, by name.
         self._left: dict[str, int] = {}
-        #: Stamp of the frame in flight; None before the first one.
+        #: Stamp of the frame in flight; None before the first frame.
         self.stamp: int | None = None
         self._resting: Collection[str] = ()
         self._first = self._sent = 0
         self._sent_at = now
-        #: Time at which the frame is sent again, and further such times.
+        #: Next time at which the frame is sent again; and further such times after it.
         self._again = float("inf")
         self._row: list[float] = []
-        #: Whether it is sent again for nodes that have joined.
+        #: Whether the frame is sent again for nodes that have joined.
         self._for_nodes = False
         self._next_reminder = now
 
@@ -124,7 +128,7 @@ class Lockstep:
         Args:
             stamp: Stamp of the frame.
             now: Present time.
-            resting: Members that do not answer this frame. It does not wait for them.
+            resting: Members that do not report this frame. The frame does not wait for them.
 
         Raises:
             ValueError: The previous frame is unfinished.
@@ -158,13 +162,14 @@ class Lockstep:
         return _AGAIN_EVERY + _SLOWER * max((each.seconds for each in self.missing), default=0.0)
 
     def is_due_again(self, now: float, paused: bool = False) -> bool:
-        """Whether the frame is to be sent again. ``paused``: no further frame is sent, so that nodes that
-        join get this frame although it is finished."""
+        """Whether the frame must be sent again. During a pause (``paused``), nodes that join get even a
+        finished frame, since no further frame follows."""
         wanted = not self.is_finished or (paused and self._for_nodes)
         return now >= self._again and wanted and self.stamp is not None
 
     def add_node(self, now: float) -> None:
-        """Note that endpoints have joined the graph, since they may have missed the frame."""
+        """Note that endpoints have joined the graph. They may have missed the frame, so it will be sent
+        again."""
         self._row = [now + seconds for seconds in _AGAIN_AFTER]
         self._again = self._row[0] if self.is_finished else min(self._again, self._row[0])
         self._for_nodes = True
@@ -172,11 +177,12 @@ class Lockstep:
     def add_report(self, name: str, stamp: int, now: float) -> bool:
         """Note that a member has finished the frame with a stamp.
 
-        A stamp that is newer than the frame counts, too. An older one does not finish the frame. It tells
-        that its sender is there. An unknown sender becomes a member if it reports a frame that was sent.
+        A stamp newer than that of the frame counts, too. A report with an older stamp does not finish the
+        frame, but shows that its sender lives. An unknown sender becomes a member if it reports a frame that
+        was sent.
 
         Returns:
-            Whether the report is of a member.
+            Whether the sender is a member (maybe since this report).
         """
         if self.stamp is None:
             return name in self.members
@@ -207,7 +213,7 @@ class Lockstep:
         return sum(not each.required for each in self.members.values())
 
     def leave(self, name: str) -> bool:
-        """Remove a member that has joined by its reports. Returns whether there was one."""
+        """Remove a member that has joined by its reports. Returns whether there was such a member."""
         member = self.members.get(name)
         if member is None or member.required:
             return False
@@ -217,8 +223,8 @@ class Lockstep:
         return True
 
     def restart(self, now: float) -> None:
-        """Note that a node of the scene has died, or is started again. It has 60 s before a time-out counts.
-        ``now``: when this happened. A time before the last one changes nothing."""
+        """Note that a node of the scene has died or is started again, at time ``now``. It has 60 s before a
+        time-out counts. A time before that of the last call changes nothing."""
         self._restarted = now if self._restarted is None else max(self._restarted, now)
 
     def overdue(self, now: float) -> list[Member]:
@@ -245,7 +251,7 @@ class Lockstep:
         return True
 
     def is_reminder_due(self, now: float) -> bool:
-        """Whether the missing members must be named now. This is the case every five seconds."""
+        """Whether it is time for a log line with the missing members. This is so every five seconds."""
         if now < self._next_reminder or self.is_finished:
             return False
         self._next_reminder = next(
@@ -258,22 +264,23 @@ class Lockstep:
         return now - self._sent_at
 
 
-#: What happens at a time-out.
+#: What happens at a time-out: the run stops, or goes on without the overdue members.
 OnTimeout = Literal["stop", "continue"]
 
 
 @dataclass(frozen=True)
 class LockstepSummary:
-    """Frames of a motion player in lockstep.
+    """Result of a run in lockstep: how many frames were sent and finished.
 
     Attributes:
         frames: Number of frames of the run.
-        sent: Number of those that this player has sent. Others were sent before it was started again.
-        finished: By member: number of the sent frames that it has finished.
-        seconds: Wall-clock time until the last sent frame was finished. 0 if none was.
+        sent: Number of frames that this player has sent. Before a restart, an earlier player has sent the
+            others.
+        finished: Number of the sent frames that each member has finished, by name.
+        seconds: Wall-clock time until the last sent frame was finished. 0 if no frame was finished.
         scene_seconds: Simulated time of the sent frames.
         is_complete: Whether all requested frames were sent.
-        error: Why the run ended early. Empty if it did not.
+        error: Why the run ended early, or empty.
     """
 
     frames: int
@@ -286,7 +293,7 @@ class LockstepSummary:
 
     @property
     def text(self) -> str:
-        """Lines for people."""
+        """Summary as lines of text for users."""
         again = (
             f" ({self.sent} of them since the player was started again)" if self.sent < self.frames else ""
         )
@@ -306,19 +313,19 @@ class LockstepSummary:
 
     @classmethod
     def read(cls, path: Path) -> LockstepSummary | None:
-        """Read a summary from a file; None if there is nothing in it."""
+        """Read a summary from a file; None if the file is missing."""
         return cls(**json.loads(path.read_text())) if path.is_file() else None
 
 
 class RestartFile:
-    """File that tells the player that a node has died or is started again. The process that starts nodes
-    writes it."""
+    """File by which the process that starts nodes tells the player that a node has died or is started
+    again."""
 
     def __init__(self, summary: str) -> None:
         self._path = Path(f"{summary}.restart")
 
     def write(self) -> None:
-        """Note a restart now."""
+        """Write into the file that a restart happens now."""
         with atomic_path(self._path) as target:
             target.write_text(repr(time.monotonic()))
 
@@ -331,7 +338,8 @@ class RestartFile:
 
 
 class ProgressFile:
-    """Stamp of a frame in a file. ``path``: the file. It is created if it is missing."""
+    """File with the stamp of the newest frame, for a restarted player. ``path``: the file, created if
+    missing."""
 
     def __init__(self, path: Path) -> None:
         self._path = path

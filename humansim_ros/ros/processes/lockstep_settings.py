@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 
 #: Prefix of a topic among the members of lockstep. Members without the prefix are names of nodes.
 TOPIC_PREFIX = "topic:"
-#: Name of the node of ``SceneGraph``. It reports every frame, even a frame without a picture.
+#: Name of the node of ``SceneGraph``, which reports every frame, even one that no camera captures.
 TEST_NODE = "humansim_test"
-#: Values of parameters.
+#: Value of a ROS parameter.
 ParameterValue = str | bool | float | list[str]
 #: Time of the search for another publisher of ``/clock`` before the first frame, seconds.
 CLOCK_SEARCH = 2.0
@@ -55,7 +55,8 @@ SETTINGS = {
 
 @dataclass(frozen=True)
 class TimeOptions:
-    """How time advances. These options replace the section ``time`` of a scene (docs/lockstep.md).
+    """Options on how time advances. They replace values of the section ``time`` of a scene
+    (docs/lockstep.md).
 
     If a value is None, the value of the scene holds. Raises RosError for a value that is not valid.
 
@@ -141,12 +142,12 @@ def _number(name: str, arguments: Mapping[str, str]) -> float | None:
 
 
 def member_texts(time: TimeConfig) -> list[str]:
-    """Members of a scene, in the form of the parameter ``wait_for``."""
+    """Convert the members that a scene names to the form of the parameter ``wait_for``."""
     return [each.node or f"{TOPIC_PREFIX}{each.topic}" for each in time.wait_for]
 
 
 def read_members(texts: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names and topics in a setting ``wait_for``. Raises RosError for any other text."""
+    """Divide a setting ``wait_for`` into names of nodes and topics. Raises RosError for any other text."""
     if len(texts) > _MAX_MEMBERS:
         raise RosError(f"wait_for: {len(texts)} members; at most {_MAX_MEMBERS}")
     names: dict[str, None] = {}

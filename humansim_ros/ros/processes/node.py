@@ -1,4 +1,4 @@
-"""Base class of the nodes: described parameters, the scene, latched topics and diagnostics."""
+"""Base classes of the nodes: parameters with descriptions, the scene, latched topics and diagnostics."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from humansim_ros.scene.core import Scene
 if TYPE_CHECKING:
     from humansim_ros.data.messages import Topic
 
-#: A warning is logged if this share of frames is dropped for so many seconds in a row. Frames are few while
-#: cameras prepare their first ones.
+#: A warning is logged if more than this share of frames is dropped in each of so many seconds in a row. The
+#: delay is for the start, when cameras are slow.
 _MAX_LOST, _LATE_AFTER = 0.05, 5
-#: Seconds between two checks for simulated time that has not started. A busy machine starts all nodes within
-#: five seconds.
+#: Seconds between two checks whether simulated time has started. Even a busy machine starts all nodes in less
+#: time.
 _CLOCK_CHECK_EVERY = 10.0
 
 
@@ -40,7 +40,7 @@ class SuiteNode(GuardedNode):
 
     def __init__(self, name: str, **options: Any) -> None:
         super().__init__(name, **options)
-        #: A clock that cannot be set, so that timers go on when the system clock is set back.
+        #: Clock for timers. It cannot be set, so that timers go on when the system clock is set back.
         self._steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         self._lateness: dict[str, list[float]] = {}
         self._late_seconds = 0
@@ -89,10 +89,11 @@ class SuiteNode(GuardedNode):
 
         Args:
             name: Name of the parameter.
-            default: Value unless it is overridden. A parameter type leaves it unset (None).
+            default: Value unless the user sets another one. If this is a parameter type, the default is no
+                value (None).
             description: Text of the parameter descriptor.
             limits: Smallest and largest value of a number.
-            constraints: Text on values that ``limits`` cannot express.
+            constraints: Text on allowed values, if ``limits`` cannot express them.
             read_only: Whether the parameter cannot be set after the start.
 
         Raises:
@@ -118,8 +119,8 @@ class SuiteNode(GuardedNode):
             raise RosError(f"parameter {name}: {reason}") from None
 
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
-        """Set parameters all at once, as the services do; integers become floating-point numbers where the
-        parameter is one.
+        """Set parameters all at once, as the services do. An integer for a floating-point parameter is
+        converted.
         """
         given = []
         for parameter in parameter_list:
@@ -135,12 +136,12 @@ class SuiteNode(GuardedNode):
         return super().set_parameters_atomically(given)
 
     def topic_publisher(self, topic: Topic[Any]) -> Any:
-        """Create a publisher of a topic of the table."""
+        """Create a publisher of a topic of the scene."""
         name = f"/{topic.name}" if topic.absolute else topic.name
         return self.create_publisher(topic.type, name, offered_profile(topic))
 
     def publish_latched(self, message: Any, topic: str) -> None:
-        """Publish a message that nodes which join later get, too."""
+        """Publish a message that also nodes get which join later."""
         publisher = self.create_publisher(type(message), topic, LATCHED)
         publisher.publish(message)
         self._latched_publishers.append(publisher)
@@ -154,8 +155,7 @@ class SuiteNode(GuardedNode):
             timer_period_sec: Seconds between calls.
             callback: Function without parameters.
             *arguments: Further arguments of rclpy.
-            clock: Another clock.
-            **options: Further arguments of rclpy.
+            clock: Clock to use instead. **options: Further arguments of rclpy.
         """
         if clock is None and not self.has_simulated_time():
             clock = self._steady_clock
@@ -197,7 +197,7 @@ class SuiteNode(GuardedNode):
         )
 
     def report_lateness(self, stamp: int, event: str = "lateness") -> None:
-        """Record the time from a frame's stamp until now for the diagnostics.
+        """Record for the diagnostics how much time has passed since the stamp of a frame.
 
         ``event``: ``lateness`` when the frame is sent, or another name.
         """
@@ -251,8 +251,8 @@ class SuiteNode(GuardedNode):
 
 
 def loaded_scene(path: str) -> Scene:
-    """Load a scene for a node; the demo scene if ``path`` is empty. Warnings that the parent of the node has
-    shown are not repeated.
+    """Load a scene for a node; the demo scene if ``path`` is empty. Warnings about the scene are not shown
+    again if the parent process has shown them.
     """
     with warnings.catch_warnings():
         if WARNINGS_SHOWN in os.environ:
@@ -276,7 +276,7 @@ class SceneNode(SuiteNode):
 
 
 def _as_float(parameter: Parameter) -> Parameter:
-    """Parameter with a floating-point number in place of an integer."""
+    """Copy of a parameter, with an integer converted to a floating-point number."""
     if parameter.type_ != Parameter.Type.INTEGER:
         return parameter
     return Parameter(parameter.name, Parameter.Type.DOUBLE, float(parameter.value))

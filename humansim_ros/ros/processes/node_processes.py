@@ -1,4 +1,4 @@
-"""Node processes of a scene, for ``humansim run`` and the launch file."""
+"""List the processes that ``humansim run`` and the launch file start for a scene."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from humansim_ros.files.reading import cores, thread_limits
 from humansim_ros.ros.processes.lockstep_settings import TOPIC_PREFIX, ParameterValue, TimeOptions
 from humansim_ros.scene.core import BRIDGE_NODE, LOCKSTEP, PLAYER_NODE, SceneNames, read_names, skinner_node
 
-#: Environment variable that is set for nodes if their parent has shown the warnings of the scene.
+#: Environment variable that tells nodes that their parent has already shown the warnings of the scene.
 WARNINGS_SHOWN = "HUMANSIM_SCENE_WARNINGS_SHOWN"
-#: Node that receives the frames for the cameras of its process. The tools of ROS hide names that begin with
-#: _, so that users see the same nodes for any number of processes.
+#: Name of the node that receives the frames for all cameras of a process. ROS tools hide names that begin
+#: with ``_``, so users see the same nodes for any number of processes.
 RIG_NODE = "_camera_rig"
-#: Node that holds the skinners of its process; hidden like that of the cameras.
+#: Name of the node that creates the skinners of a process. It is hidden like the node for the cameras.
 SKINNER_RIG_NODE = "_skinner_rig"
 #: Exit code of a node that has reported wrong input. It is not started again, since it would report the input
 #: again.
 WRONG_INPUT = 2
-#: Words for several nodes of a scene, or for a node in place of its name.
+#: Words of the option ``only`` that stand for several nodes of a scene, or for a node instead of its name.
 _PLAYER, _SKINNERS, _CAMERAS, _SCANNERS = "player", "skinners", "cameras", "scanners"
 #: Exit code of a motion player that has stopped because nodes did not finish a frame in time.
 TIMED_OUT = 3
 #: Exit code of a motion player that was asked to quit. All other nodes end with it.
 QUIT = 4
-#: Node that records the topics of a run.
+#: Name of the node that records the topics of a run.
 RECORDER_NODE = "recorder"
-#: Node that evaluates an estimate.
+#: Name of the node that evaluates an estimate.
 EVALUATOR_NODE = "evaluator"
 #: Exit code of a recorder that cannot write any more.
 CANNOT_WRITE = 1
@@ -44,8 +44,8 @@ class RecordOptions:
 
     Attributes:
         output: Folder of the bag. It must not exist.
-        topics: Names and patterns. If empty, the latched topics of the scene, and those that ``humansim
-            demo`` shows.
+        topics: Names and patterns of topics. If empty, the latched topics of the scene, and those that
+            ``humansim demo`` shows.
         compression: ``none``, ``zstd`` or ``lz4``.
     """
 
@@ -60,9 +60,9 @@ class EvaluateOptions:
 
     Attributes:
         topic: Topic of the estimate. ``*`` stands for the name of a person.
-        keypoints: Keypoint set of the estimate. If empty, joints of bodies.
-        output: JSON file for the result. If None, none.
-        scale: Metres of a unit of the estimate.
+        keypoints: Keypoint set of the estimate. If empty, joints of the skeleton.
+        output: JSON file for the result. If None, no file is written.
+        scale: Length of a unit of the estimate, metres.
         axes: Axes of the estimate. If empty, the axes of ``map``.
     """
 
@@ -79,13 +79,13 @@ class NodeProcess:
 
     Attributes:
         executable: Executable of this package.
-        node_name: Name of its node.
-        parameters: Parameters of its nodes.
-        log_level: Log level of its nodes.
-        namespace: ROS namespace of its nodes, without the first /.
-        stop_limit: Seconds that it has to stop. This is more than its own shutdown may take.
-        final_codes: Exit codes after which it is not started again.
-        stops_last: Whether it is stopped after the others, so that it receives what they send until then.
+        node_name: Name of the node that the process starts. This node may create more nodes.
+        parameters: Parameters of all nodes of the process.
+        log_level: Log level of the nodes.
+        namespace: ROS namespace of the nodes, without the first /.
+        stop_limit: Seconds until a process that does not stop is killed, more than its shutdown may take.
+        final_codes: Exit codes after which the process is not started again.
+        stops_last: Whether to stop the process after all others, so that it receives their last messages.
     """
 
     executable: str
@@ -99,17 +99,17 @@ class NodeProcess:
 
     @property
     def renders(self) -> bool:
-        """Whether its nodes are cameras."""
+        """Whether the nodes of the process are cameras."""
         return self.executable in ("camera", "camera_rig")
 
     @property
     def has_end(self) -> bool:
-        """Whether it can end by itself after a number of frames."""
+        """Whether the process can end by itself after a number of frames."""
         return self.parameters.get("mode") == LOCKSTEP
 
     @property
     def visible_nodes(self) -> tuple[str, ...]:
-        """Names of its nodes, without hidden nodes."""
+        """Names of the nodes of the process, without hidden nodes."""
         cameras, humans = (self.parameters.get(name) for name in ("cameras", "humans"))
         if isinstance(humans, list):
             return tuple(skinner_node(str(name)) for name in humans)
@@ -146,8 +146,8 @@ def record_options(arguments: Mapping[str, str]) -> RecordOptions | None:
 
 
 def _given(arguments: Mapping[str, str], first: str) -> dict[str, str]:
-    """Launch arguments that are not empty. Raises RosError if the first one is empty and another one is
-    not."""
+    """Launch arguments that are not empty. Raises RosError if argument ``first`` is empty, but not all
+    others."""
     given = {name: text.strip() for name, text in arguments.items() if text.strip()}
     if given and first not in given:
         raise RosError(f"launch argument {next(iter(given))} goes with {first} only")
@@ -194,25 +194,25 @@ def scene_processes(
     record: RecordOptions | None = None,
     evaluate: EvaluateOptions | None = None,
 ) -> list[NodeProcess]:
-    """List the processes of a scene: motion player, processes of skinners, camera processes, one per laser
-    scanner, the bridge of its adapters, a recorder, an evaluator.
+    """List the processes of a scene: motion player, skinners, cameras, laser scanners (one process each),
+    bridge (if the scene has adapters), and on request recorder and evaluator.
 
-    There is at most one process of skinners for each core. They share the humans.
+    The humans are divided among at most as many skinner processes as this machine has cores.
 
     Args:
         scene_path: Scene file.
         processes: Number of processes that share the cameras. If None, one per core.
         namespace: ROS namespace of all nodes.
-        frame_prefix: Text before the frames of all cameras and scanners.
+        frame_prefix: Text that is put before the tf frames of all cameras and scanners.
         only: Nodes to list, separated by commas: ``player``, ``skinners``, ``cameras``, ``scanners`` and
             names of nodes. If empty, all nodes.
         time: How time advances. If None, as the scene says.
-        record: What is recorded. If None, nothing.
-        evaluate: Estimate that is evaluated. If None, no estimate.
+        record: What is recorded. If None, there is no recorder.
+        evaluate: Estimate that is evaluated. If None, there is no evaluator.
 
     Raises:
-        HumansimError: A name of the scene, or the namespace, is not valid in ROS; or the scene has no node of
-            a name in ``only``; or the path of the bag exists.
+        HumansimError: The namespace or a name in the scene is not valid in ROS, the scene has no node with a
+            name in ``only``, or the path of the bag exists.
     """
     path = Path(scene_path).resolve()
     names = read_names(path)
@@ -249,7 +249,7 @@ def scene_processes(
 
 
 def _chosen_nodes(names: SceneNames, only: str, path: Path) -> set[str]:
-    """Names of the nodes that ``only`` selects. If it is empty, all nodes. Raises RosError for unknown
+    """Names of the nodes that ``only`` selects; all nodes if ``only`` is empty. Raises RosError for unknown
     names."""
     groups = {
         _PLAYER: [PLAYER_NODE],
@@ -278,7 +278,7 @@ def _recorder(
     scene: Mapping[str, ParameterValue],
     wait_for: Sequence[str] | None,
 ) -> NodeProcess:
-    """The recorder of a run. It continues its bag if it is started again.
+    """Process of the recorder of a run. If the process is started again, it continues the bag.
 
     Args:
         record: What is recorded.
@@ -314,7 +314,7 @@ def _recorder(
 
 
 def _evaluator(evaluate: EvaluateOptions, names: SceneNames, in_lockstep: bool) -> NodeProcess:
-    """The evaluator of a run. Raises RosError if a camera has the name of the evaluator."""
+    """Process of the evaluator of a run. Raises RosError if a camera has the name of the evaluator."""
     _check_free(EVALUATOR_NODE, "evaluates", names)
     parameters: dict[str, ParameterValue] = {"topic": evaluate.topic, "keypoints": evaluate.keypoints}
     if evaluate.scale != 1:
@@ -347,8 +347,8 @@ def _skinner_processes(
 
 
 def _shares(numbered: Sequence[tuple[int, str]], most: int) -> Iterator[tuple[int, list[str]]]:
-    """Divide names among at most ``most`` processes. Yields the number of the first name, and the names of
-    each."""
+    """Divide numbered names among at most ``most`` processes. Yields for each process the number of its first
+    name, and its names."""
     count = min(most, len(numbered))
     for i in range(count):
         yield numbered[i][0], [name for _, name in numbered[i::count]]
@@ -367,7 +367,7 @@ def _camera_processes(
 
 
 def render_threads(processes: Sequence[NodeProcess]) -> dict[str, str]:
-    """Environment variables that divide the cores among the processes that render.
+    """Environment variables that limit the threads of processes that render, so that these share the cores.
 
     Variables that the user has set are left out.
     """

@@ -6,8 +6,8 @@ copies, since their threads would not be copied.
 
 ``python -m humansim_ros.ros.processes.node_starter SCENE SOCKET`` reads requests from the socket with the
 number SOCKET, one JSON list in each packet: name, executable, environment variables and ROS arguments of a
-node. It answers ``["started", pid]`` and, when a node ends, ``["ended", pid, exit code]``. It ends when the
-socket is closed, and the nodes with it.
+node. It answers ``["started", pid]`` and, when a node ends, ``["ended", pid, exit code]``. When the socket is
+closed, this process ends, and all nodes end with it.
 """
 
 from __future__ import annotations
@@ -36,7 +36,8 @@ if TYPE_CHECKING:
 
 #: Largest packet, bytes. The arguments of a node are shorter.
 _MAX_PACKET = 1 << 18
-#: Modules that nodes need in addition to the scene, and that do not need ROS.
+#: Modules that nodes need and that do not start ROS. They are imported once, before nodes are started as
+#: copies.
 _MODULES = (
     "data.messages.topics",
     "scene.core.state",
@@ -44,14 +45,14 @@ _MODULES = (
     "scene.core.playback",
     "render.frame.gl",
 )
-#: Nodes that need nothing of the static scene.
+#: Nodes for which the static scene need not be loaded.
 _NOT_SEEING = ("motion_player", "skinner", "skinner_rig", "recorder", "evaluator", "bridge")
 #: Seconds between two checks for the end of a process.
 _LOOK_EVERY = 0.02
 
 
 class StartedNode:
-    """A running node. It has those methods of ``subprocess.Popen`` that supervision uses.
+    """A running node, with those methods of ``subprocess.Popen`` that :class:`Supervisor` uses.
 
     Attributes:
         pid: Process id.
@@ -65,7 +66,7 @@ class StartedNode:
         return self._starter.exit_code(self.pid)
 
     def wait(self, timeout: float) -> int:
-        """Wait for the end. Returns the exit code. Raises ``subprocess.TimeoutExpired``."""
+        """Wait for the end of the node. Returns its exit code. Raises ``subprocess.TimeoutExpired``."""
         end = time.monotonic() + timeout
         while (code := self.poll()) is None:
             if time.monotonic() > end:
@@ -80,12 +81,12 @@ class StartedNode:
 
 
 class NodeStarter:
-    """The process that starts the nodes, as seen by their supervisor. As a context manager, it ends the
+    """Handle by which a supervisor uses the process that starts nodes. As a context manager, it ends this
     process.
 
     Args:
         scene: Scene file.
-        environment: Environment variables of the process. Its own if None.
+        environment: Environment variables of the process. If None, those of the present process.
 
     Attributes:
         scene: Scene file.
@@ -134,7 +135,8 @@ class NodeStarter:
         raise RosError(f"the process that starts the nodes has ended (exit code {self.process.wait()})")
 
     def exit_code(self, pid: int) -> int | None:
-        """Exit code of a node; None while it runs. If this process ends, all nodes end."""
+        """Exit code of a node; None while it runs. If the process that starts nodes has ended, all nodes
+        count as ended."""
         try:
             while not self._is_gone:
                 self._receive(socket.MSG_DONTWAIT)
@@ -143,7 +145,8 @@ class NodeStarter:
         return self._codes.get(pid, -signal.SIGTERM)
 
     def _receive(self, flags: int) -> int | None:
-        """Receive a packet. If it reports a start, returns the process id."""
+        """Receive a packet from the process. If it reports that a node has started, returns the process id of
+        the node."""
         try:
             packet = self._socket.recv(_MAX_PACKET, flags)
         except ConnectionError:
@@ -166,7 +169,8 @@ class NodeStarter:
 
 
 def main(scene_path: str, number: int) -> int:
-    """Load the scene, and start nodes. Returns the exit code; in a copy, that of its node."""
+    """Load the scene, and start nodes on request. Returns the exit code of this process or, in a copy, of its
+    node."""
     import cv2
 
     cv2.setNumThreads(1)  # its threads would not be copied
@@ -227,8 +231,8 @@ def _ended() -> list[tuple[int, int]]:
 
 
 def _load(path: str) -> Scene | None:
-    """Load the scene, with everything that all nodes need; None for a wrong scene, which the nodes will
-    report."""
+    """Load the scene, with everything that all nodes need. None if the scene is wrong: the nodes will report
+    this."""
     from humansim_ros.scene.core import Scene
 
     with warnings.catch_warnings():

@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 
 #: An idle node notices a stop signal within this time, seconds.
 _SPIN_TIMEOUT = 0.1
-#: The executor rests for this time after a first error, seconds. A node ends after this time with only
-#: errors, seconds.
+#: Pause of the executor after a first error; and time with nothing but errors after which a node ends,
+#: seconds.
 _FIRST_PAUSE, _MAX_SECONDS_OF_ERRORS = 0.001, 10.0
 #: A shutdown that hangs is aborted after this time, seconds.
 _SHUTDOWN_LIMIT = 5
@@ -52,11 +52,11 @@ def prepare_transport(participants: int | None = None, network: bool = True) -> 
     """Enlarge the shared memory of Fast DDS for images, unless the user has configured Fast DDS.
 
     Call it before ``rclpy.init()``. With Fast DDS's defaults, two of three 640x480 images do not fit and are
-    lost for best-effort subscribers. Warns of too little shared memory, and removes what killed processes
-    have left of it. Prepares the folder of logs, too.
+    lost for best-effort subscribers. Warns if there is too little shared memory, and removes shared memory
+    that killed processes have left. Prepares the folder of logs, too.
 
     Args:
-        participants: Number of processes that start together. If None, this process alone.
+        participants: Number of processes that start together. If None, this process starts alone.
         network: Whether other hosts may find the nodes, unless the user has set this.
 
     Returns:
@@ -77,7 +77,7 @@ def prepare_logs() -> None:
     otherwise.
 
     Raises:
-        RosError: There is no such folder either.
+        RosError: A temporary folder cannot be written either.
     """
     home = os.environ.get("ROS_HOME") or Path("~/.ros").expanduser()
     usual = Path(os.environ.get("ROS_LOG_DIR") or Path(home, "log"))
@@ -102,7 +102,7 @@ def prepare_logs() -> None:
 
 
 def make_executor(context: Context | None = None) -> Any:
-    """Create rclpy's EventsExecutor if there is one, else the default executor.
+    """Create rclpy's EventsExecutor or, if this rclpy has none, the default executor.
 
     ``context``: ROS context. If None, rclpy's default context.
 
@@ -124,8 +124,8 @@ def spin(
     """Spin until ``stopped()`` is true, or the ROS context is shut down.
 
     Errors outside callbacks, such as a message that the middleware cannot take, are reported by the node.
-    After each, spinning waits a little longer, so that an error that comes back at once does not fill the
-    log or a core.
+    After each error in a row, spinning waits a little longer, so that an error that comes back at once does
+    not fill the log or use up a core.
 
     Args:
         node: The node that reports errors.

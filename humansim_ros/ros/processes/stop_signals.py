@@ -10,8 +10,8 @@ from collections.abc import Callable
 from typing import Any, NoReturn
 
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
-#: A signal that comes again within this time, seconds, is the same request, since a terminal that closes
-#: sends SIGHUP twice.
+#: A signal that is repeated within this time, seconds, counts as one, since a terminal that closes sends
+#: SIGHUP twice.
 _SAME_REQUEST = 0.5
 
 
@@ -44,10 +44,10 @@ class StopRequest:
     Libraries may swallow the exception, but ``number`` stays set.
 
     Args:
-        again: Called with the number of a later signal, which comes from users who do not want to wait.
+        again: Called with the number of each later signal. Users send it when they do not want to wait.
 
     Attributes:
-        number: Number of the first signal. None before it.
+        number: Number of the first signal; None before a signal has arrived.
         raises: Whether the first signal raises. If not, the process must check ``number``.
     """
 
@@ -86,8 +86,8 @@ _PR_SET_PDEATHSIG = 1
 
 
 def end_with_parent() -> None:
-    """Request SIGTERM for the death of the process that ``PARENT_PID`` names. If it is dead already, end now.
-    The kernel sends the signal when the parent's thread ends that has started this process."""
+    """Make this process get SIGTERM when its parent (see ``PARENT_PID``) dies. If the parent is already dead,
+    end now. The kernel sends the signal when that thread of the parent ends that has started this process."""
     parent = os.environ.get(PARENT_PID)
     if parent is None:
         return

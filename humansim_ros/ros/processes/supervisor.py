@@ -1,4 +1,4 @@
-"""Supervision of node processes: start, watch, start again, and stop them together."""
+"""Supervise node processes: start them, watch them, restart dead ones, and stop them together."""
 
 from __future__ import annotations
 
@@ -51,11 +51,11 @@ class Supervisor:
 
     Args:
         processes: Nodes to start.
-        environment: More environment variables of the nodes.
-        starter: Process that starts nodes and may be loading the scene already. If None, or if it has ended
-            or loads another scene, a new one is started. It ends with the nodes.
-        helpers: Modules and their arguments, of processes that start before the nodes and may end at any
-            time.
+        environment: Additional environment variables of the nodes.
+        starter: Process that starts nodes, and may already be loading the scene. If None, or if the process
+            has ended or loads another scene, a new process is started. It ends with the nodes.
+        helpers: Further processes, given as Python module and arguments. They start before the nodes, and may
+            end at any time.
     """
 
     def __init__(
@@ -105,7 +105,7 @@ class Supervisor:
         return [*self._helpers, *self._running.values()]
 
     def dead(self) -> EndedProcess | None:
-        """A process that has ended unexpectedly; None if all run."""
+        """A process that has ended unexpectedly; None if all processes run."""
         self._shared_memory.note(process.pid for process in self._all)
         for name, process in self._running.items():
             code = process.poll()
@@ -125,12 +125,13 @@ class Supervisor:
         Args:
             until: Monotonic seconds. If None, there is no limit.
             respawn: Whether processes that have ended are started again. This is not done after wrong input
-                or a time-out, and not without limit (:class:`RestartPolicy`).
-            is_end: Whether a process has ended as intended, so that all others end with it.
+                or a time-out, nor too often (:class:`RestartPolicy`).
+            is_end: Function that returns whether a process has ended as intended, so that all others end,
+                too.
             on_restart: Called when a process has died and will be started again, and when it is started.
 
         Returns:
-            The process, or None at ``until``.
+            The process that has ended, or None at ``until``.
         """
         policies = {name: RestartPolicy() for name in self._processes}
         starts: dict[str, float] = {}
@@ -157,7 +158,7 @@ class Supervisor:
 
     def stop(self) -> None:
         """Send SIGTERM to all nodes, then SIGKILL to those that still run. After a stop signal, SIGKILL
-        follows at once. Nodes that stop last are stopped when the others have ended."""
+        follows at once. Nodes with ``stops_last`` are stopped after the others have ended."""
         pids = [process.pid for process in self._all]
         last = {process.pid for name, process in self._running.items() if self._processes[name].stops_last}
         self._shared_memory.note(pids, now=True)
@@ -199,20 +200,22 @@ class Supervisor:
         return self._starter.start(process, self._environment)
 
 
-#: Seconds before the first restart in a row, the second, and so on. After the last one the node is given up.
+#: Seconds before each restart in a series: the first, the second, and so on. After the last restart, the node
+#: is given up.
 _DELAYS = (0.0, 0.5, 1.0, 2.0, 4.0)
-#: A death after this time of running, seconds, begins a new row of deaths.
+#: If a node dies after it has run for this time, seconds, a new series begins.
 _LONG_RUN = 30.0
 
 
 class RestartPolicy:
-    """Decides how long to wait before a node that died is started again. The delay grows with each death in
-    a row. After too many, the node is given up."""
+    """Decides how long to wait before a node that died is started again. The delay grows with each death in a
+    series. After too many deaths, the node is given up."""
 
     def __init__(self) -> None:
         self._deaths = 0
 
     def delay(self, ran: float) -> float | None:
-        """Record a death. Returns the seconds until the node is started again; None if given up."""
+        """Record that a node died after ``ran`` seconds. Returns the seconds until its restart; None to give
+        it up."""
         self._deaths = 1 if ran >= _LONG_RUN else self._deaths + 1
         return _DELAYS[self._deaths - 1] if self._deaths <= len(_DELAYS) else None

@@ -1,4 +1,4 @@
-"""Transforms of tf2."""
+"""Publish transforms for tf2."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ class TransformSender:
 
     Args:
         node: The node that publishes.
-        parts: Topics of its transforms. Topics without a message per frame are published at once.
+        parts: Topics with transforms of the node. Transforms that do not change with the frame are published
+            at once.
         stamp: Stamp of the transforms that are published at once, nanoseconds.
     """
 
@@ -42,10 +43,11 @@ class TransformSender:
             self._dynamic.publish(TFMessage(transforms=transforms))
 
     def send_static(self, parts: Sequence[Topic[Any]], stamp: int) -> None:
-        """Publish all static transforms of the node. Nodes that subscribe later get those of the last call.
+        """Publish all static transforms of the node. Nodes that subscribe later get the transforms of the
+        last call.
 
         Args:
-            parts: Their topics, with a content that does not depend on the frame.
+            parts: Topics of the transforms, with a content that does not depend on the frame.
             stamp: Nanoseconds.
         """
         if TFMessage is not None:

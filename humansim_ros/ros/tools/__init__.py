@@ -1,4 +1,4 @@
-"""Demo, benchmark, bag player, layouts of viewers."""
+"""Programs that use ROS: demo, benchmark, bag player; and layouts for RViz and Foxglove."""
 
 from humansim_ros.lazy import lazy_exports
 

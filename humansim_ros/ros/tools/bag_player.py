@@ -27,20 +27,20 @@ from humansim_ros.ros.processes.lockstep_settings import CLOCK_SEARCH
 from humansim_ros.ros.processes.runtime import make_executor
 
 CLOCK_TOPIC = "/clock"
-#: The first message is sent after this time without a new subscription, and at the latest after the second
-#: time, seconds.
+#: The first message is sent when no subscription has been added for the first time, and at the latest after
+#: the second time, seconds.
 _QUIET, _MAX_QUIET = 1.0, 4.0
-#: Subscribers confirm messages within this time, seconds, since Fast DDS asks them every three seconds.
+#: Longest wait for subscribers to confirm messages, seconds. Fast DDS asks for this every three seconds.
 _DELIVERY = 10.0
 #: Most messages of a topic, and most bytes, that are sent at once without confirmation. The shared memory of
 #: Fast DDS has 512 slots.
 _MAX_AT_ONCE, _MAX_UNCONFIRMED = 400, 1 << 25
-#: Time for the last messages of publishers without confirmation, seconds.
+#: Wait at the end for the last messages to subscribers that do not confirm messages, seconds.
 _LINGER = 0.2
-#: Longest sleep in seconds, so that the process notices a key.
+#: Longest sleep, seconds, so that the process soon notices a key press.
 _STEP = 0.02
-#: Messages that are late by this time (seconds) are sent without a pause; from the second time on, a warning
-#: is printed.
+#: Messages that are later than the first time (seconds) are sent without a pause. If they are later than the
+#: second time, a warning is printed.
 _LATE, _MAX_LATE = 0.1, 1.0
 #: Most topics that a line names.
 _MAX_NAMED = 3
@@ -51,11 +51,11 @@ class PlayOptions:
     """Options of a bag player.
 
     Attributes:
-        clock: Messages per second on ``/clock``. If 0, none.
+        clock: Messages per second on ``/clock``. If 0, ``/clock`` is not published.
         rate: Recorded seconds per second.
         loop: Whether playing begins again at the end.
         start_offset: Number of recorded seconds that are skipped at the start.
-        topics: Names and patterns of topics. If empty, all.
+        topics: Names and patterns of topics to play. If empty, all topics.
     """
 
     clock: float = 0.0
@@ -66,7 +66,7 @@ class PlayOptions:
 
 
 class Pace:
-    """Relation of recorded time to monotonic time. Recorded time stands still during a pause.
+    """Converts between recorded time and monotonic time. Recorded time stands still during a pause.
 
     Args:
         start: Recorded time at the start, nanoseconds.
@@ -105,7 +105,7 @@ class BagPlayer:
 
     Attributes:
         topics: Names of the topics that are played.
-        seconds: Length of the bag.
+        seconds: Duration of the bag.
         played: Number of messages that were sent.
 
     Raises:
@@ -142,7 +142,8 @@ class BagPlayer:
                 if topic.name in types
             }
             self._clock = self._node.create_publisher(Clock, CLOCK_TOPIC, 10) if options.clock else None
-            #: By publisher: sizes of the messages that were sent without a pause.
+            #: Sizes of the messages that were sent without a pause and are not confirmed, by publisher
+            #: number.
             self._unconfirmed: dict[int, list[int]] = {number: [] for number in self._publishers}
             self._wait_for_subscribers()
             self._check_neighbours()
@@ -182,7 +183,7 @@ class BagPlayer:
         return types
 
     def _interval(self) -> tuple[int, int]:
-        """Recorded times of the start and the end, nanoseconds."""
+        """First and last recorded time to play, nanoseconds."""
         info = self._reader.info
         if info.start is None or info.end is None:
             raise RosError("the bag has no messages", path=self._path)
@@ -234,7 +235,7 @@ class BagPlayer:
         self._wait_for_delivery()
 
     def _play_once(self, sent: Mapping[int, int], key: Callable[[], str]) -> None:
-        """Publish the messages once. ``sent``: times up to which messages of latched topics have been
+        """Publish all messages once. ``sent``: by latched topic, time up to which messages are already
         sent."""
         pace = Pace(self._start, self._options.rate, time.monotonic())
         self._next_clock = 0.0
@@ -251,7 +252,8 @@ class BagPlayer:
         self._publish_clock(self._end)
 
     def _wait(self, pace: Pace, recorded: int, key: Callable[[], str]) -> float:
-        """Wait until a recorded time. Returns the seconds until it; negative if it has passed."""
+        """Wait until a recorded time. Returns the seconds that are left until this time, negative once it has
+        passed."""
         first = None
         while True:
             if key() == " ":
@@ -273,8 +275,8 @@ class BagPlayer:
             self._clock.publish(Clock(clock=to_time(stamp)))
 
     def _send_latched(self) -> dict[int, int]:
-        """Publish those messages of latched topics that a late subscriber would have at the start. If a topic
-        begins later, its first message is published. Returns the time of the last message by topic."""
+        """Publish the messages of latched topics that a subscriber would have got at the time of the start;
+        for a topic that begins later, its first message. Returns the time of the last message by topic."""
         profiles = {number: publisher_profile(self._reader.topics[number].qos) for number in self._publishers}
         latched = {
             number: deque[BagMessage](maxlen=profile.depth)
@@ -296,8 +298,8 @@ class BagPlayer:
         return sent
 
     def _publish(self, message: BagMessage, is_late: bool = False) -> None:
-        """Publish a message. ``is_late``: messages are sent without a pause, so that subscribers might lose
-        some. After many messages, they have to confirm them."""
+        """Publish a message. ``is_late``: whether messages are sent without a pause, so that subscribers
+        might lose some. Then wait from time to time until subscribers have confirmed them."""
         publisher = self._publishers[message.topic]
         publisher.publish(bytes(message.data))
         self.played += 1
@@ -329,7 +331,8 @@ class BagPlayer:
 
 
 def _wait_until_acknowledged(publisher: Any, seconds: float) -> bool:
-    """Wait until all reliable subscribers have confirmed all messages. Returns False if the time is over."""
+    """Wait until all reliable subscribers have confirmed all messages. Returns False if this takes longer
+    than ``seconds``."""
     end = time.monotonic() + seconds
     # signals are not handled during this call
     while not publisher.wait_for_all_acked(Duration(seconds=_STEP)):

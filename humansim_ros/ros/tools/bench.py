@@ -1,4 +1,5 @@
-"""``humansim bench``: how many cameras of a scene this machine can run, measured with the nodes of a run."""
+"""``humansim bench``: measure how many cameras of a scene this machine can run, with the nodes of a real
+run."""
 
 from __future__ import annotations
 
@@ -22,16 +23,16 @@ from humansim_ros.ros.processes.runtime import make_executor, prepare_transport
 from humansim_ros.ros.processes.supervisor import Supervisor
 from humansim_ros.scene.core import Scene, in_step
 
-#: Frames per second of the motion player. This is more than cameras can render, so that they get as many as
-#: they can.
+#: Frames per second that the motion player tries to send. Cameras cannot render so many, so they work at full
+#: speed.
 _RATE = 200.0
-#: Share of the measured rate that the machine can hold for a long time, next to some other work.
+#: Share of the measured rate that the machine can keep up for a long time, with some other work going on.
 _SHARE = 0.9
 #: Most frames that are held while some of their images have not arrived.
 _MAX_INCOMPLETE = 1000
 #: Seconds between the first frame of all cameras and a measurement.
 _SETTLING = 1.0
-#: Each other topic must send its first message within this time, seconds.
+#: After the start, each topic must send a first message within this time, seconds.
 _START_LIMIT = 90.0
 #: If other processes use more cores than this, a measurement means little.
 _BUSY_CORES = 0.25
@@ -42,14 +43,14 @@ class BenchResult:
     """Rate at which a machine renders the cameras of a scene.
 
     Attributes:
-        cameras: By name: milliseconds that the camera needs to render and send a frame.
-        pictures: Number of pictures per frame. It is less than the number of cameras if some have their own
+        cameras: Milliseconds that each camera needs to render and send a frame, by name.
+        pictures: Mean number of images per frame, lower than the number of cameras if some have their own
             rate.
         channels: Rendered channels.
         rate: Frames per second of the scene.
-        measured_hz: Frames per second with all channels of all cameras.
+        measured_hz: Measured frames per second, counting frames with all channels of all cameras.
         frame_ms: CPU milliseconds per frame for everything except cameras: motions, bodies and subscriber.
-        camera_ms: CPU milliseconds per picture of one camera.
+        camera_ms: CPU milliseconds per image of one camera.
         processes: Number of camera processes.
         cores: Number of cores.
         other_cores: Number of cores that other processes used during the measurement.
@@ -68,7 +69,7 @@ class BenchResult:
 
     @property
     def max_hz(self) -> float:
-        """Frames per second that the machine can hold with these cameras."""
+        """Frames per second that the machine can keep up with these cameras."""
         return _SHARE * self.measured_hz
 
     @property
@@ -91,7 +92,7 @@ class BenchResult:
         return {**asdict(self), "channels": list(self.channels), **derived}
 
     def text(self) -> str:
-        """Lines for people."""
+        """Result as lines of text for users."""
         count, rate = len(self.cameras), f"{self.rate:g} Hz"
         holds = "holds" if self.holds else "does not hold"
         these = f"these {count}" if count > 1 else "this one"
@@ -137,8 +138,8 @@ def measure(
 ) -> BenchResult:
     """Run the nodes of a scene as fast as they can, with one subscriber, for some seconds.
 
-    If they do not reach the rate of the scene, they run once more at this rate, since nodes that get too many
-    frames waste time on frames that other nodes skip.
+    If this is slower than the rate of the scene, the nodes run once more at this rate: nodes that get too
+    many frames waste time on frames that other nodes skip.
 
     Args:
         path: Scene file.
@@ -171,7 +172,7 @@ class _Bench:
     report: Callable[[str], None]
 
     def at(self, rate: float) -> BenchResult:
-        """Start the nodes, measure, and stop them. ``rate``: requested frames per second."""
+        """Start the nodes, measure, and stop the nodes. ``rate``: requested frames per second."""
         topics = topics_of(self.scene, self.channels)
         counted = in_step(self.scene.scene_cameras)
         whole = [topic for topic in topics if topic.split("/")[1] in counted]
@@ -217,8 +218,8 @@ class _Bench:
 
 
 class _Subscriber:
-    """Context manager that subscribes to topics and counts the stamps with a message on some of them.
-    ``whole``: topics. A frame is counted if it has messages on all of them."""
+    """Context manager that subscribes to topics, and counts complete frames. A frame is complete if there is
+    a message with its stamp on each topic of ``whole``."""
 
     def __init__(self, topics: Sequence[str], whole: Sequence[str]) -> None:
         self._topics = list(topics)
@@ -305,7 +306,7 @@ class _Subscriber:
 
 @dataclass(frozen=True)
 class CpuTime:
-    """CPU seconds that were used: by process, and by the whole machine."""
+    """CPU time used by each process, and by the whole machine, seconds."""
 
     processes: dict[str, float]
     machine: float

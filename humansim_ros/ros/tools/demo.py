@@ -1,4 +1,4 @@
-"""``humansim demo``: run the nodes of a scene, record their topics as a client, and write pictures."""
+"""``humansim demo``: run the nodes of a scene, subscribe to their topics, and write a picture and a video."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ from humansim_ros.scene.core import Scene, in_step
 from humansim_ros.scene.pictures import views
 from humansim_ros.types import Image
 
-#: Each other topic must send its first message within this time, seconds.
+#: After the start, each topic must send a first message within this time, seconds.
 _START_LIMIT = 60.0
-#: Size of the image of one camera in the video.
+#: Width and height of the image of one camera in the video, pixels.
 _VIDEO_SIZE = (480, 360)
-#: Most stamps that are held until one has arrived from all cameras, and most memory for them in bytes.
+#: Most frames that are stored while images of some cameras are missing; and most memory for them, bytes.
 _MAX_INCOMPLETE, _MAX_BYTES = 20, 1 << 29
-#: Most frames with stamps of images that are held.
+#: Most frames for which stamps of images are stored.
 _MAX_CLOCKS = 200
 #: Most cameras that the pictures show.
 _MAX_CAMERAS = 8
 #: JPEG quality of the video frames that are held in memory.
 _JPEG_QUALITY = 92
-#: Encoding of the other images.
+#: Encodings of topics with images other than RGB.
 _ENCODINGS = {"depth/image": "32FC1", "part/image": "mono8"}
 #: A joint farther away than this, pixels, is not drawn.
 _FAR_OUTSIDE = 1e5
@@ -49,7 +49,7 @@ def record_demo(scene_path: Path, output: Path, duration: float, video: str = "w
 
     Args:
         scene_path: Scene file.
-        output: Folder of the pictures.
+        output: Folder for the files.
         duration: Seconds to record.
         video: File name of the video.
 
@@ -88,7 +88,8 @@ def record_demo(scene_path: Path, output: Path, duration: float, video: str = "w
 
 
 def _record(nodes: Supervisor, recorder: _Recorder, duration: float, console: Console) -> float | None:
-    """Wait until every topic has sent a message, then record for ``duration`` and until a frame is whole.
+    """Wait until every topic has sent a message, then record for ``duration`` seconds, and until a frame is
+    complete.
 
     Returns:
         Recorded seconds, or None if a node has ended or a topic sends nothing.
@@ -143,13 +144,13 @@ class _Recorder:
         self.types: dict[str, str] = {}
         self.bytes: Counter[str] = Counter()
         self.messages: Counter[str] = Counter()
-        #: Images and joints of the latest stamp that is complete, by topic.
+        #: Images and joints of the newest complete frame, by topic.
         self.sheet: dict[str, NDArray[Any]] = {}
-        #: Cameras of the pictures, which have the same stamps.
+        #: Cameras that the pictures show, chosen so that their images have the same stamps.
         self.cameras = in_step(scene.scene_cameras)[:_MAX_CAMERAS]
-        #: Scaled images as JPEG by stamp and camera.
+        #: Scaled images as JPEG, by stamp and camera, for the video.
         self.thumbnails: Frames[Any] = Frames(self.cameras)
-        #: For cameras with a wrong clock: stamp of the image by stamp of the frame.
+        #: For cameras with a wrong clock: stamp of the frame, by the (wrong) stamp of its image.
         self._frame_stamps: dict[str, dict[int, int]] = {
             name: {} for name in self.cameras if _has_wrong_clock(scene, name)
         }
@@ -236,7 +237,7 @@ class _Recorder:
         return on_message
 
     def _note_clock(self, camera: str, data: bytes) -> None:
-        """Note the stamp of the image of a frame."""
+        """Note the stamp that a camera with a wrong clock gives to the image of a frame."""
         from humansim_ros.data.messages import deserialised, read_faults, to_nanoseconds
 
         message = deserialised(data, self._message_types[f"/{camera}/faults"])
@@ -297,7 +298,8 @@ def _contact_sheet(scene: Scene, recorder: _Recorder) -> Image:
 
 
 def _video(scene: Scene, recorder: _Recorder) -> Iterator[Image]:
-    """Frames with all cameras at one stamp in a grid. Each frame is repeated until the next stamp."""
+    """Yield video frames: a grid with the images of all cameras at one stamp, repeated until the next
+    stamp."""
     names, thumbnails = recorder.cameras, recorder.thumbnails
     columns = round(np.ceil(np.sqrt(len(names))))
     complete = thumbnails.whole()

@@ -1,5 +1,5 @@
-"""Report of ``humansim run`` when all cameras deliver images. A subscriber measures it and prints the next
-commands.
+"""Wait until all cameras of ``humansim run`` deliver images, then print how long this took, and commands to
+try next.
 
 It runs as a separate process: ``python -m humansim_ros.ros.tools.first_images JSON``.
 """
@@ -25,13 +25,13 @@ from humansim_ros.ros.processes.stop_signals import end_process_on_stop, end_wit
 _FIRST_PROGRESS = 3.0
 #: Most names of a list that are printed.
 _MAX_NAMES = 4
-#: Leaving ROS is aborted after this time, seconds, since Fast DDS sometimes never ends.
+#: The shutdown of ROS is aborted after this time, seconds, since Fast DDS sometimes hangs.
 _LEAVE_LIMIT = 5
 
 
 @dataclass(frozen=True)
 class FirstImages:
-    """What to wait for.
+    """Waits for the first image of each camera, and reports on it.
 
     Attributes:
         cameras: Names of the cameras.
@@ -46,7 +46,7 @@ class FirstImages:
     namespace: str = ""
 
     def to_argument(self) -> str:
-        """Argument of the process."""
+        """These attributes as the command-line argument of the process."""
         return json.dumps(asdict(self))
 
     def progress(self, waiting: Sequence[str], seconds: float) -> str:
@@ -142,7 +142,7 @@ def _checkout() -> Path | None:
 
 
 def main(argument: str) -> None:
-    """Wait and report. A stop signal, or an output that cannot be written, ends it."""
+    """Wait and report. Ends early on a stop signal, or if the output cannot be written."""
     end_process_on_stop(0)
     try:
         FirstImages(**json.loads(argument)).wait()

@@ -18,7 +18,7 @@ from humansim_ros.scene.core import SceneNames, read_names
 
 #: Human and first camera of the demo scene.
 _HUMAN, _CAMERA = "walker", "camera_1"
-#: Most cameras with images that are shown. More would fill the window.
+#: Most cameras with images that a layout shows, since more would fill the window.
 _MOST_IMAGES = 4
 
 
@@ -57,7 +57,8 @@ def foxglove_layout(scene: SceneNames | str | os.PathLike[str], namespace: str =
     images = names.cameras[:_MOST_IMAGES]
 
     def parts(section: dict[str, Any], suffix: str, old: str, shown: Sequence[str]) -> dict[str, Any]:
-        """Entries of a section with keys that end in ``suffix``, made for other humans or cameras."""
+        """Copy the entries of a section with keys that end in ``suffix``, once for each human or camera in
+        ``shown``. ``old``: name in the demo layout."""
         key = next(key for key in section if key.endswith(suffix))
         return {key.replace(old, name): _renamed(section[key], old, name) for name in shown}
 
@@ -85,12 +86,12 @@ def _demo_layout(file: str) -> str:
 
 
 def _in_namespace(layout: dict[str, Any], namespace: str) -> Any:
-    """A layout with its topics in a ROS namespace. No other text of a layout begins with ``/``."""
+    """Copy of a layout with all topics in a ROS namespace. Only topics begin with ``/`` in a layout."""
     return json.loads(json.dumps(layout).replace('"/', f'"/{namespace}/')) if namespace else layout
 
 
 def _renamed(part: Any, old: str, new: str) -> Any:
-    """A part of a layout for another human or camera."""
+    """Copy of a part of a layout, with the name of a human or camera replaced."""
     return json.loads(json.dumps(part).replace(old, new))
 
 

@@ -236,7 +236,7 @@ class Keyframes:
     path: str = ""
 
     def track(self, name: str) -> KeyframeTrack:
-        """Track of an object. If it has none, MotionError lists the known names."""
+        """Track of an object. If the object has no track, MotionError lists the known names."""
         if name not in self.tracks:
             raise MotionError(unknown("object", name, self.tracks, "the file"), path=self.path)
         return self.tracks[name]

@@ -188,7 +188,7 @@ class FileFrame:
 
     @property
     def offsets_stand(self) -> bool:
-        """Whether the OFFSETs are a standing person, so that they are the rest pose."""
+        """Whether the OFFSETs show a standing person, so that they serve as the rest pose."""
         return self.rest_from_body.ndim == 2
 
     @property

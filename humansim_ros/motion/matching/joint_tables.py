@@ -152,7 +152,7 @@ def _default_drivers(joints: Mapping[str, Any]) -> tuple[dict[str, tuple[str, st
 
 
 def known_role(role: str, known: Collection[str]) -> str | None:
-    """A role, or the first role that replaces it, among the known roles."""
+    """Return the role if it is known, else the first known role that replaces it. None if there is none."""
     return next((each for each in (role, *_USUAL["instead"].get(role, ())) if each in known), None)
 
 

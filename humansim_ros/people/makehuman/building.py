@@ -207,7 +207,7 @@ class PersonTopology:
 
     @cached_property
     def skin(self) -> NDArray[np.uint8]:
-        """(S, S) share of skin in each texel of the texture."""
+        """(S, S) share of skin in each texel of the texture, 0 to 255."""
         return as_image(self.texels, 255 * skin_share(self.cut[0], self.texels, self.canvas))
 
     def worn_by(self, body: _Body, own: BodyRegions) -> BodySurface:

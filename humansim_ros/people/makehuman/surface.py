@@ -321,7 +321,8 @@ class Outline:
         return cls(bottom, axis, smooth[3:-3, 6:-6])
 
     def hanging(self) -> Outline:
-        """Outline of a surface that hangs down from this one. It is nowhere narrower than above."""
+        """Outline of a surface that hangs down from this outline: nowhere narrower than at the heights
+        above."""
         return replace(self, reach=np.maximum.accumulate(self.reach[::-1])[::-1])
 
     def at(self, points: Array) -> Array:

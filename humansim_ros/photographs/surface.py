@@ -168,7 +168,7 @@ class Surface:
 
     @cached_property
     def mirrored(self) -> Indices:
-        """(P,) number of the place on the other side of the body; -1 where there is no such place."""
+        """(P,) number of the mirrored place on the other side of the body; -1 if a place has none."""
         distance, other = cKDTree(self.points).query(self.points * [-1, 1, 1])
         height = float(np.ptp(self.points[:, 1]))
         return np.where(distance < _MIRROR * height, other, -1)

@@ -270,8 +270,8 @@ class Photo:
         """Image (H, W, 3) uint8 sRGB.
 
         Raises:
-            PhotographError: There is no image, the image cannot be read, or its size is not that of the
-                camera.
+            PhotographError: There is no image, the image cannot be read, or the camera has images of another
+                size.
         """
         if self.image_path is None:
             raise PhotographError(
@@ -283,7 +283,7 @@ class Photo:
         """Silhouette (H, W) of the person; None if there is no silhouette.
 
         Raises:
-            PhotographError: The silhouette cannot be read, or its size is not that of the camera.
+            PhotographError: The silhouette cannot be read, or the camera has images of another size.
             EmptyMaskError: The silhouette is empty.
         """
         if self.mask_path is None:

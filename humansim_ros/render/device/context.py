@@ -159,8 +159,8 @@ def _create(device: int | None) -> moderngl.Context:
 
 
 def _free(gl: moderngl.Context, pid: int) -> None:
-    """Free a context. In a forked process do nothing, since the driver could wait for its threads for
-    ever."""
+    """Free a context. In a forked process, do nothing, since the driver could wait there for ever for its
+    threads."""
     if os.getpid() == pid:
         gl.release()
 

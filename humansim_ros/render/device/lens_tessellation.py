@@ -283,8 +283,8 @@ class LensView:
         return pixels.min(axis=0) - 1, pixels.max(axis=0) + 1
 
     def bent(self, starts: Array, ends: Array, tolerance: float) -> NDArray[np.bool_]:
-        """(E,) whether edges bend by more than a tolerance in pixels, or are so long that they may bend so
-        much. ``starts``, ``ends``: (E, 3) metres in ``map``."""
+        """(E,) whether each edge bends by more than a tolerance in pixels, or is so long that it may.
+        ``starts``, ``ends``: (E, 3) metres in ``map``."""
         a, b = self._projected(starts), self._projected(ends)
         return (self._cuts(a, b) > 1) | (self._pieces(a, b, tolerance) > 1)
 
@@ -442,8 +442,8 @@ def near_plane(camera: Camera) -> float:
 @dataclass(frozen=True)
 class _Field:
     """Field of view of a lens: its bounds in the normalised image plane. ``dark``: some pixels are beyond the
-    field of view. ``bends``: for a grid over the image, the bend of a line in pixels, divided by the square
-    of its angle (radians)."""
+    field of view. ``bends``: for a grid over the image, the bend of a short line in pixels, divided by the
+    square of the angle that the line spans (radians)."""
 
     low: Array
     high: Array

@@ -457,7 +457,7 @@ class PosedMesh:
         return np.concatenate(points, axis=1), np.concatenate(areas).astype(np.float32)
 
     def facing(self, eye: NDArray[np.floating]) -> NDArray[np.bool_]:
-        """(N,) whether each triangle shows its front to a point."""
+        """(N,) whether each triangle shows its front side to a viewer at ``eye``, (3,)."""
         # einsum does not use BLAS, which rounds differently with another number of threads
         return np.asarray(np.einsum("i,ij->j", eye.astype(np.float32), self.areas) > self._planes)
 

@@ -1,7 +1,7 @@
 """Surface points at pixel centers: normals, texture coordinates, optical flow; and backdrops.
 
-A renderer determines the triangle at each pixel center. The point of the triangle on the ray of the pixel
-then follows exactly, with its barycentric coordinates. Nothing is interpolated or rounded by the renderer.
+A renderer determines the triangle at each pixel center. From triangle and ray, the surface point and its
+barycentric coordinates follow exactly, without interpolation or rounding by the renderer.
 """
 
 from __future__ import annotations
@@ -268,7 +268,8 @@ class Panorama:
 
     @cached_property
     def _wrapped(self) -> NDArray[np.uint8]:
-        """The image with columns of each side repeated at the other side."""
+        """The panorama with the first columns added after the last, and the last columns added before the
+        first."""
         return np.pad(self.image, ((0, 0), (_WRAP, _WRAP), (0, 0)), mode="wrap")
 
     def picture(self, camera: Camera) -> NDArray[np.uint8]:

@@ -1,4 +1,5 @@
-"""Bodies in a frame: buffers on the device, pixels that they may cover, contours, levels of detail."""
+"""Prepare bodies for drawing: buffers on the device, pixels that bodies may cover, contours, levels of
+detail."""
 
 from __future__ import annotations
 
@@ -138,7 +139,7 @@ class _BodyBuffers:
         self._poses: LruCache[int, tuple[weakref.ref[Body], PosedMesh]] = LruCache(_MAX_POSES)
 
     def pose(self, body: Body) -> PosedBody:
-        """The body in its pose, cached."""
+        """Return the body in its pose, from the cache or made now."""
         key, poses = id(body), self._poses
         entry = poses.get(key)
         if entry is None or entry[0]() is not body:

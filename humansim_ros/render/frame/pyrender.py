@@ -242,7 +242,7 @@ class _PosedShape:
         return 2 if inside or not self._closed else 1
 
     def coloured(self, lighting: Lighting, sides: int) -> _Node:
-        """Return the whole surface with light."""
+        """Return the whole surface with colours and light."""
         if ("rgb", sides) not in self._nodes:
             expanded = self._shape.expanded
             normals = self._posed.normals.take(expanded.source, axis=0)

@@ -214,7 +214,7 @@ class ShadowView:
 
 
 class ShadowMap:
-    """A shadow map on the device. ``name``: prefix of its uniforms."""
+    """A shadow map on the device. ``name``: prefix of the names of its uniforms in the shaders."""
 
     def __init__(self, ctx: moderngl.Context, name: str, side: int) -> None:
         self._ctx, self._name, self._side = ctx, name, side

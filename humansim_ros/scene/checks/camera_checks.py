@@ -170,7 +170,7 @@ def _far(name: str, samples: SceneSamples) -> str | None:
 
 
 def distance_text(metres: float) -> str:
-    """A distance with its unit, such as ``1.5 km``."""
+    """Format a distance with its unit, such as ``1.5 km``."""
     return f"{metres / 1000:.3g} km" if metres >= 1000 else f"{metres:.0f} m"
 
 
@@ -258,7 +258,7 @@ def _other_poses(camera: Camera) -> Iterator[tuple[str, tuple[Array, Array]]]:
 
 
 def _sees_object(name: str, samples: SceneSamples) -> bool:
-    """Whether a camera sees an object with a label or keyframes, which may be its purpose."""
+    """Whether a camera sees an object with a label or keyframes, since that may be its purpose."""
     scene = samples.scene
     camera, (rotations, translations) = scene.scene_cameras[name].camera, samples.camera_poses[name]
     for item in scene.objects.values():

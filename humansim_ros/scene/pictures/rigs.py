@@ -250,7 +250,7 @@ def _coverage_panel(rig: _Rig, plan: Plan, covered: Coverage) -> Image:
 
 
 def _focus(cameras: Sequence[Camera], centers: Array) -> Array:
-    """Point (3,) nearest to all optical axes, if they meet. If not, a point in front of the cameras."""
+    """Point (3,) nearest to all optical axes. If the axes do not meet, a point in front of the cameras."""
     point = common_point(cameras)
     extent = max(float(np.ptp(centers, axis=0).max()), 1.0)
     if point is not None and (np.abs(point - centers.mean(0)) < 3 * extent).all():

@@ -167,7 +167,7 @@ def draw_joints(
 
 
 def joint_colors(names: Sequence[str]) -> tuple[list[Color], Color, Color]:
-    """Colours of the line from each joint (J,) to its parent, of visible joints, and of hidden ones."""
+    """Colours: of the line from each joint (J,) to its parent, of visible joints, and of hidden joints."""
     return [_SIDE_COLORS[side_of(name)] for name in names], _VISIBLE_COLOR, _HIDDEN_COLOR
 
 

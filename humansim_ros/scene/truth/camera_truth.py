@@ -494,7 +494,7 @@ def view_keypoints(
     """Compute visibility and occluders of the keypoints of all humans, by instance label.
 
     Keypoints inside the body follow the rule of :func:`~humansim_ros.scene.view_joints`. A keypoint on the
-    skin is visible if a vertex at its place would be (:func:`~humansim_ros.scene.visible_vertices`). Skin
+    skin is visible if a vertex there would be visible (:func:`~humansim_ros.scene.visible_vertices`). Skin
     that faces away from the camera is occluded by the person.
 
     Args:

@@ -358,7 +358,7 @@ class _Rows:
         return bool(is_text and n_values and n_values == self.n_frames * self.n_channels)
 
     def _is_hopeless(self) -> bool:
-        """Whether there are too many bad lines. Lines of text only hardly count: the file may end there."""
+        """Whether there are too many bad lines. Most text lines do not count: the file may end there."""
         n_bad = self.n_damaged + self.n_odd * self.is_broken
         n_lines = max(self.n_lines, 0 if np.isnan(self.n_frames) else self.n_frames)
         return n_bad > min(_MAX_BAD, max(_FIRST_BAD, _BAD_SHARE * n_lines)) or len(self.bad) > _MAX_BAD

@@ -57,8 +57,7 @@ def evaluate(
         truth: Scene file, bag with the topics ``/humans/<id>/joints``, or folder of an export.
         estimate: File or folder of poses, boxes or detections, or ``BAG:TOPIC``; or several of them. A topic
             with the pose of a robot is judged by docs/social_navigation.md.
-        keypoints: Keypoint set of the estimate, such as ``coco17``. If None, it follows from the names of the
-            joints.
+        keypoints: Keypoint set of the estimate, such as ``coco17``. If None, the names of joints decide.
         names: YAML file: name of a joint in the truth by name in the estimate.
         scale: Length of one unit of the estimate, metres.
         axes: Axes of the estimate, such as ``y-up``. If None, the axes of ``map``.
@@ -66,8 +65,8 @@ def evaluate(
         gate: A person counts as found up to this mean joint distance, metres. If None, 0.5. For boxes, the
             distance of their centres on the floor; if None, 1.
         min_score: Detections in images with a lower score count only for average precision.
-        radius: If the estimate is the path of a robot, the radius of the robot, metres. If None, that of the
-            robot in the scene.
+        radius: If the estimate is the path of a robot, its radius, metres. If None, that of the robot in the
+            scene.
 
     Raises:
         HumansimError: A file cannot be read, or truth and estimate cannot be compared.

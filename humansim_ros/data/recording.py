@@ -414,8 +414,7 @@ class RecordingWorker:
 
 
 def result_of(chunks: Sequence[Chunk], latched: Sequence[BagMessage] = ()) -> FrameResult:
-    """Pack the result of a worker: chunks, and messages of latched topics, which may repeat earlier
-    messages."""
+    """Pack the result of a worker: chunks, and latched messages, which may repeat earlier messages."""
     held = [message._replace(data=bytes(message.data)) for message in latched]
     bare = [replace(chunk, buffers=()) for chunk in chunks]
     return FrameResult((bare, held), [chunk.buffers for chunk in chunks])

@@ -119,8 +119,7 @@ def cluster_recordings(
     """Create the jobs that record scenes on a cluster.
 
     Args:
-        scenes: Recordings by the name of their folder in ``output``. The empty name stands for ``output``
-            itself.
+        scenes: Recordings by the name of their folder in ``output``. "" is ``output`` itself.
         output: Absolute path or URL.
         shard_frames: Number of frames of a shard.
 
@@ -181,8 +180,7 @@ def record_on_cluster(
 
 
 def _unwritten(recording: ClusterRecording, resume: bool) -> list[ClusterPart]:
-    """Shards that are missing in an output. Raises BagError if the output exists and must not be
-    continued."""
+    """Shards that an output lacks. Raises BagError if the output exists and must not be continued."""
     output, shards = recording.output, recording.shards
     found = output.names()
     if not resume:

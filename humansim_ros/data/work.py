@@ -54,8 +54,7 @@ def compare(truth: Path, estimate: Sequence[str], min_score: float | None, **opt
 
 
 def _refuse(options: Mapping[str, Any], content: str) -> None:
-    """Check that no options for 3D poses are given, since the estimate is of another kind. Raises
-    EvaluationError."""
+    """Raise EvaluationError if options for 3D poses are given, since the estimate is of another kind."""
     for name, value in options.items():
         if value != _DEFAULTS.get(name):
             raise EvaluationError(f"is for 3D poses; the estimate is {content}", key=f"--{name}")

@@ -38,8 +38,7 @@ class BagThread:
     """A queue of messages, limited in bytes, and a thread that writes the messages into a bag.
 
     Args:
-        open_bag: Function that opens the bag. The thread calls it, and is the only one to use and close the
-            bag.
+        open_bag: Function that opens the bag. Only the thread calls it, and uses and closes the bag.
         max_bytes: Most bytes of messages in the queue. A longer message is accepted when the queue is empty.
         compression: Compression of the chunks.
         on_written: Called in the thread with the stamp of a frame, after the messages of the frame have been
@@ -161,8 +160,7 @@ class BagThread:
                 return
 
     def _next(self, due: float) -> _Item | None:
-        """Wait for the next item of the queue. None if there is none until the monotonic time ``due``, or at
-        the end."""
+        """Wait for the next item of the queue. None after the monotonic time ``due``, and at the end."""
         with self._changed:
             while time.monotonic() < due:
                 if self._items:

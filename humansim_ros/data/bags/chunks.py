@@ -180,8 +180,7 @@ def _zstd_compressor(thread: int) -> ZstdCompressor:
 def chunk_records(record: Buffer) -> Iterator[tuple[int, memoryview]]:
     """Yield opcode and content of the records in a Chunk record, after a check of sizes and checksum.
 
-    ``record``: all bytes of the Chunk record. Without compression, contents are views of ``record``, not
-    copies.
+    ``record``: all bytes of the Chunk record. Without compression, contents are views of ``record``.
 
     Raises:
         BagError: The chunk is damaged, or its compression is not known.
@@ -225,8 +224,7 @@ def chunk_messages(record: Buffer) -> list[BagMessage]:
     return [message_of(content) for opcode, content in chunk_records(record) if opcode == MESSAGE]
 
 
-#: This number of bytes contains the head of a Chunk record, since names of compressions are shorter than 23
-#: characters.
+#: This number of bytes contains the head of a Chunk record: names of compressions are shorter than 23 bytes.
 HEAD_SIZE = 80
 
 

@@ -88,8 +88,7 @@ _MARK_NAME = b"humansim"
 _INDEX_IN_MEMORY = 1 << 22
 #: Error numbers of file systems that do not support direct writing.
 _REFUSALS = (errno.EINVAL, errno.EOPNOTSUPP)
-#: Functions that read the records that describe topics, by opcode. For damaged content they raise
-#: ``_DAMAGES``.
+#: By opcode: functions that read records about topics. For damaged content they raise ``_DAMAGES``.
 _TOPIC_RECORDS: dict[int, Callable[[ReadDataStream], Schema | Channel]] = {
     Opcode.SCHEMA: Schema.read,
     Opcode.CHANNEL: Channel.read,
@@ -99,9 +98,8 @@ _DAMAGES = (McapError, struct.error, UnicodeDecodeError, ValueError, OverflowErr
 
 
 def mark(group: int, ends_group: bool, space: int = 0) -> bytes:
-    """Encode the mark, the record that follows a chunk. It says that the chunk is complete, to which group
-    (the chunks of one frame) the chunk belongs, and whether it is the last of the group. ``space``: number of
-    zeros to add."""
+    """Encode the mark that follows a chunk. It says that the chunk is complete, names its group (the chunks
+    of one frame), and says whether the chunk is the last of the group. ``space``: number of zeros to add."""
     content = _MARK_CONTENT.pack(_MARK_NAME, group, ends_group) + bytes(space)
     return RECORD.pack(_MARK, len(content)) + content
 
@@ -154,8 +152,7 @@ def _chunk_index(chunk: Chunk, position: int) -> ChunkIndex:
 
 
 class DirectFile:
-    """Writes an open file directly to the disk (O_DIRECT). ``descriptor``: the open file, with read and write
-    access."""
+    """Writes an open file directly to the disk (O_DIRECT). ``descriptor``: of the open file."""
 
     def __init__(self, descriptor: int) -> None:
         self._descriptor = -1
@@ -293,8 +290,7 @@ class McapFile:
 
     @classmethod
     def content_of(cls, path: Path) -> Content:
-        """Read numbers and times of the messages from the summary of a finished file. Raises BagError if the
-        file is damaged."""
+        """Read numbers and times of messages from the summary of a finished file. BagError if damaged."""
         with open_file(path, BagError, "bag", ANY_SIZE) as file:
             return content_in(file, path)
 
@@ -434,8 +430,7 @@ def _summary(file: BinaryIO) -> Summary | None:
 
 
 def content_in(file: BinaryIO, path: str | os.PathLike[str]) -> Content:
-    """Read numbers and times of messages from a finished file of this package, which may be on another
-    machine.
+    """Read numbers and times of messages from a finished file, which may be on another machine.
 
     Raises:
         BagError: The summary of the file is damaged. The error names the file ``path``.
@@ -655,8 +650,7 @@ class McapInput:
         self.whole = self._file.read() == MAGIC
 
     def _counts_in(self, index: ChunkIndex) -> dict[int, int]:
-        """Count the messages of a chunk by topic index, for a chunk without MessageIndex or with topics
-        inside."""
+        """Count messages by topic index, for a chunk without MessageIndex or with topics inside."""
         counts: dict[int, int] = {}
         for opcode, content in chunk_records(self._record(index)):
             if opcode in _TOPIC_RECORDS:
@@ -705,7 +699,7 @@ class McapInput:
             yield heapq.heappop(pending)[2]
 
     def _messages(self, index: ChunkIndex) -> list[BagMessage]:
-        """Read the messages of a chunk, or of a Message record outside of chunks. If damaged: a warning, no
+        """Read the messages of a chunk, or of a lone Message record. If damaged, warn, and return no
         messages."""
         record = self._record(index)
         try:

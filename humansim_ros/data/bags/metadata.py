@@ -1,5 +1,4 @@
-"""Names of storage formats of bags; and ``metadata.yaml`` (version 9), as rosbag2 of ROS 2 Jazzy writes
-it."""
+"""Storage formats of bags; and ``metadata.yaml`` (version 9), as rosbag2 of ROS 2 Jazzy writes it."""
 
 from __future__ import annotations
 

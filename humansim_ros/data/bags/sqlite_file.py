@@ -1,7 +1,7 @@
 """One sqlite3 file of a bag, with the tables of rosbag2 (schema version 4): append, continue, read.
 
-Each group is one transaction, so that a killed process leaves only complete groups. ``user_version`` is the
-number of groups.
+Each group is one transaction, so that a killed process leaves complete groups. ``user_version`` is the number
+of groups.
 
 rosbags does not replace this module. Its writer has one transaction for the whole bag. A killed process loses
 the whole bag, and writing takes twice the processor time (0.75 ms instead of 0.37 ms for 0.6 MB). The reader
@@ -123,8 +123,7 @@ class SqliteFile:
 
     @classmethod
     def content_of(cls, path: Path) -> Content:
-        """Read numbers and times of the messages of a finished file. Raises BagError if the file is
-        damaged."""
+        """Read numbers and times of the messages of a finished file. Raises BagError if damaged."""
         with closing(SqliteInput(path)) as found:
             if not found.whole:
                 raise BagError("this file was not finished", path=path)

@@ -210,8 +210,7 @@ def _installed_hash(name: str) -> str:
 
 
 def _known(name: str, store: Typestore) -> bool:
-    """Whether the store has a type and all types in its fields. Missing types are loaded from ``.msg``
-    files."""
+    """Whether the store has a type and those of its fields. Missing types are loaded from ``.msg`` files."""
     from rosbags.typesys import TypesysError, get_types_from_msg
 
     if name in store.fielddefs:
@@ -242,8 +241,7 @@ def _names_in(field: Any) -> list[str]:
 
 
 def _installed_file(name: str, suffix: str) -> Path | None:
-    """Path of the file of a type in the installed packages or in ``config/interfaces``; None if there is
-    none."""
+    """Path of the file of a type in installed packages or ``config/interfaces``; None if there is none."""
     package, kind, base = name.split("/")
     prefixes = [*filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)), sys.prefix]
     folders = [*(Path(prefix, "share") for prefix in prefixes), resource_root() / "config" / "interfaces"]

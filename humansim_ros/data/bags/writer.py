@@ -329,8 +329,7 @@ class BagWriter:
 
     @contextmanager
     def _writing(self) -> Iterator[None]:
-        """Context for writing to the files. If writing fails, the bag is finished after its last complete
-        group."""
+        """Context for writing to the files. If that fails, finish the bag after its last complete group."""
         if self._closed:
             raise BagError("the bag is closed", path=self.folder)
         try:

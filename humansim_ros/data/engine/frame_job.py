@@ -62,8 +62,7 @@ class FrameJob(Protocol):
     """Work on the frames of a scene. It can be copied to another process."""
 
     def start(self) -> FrameWorker:
-        """Create a worker, and load everything that it needs. Raises HumansimError if this machine cannot do
-        the work."""
+        """Create a worker with all that it needs. Raises HumansimError if this machine cannot do the work."""
 
 
 @dataclass
@@ -88,8 +87,7 @@ class FrameProgress:
 
     @classmethod
     def of(cls, frames: int, missing: int | None = None) -> FrameProgress:
-        """Progress at the start of a run, with ``missing`` frames left to do. If None, all frames are
-        left."""
+        """Progress at the start of a run with ``missing`` frames left. If None, all are left."""
         done = 0 if missing is None else frames - missing
         return cls(done, frames, done)
 

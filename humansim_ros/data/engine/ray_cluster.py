@@ -85,14 +85,12 @@ class _Work:
 
 @lru_cache(maxsize=1)
 def _worker(work: _Work) -> FrameWorker:
-    """Start a worker. It is cached for the next part, since a new renderer needs seconds for the static
-    scene."""
+    """Start a worker. Cached for the next part, since a new renderer needs seconds for the static scene."""
     return work.job.start()
 
 
 def write_part(job: ClusterJob, part: ClusterPart) -> PartResult:
-    """Write a part of a job. A task runs this function. Raises HumansimError if the command has another
-    version."""
+    """Write a part of a job. Runs in a task. Raises HumansimError if the command has another version."""
     if part.version != __version__:
         message = (
             f"has humansim_ros {__version__}, and the driver {part.version}: install the same everywhere"

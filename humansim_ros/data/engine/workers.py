@@ -2,8 +2,7 @@
 
 A worker process inherits file descriptors: a socket to the process that started it, and slots. A slot is
 shared memory for the data of one result. A worker can be ahead by as many frames as it has slots. The memory
-has no name, so nothing is left when the processes end, even if they are killed. A worker ends when its socket
-is closed.
+has no name, so nothing is left if the processes are killed. A worker ends when its socket is closed.
 """
 
 from __future__ import annotations
@@ -316,8 +315,7 @@ class Workers:
             worker.release(slot)
 
     def idle(self) -> list[int]:
-        """Numbers of the processes that have no frame to work on. They may still be starting the present
-        job."""
+        """Numbers of the processes without a frame to work on. They may still be starting the job."""
         return [
             worker.number
             for worker in self._workers
@@ -338,11 +336,9 @@ class Workers:
         return True
 
     def arrived(self, timeout: float | None = None) -> Iterator[tuple[Any, FrameResult | HumansimError]]:
-        """Yield the frames that have arrived, each with its result or error. None stands for the start of a
-        job.
+        """Yield frames that have arrived, each with its result or error. None means the start of a job.
 
-        The data of a result are valid until the next iteration. ``timeout``: seconds to wait for the first
-        frame.
+        The data of a result are valid until the next iteration. ``timeout``: seconds to wait for a frame.
 
         Raises:
             WorkerDiedError: A process has died.
@@ -478,8 +474,7 @@ class _Slot:
 
 
 def main() -> None:
-    """Main function of a worker process: answer requests until the other process closes the socket or
-    ends."""
+    """Run a worker process: answer requests until the other process closes the socket or ends."""
     nice, *descriptors = map(int, sys.argv[1:])
     _work(nice, descriptors)
 

@@ -106,8 +106,7 @@ class AnimatedScene:
         rate: Frames per second.
         people: People by name.
         objects: Meshes and poses of all objects by name.
-        cameras: By name: camera with the lens of ``image_raw`` (not rectified), and poses of its optical
-            frame.
+        cameras: By name: camera with the lens of ``image_raw``, and poses of its optical frame.
     """
 
     frames: range
@@ -133,8 +132,7 @@ class AnimationWriter(FormatWriter):
         return {f"{_SURFACE}{number:03d}": mesh for number, mesh in meshes}
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
-        """Return the record of a frame: heads and rotations of bones, sizes of people, poses of objects and
-        cameras."""
+        """Return heads and rotations of bones, sizes of people, and poses of objects and cameras."""
         people, shown = {}, frame.frame
         for name, state in shown.humans.items():
             bones = len(self.settings.scene.humans[name].skeleton)
@@ -205,8 +203,7 @@ def local_transforms(person: AnimatedHuman, axes: Array = WORLD_FROM_BODY) -> tu
 
     Args:
         person: The person.
-        axes: (3, 3) axes of the file in ``map``. Root bones are in these axes. By default those of glTF, y
-            up.
+        axes: (3, 3) axes of the file in ``map``. Root bones use them. By default those of glTF, y up.
     """
     parents = person.human.skeleton.parents
     rotations = axes.T @ person.bones[..., :3, :3]
@@ -256,8 +253,7 @@ def texture_of(human: Human) -> bytes | None:
 
 
 def warn_of_curved_skinning(people: Mapping[str, AnimatedHuman], program: str) -> None:
-    """Warn (HumansimWarning) of humans with dual quaternion skinning, since ``program`` does not support
-    this."""
+    """Warn (HumansimWarning) of dual quaternion skinning, which ``program`` does not support."""
     if curved := [name for name, person in people.items() if person.human.skinning != "linear"]:
         warn_about(
             program,
@@ -372,7 +368,6 @@ def add_texts(parent: ElementTree.Element, path: str, **texts: str) -> None:
 
 
 def joined(values: NDArray[Any]) -> str:
-    """Text of numbers, separated by spaces. Integers are unchanged; other numbers are rounded to nine
-    digits."""
+    """Text of numbers, separated by spaces. Numbers that are no integers are rounded to nine digits."""
     form = "d" if np.issubdtype(values.dtype, np.integer) else ".9g"
     return " ".join(f"{value:{form}}" for value in np.ravel(values).tolist())

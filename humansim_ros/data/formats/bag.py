@@ -156,8 +156,7 @@ class BagSource:
         return BagFrames(self)
 
     def provenance(self, frames: range) -> dict[str, Any]:
-        """Describe where the data come from: the bag, the plan of the recording in it, and the stamps of the
-        frames."""
+        """Describe the origin of the data: bag, plan of the recording, and stamps of the frames."""
         return {
             "bag": self.path.name,
             "bag_hash": self.hash,
@@ -223,8 +222,7 @@ class _Survey:
         raise ExportError(f"the format {row.name} {text}", path=self._reader.path, key="--format")
 
     def _camera_names(self) -> list[str]:
-        """Names of the cameras, found by topics that only cameras have. (Scanners have ``extrinsics``,
-        too.)"""
+        """Names of the cameras, found by topics that only cameras have, not scanners."""
         ends = ("camera_info", "image_raw", "joints/legend", "boxes")
         split = (topic.removeprefix("/").partition("/") for topic in self._topics)
         names = dict.fromkeys(name for name, _, rest in split if rest.startswith(ends))
@@ -397,8 +395,7 @@ class _Survey:
 
 
 def recorded_patterns(formats: Iterable[ExportFormat], keypoints: str) -> list[str]:
-    """Topics that a bag needs to be exported to some formats, as arguments of ``humansim record
-    --topics``."""
+    """Topics that some formats need, as arguments of ``humansim record --topics``."""
     patterns = dict.fromkeys(_ALWAYS)
     for row in formats:
         for name in sorted(row.content):

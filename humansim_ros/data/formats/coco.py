@@ -24,8 +24,7 @@ from humansim_ros.people.keypoints import KeypointSet, keypoint_set
 from humansim_ros.scene.truth import OUTSIDE, REQUIRED_CHANNELS, BodyBox, KeypointView
 
 _PERSON = "person"
-#: Keypoint set of COCO-WholeBody. For each part of the body: name of its field, its keypoints, and whether
-#: the part has a box.
+#: Set of COCO-WholeBody. For each part of the body: field, keypoints, and whether the part has a box.
 _WHOLE_BODY_SET = "wholebody133"
 _WHOLE_BODY = {
     "body": ("keypoints", range(17), False),
@@ -88,8 +87,7 @@ class CocoWriter(FormatWriter):
 def scene_categories(
     scene: ExportScene, keypoints: KeypointSet
 ) -> tuple[dict[str, int], list[dict[str, Any]]]:
-    """Return the category id of each body by name, and the list of categories: people first, then kinds of
-    objects."""
+    """Return the category id by body, and the list of categories: people, then kinds of objects."""
     kinds = dict.fromkeys(kind for kind in scene.objects.values() if kind != _PERSON)
     ids = {_PERSON: 1} | {kind: number for number, kind in enumerate(kinds, 2)}
     categories = [person_category(keypoints)] + [
@@ -159,8 +157,7 @@ def person_keypoints(view: KeypointView) -> dict[str, Any]:
 
 
 def divided_keypoints(record: Record, set_name: str) -> Record:
-    """Divide the keypoints of an annotation into the fields of COCO-WholeBody if the set is
-    ``wholebody133``."""
+    """Divide keypoints into the fields of COCO-WholeBody if the set is ``wholebody133``."""
     if set_name != _WHOLE_BODY_SET:
         return record
     points = np.reshape(record["keypoints"], (-1, 3))

@@ -14,8 +14,7 @@ from humansim_ros.scene.config import AboutConfig
 
 #: Name of the card, in the root of the export.
 CARD = "croissant.json"
-#: Constants: the JSON-LD context of the specification, media types by file suffix, and kinds of splits by
-#: usual names.
+#: JSON-LD context of the specification, media types by file suffix, and kinds of splits by usual names.
 _WORDS = read_table("croissant")
 _CONTEXT, _MEDIA_TYPES, _SPLITS = (_WORDS[name] for name in ("context", "media_types", "splits"))
 

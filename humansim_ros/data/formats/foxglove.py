@@ -48,8 +48,7 @@ class FoxgloveWriter(FormatWriter):
     """Writes ``foxglove.mcap`` with the messages of all frames in order."""
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
-        """Write the messages of a frame to a temporary file. Returns the stamp and the topics of the
-        frame."""
+        """Write the messages of a frame to a temporary file. Returns stamp and topics of the frame."""
         lines, topics = [], {}
         for topic, schema, message in self._messages(frame):
             topics[topic] = f"foxglove.{schema}"
@@ -156,8 +155,7 @@ class FoxgloveWriter(FormatWriter):
             }
 
     def _annotations(self, frame: ExportFrame, camera: str) -> dict[str, Any]:
-        """Drawings over an image: boxes of the visible pixels with names, and the keypoints inside the
-        image."""
+        """Drawings over an image: boxes of visible pixels with names, and keypoints inside the image."""
         chosen = keypoint_set(self.settings.keypoints)
         views, stamp = frame.frame.keypoints[chosen.name][camera], _time(frame.frame.stamp)
         points, texts = [], []

@@ -88,8 +88,7 @@ class GlbDocument(GlbBuilder):
         self._mesh_of: dict[int, int] = {}
 
     def add_person(self, name: str, person: AnimatedHuman, times: int) -> None:
-        """Add the nodes, the mesh and the motion of a person; ``times``: number of the accessor with the
-        times of the frames."""
+        """Add the nodes, the mesh and the motion of a person; ``times``: accessor of the times of frames."""
         human, skeleton = person.human, person.human.skeleton
         local = local_transforms(person)
         first = len(self.lists.get("nodes", ())) + 2
@@ -143,8 +142,7 @@ class GlbDocument(GlbBuilder):
         self._roots.append(self.add("nodes", {"mesh": mesh}))
 
     def _animate(self, node: int, path: str, values: NDArray[np.float32], times: int) -> None:
-        """Set a property of a node to its value in the first frame. If the value changes, add a channel to
-        the animation."""
+        """Set a property of a node to its first value. If the value changes, animate the property."""
         if path != "scale" or (values[0] != 1).any():
             self.lists["nodes"][node][path] = values[0].tolist()
         if np.ptp(values, axis=0).max() <= _CONSTANT:

@@ -18,8 +18,7 @@ METADATA = "metadata.jsonl"
 
 
 class MetadataWriter(FormatWriter):
-    """Writes a line for each image: the image, its camera and its people. People without visible pixels are
-    left out."""
+    """Writes a line for each image: file, camera and people. People without visible pixels are left out."""
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
         """Return the lines of the images of a frame."""

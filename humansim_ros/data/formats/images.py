@@ -63,8 +63,7 @@ class DepthNpyWriter(FormatWriter):
 
 
 class DepthExrWriter(FormatWriter):
-    """Writes depth along z as OpenEXR: float32 metres, inf where there is no surface. The channel is Y, which
-    OpenCV reads."""
+    """Writes depth along z as OpenEXR: float32 metres, inf for no surface; channel Y, which OpenCV reads."""
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
         import OpenEXR
@@ -99,8 +98,7 @@ def _part_legends(scene: ExportScene) -> dict[str, dict[str, str]]:
 
 
 class _OneLabelWriter(FormatWriter):
-    """Base class: writes label images of one channel as 8 bit PNG, and the names of labels in
-    ``labels.json``."""
+    """Base class: writes labels of one channel as 8 bit PNG, and their names in ``labels.json``."""
 
     channel: ClassVar[str]
 
@@ -117,8 +115,7 @@ class _OneLabelWriter(FormatWriter):
 
 
 class BodyPartWriter(_OneLabelWriter):
-    """Writes body parts, drawn without skirts, hats, bags and long hair, and the names of labels for each
-    human."""
+    """Writes body parts without skirts, hats, bags and long hair, and names of labels for each human."""
 
     channel = "body_part"
 
@@ -136,8 +133,7 @@ class MaterialWriter(_OneLabelWriter):
 
 
 class FloWriter(FormatWriter):
-    """Writes optical flow to the next frame as ``.flo`` files of Middlebury; 1e10 where there is no
-    surface."""
+    """Writes optical flow to the next frame as ``.flo`` files of Middlebury; 1e10 for no surface."""
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
         for camera, view in frame.frame.views.items():
@@ -157,8 +153,7 @@ class KittiFlowWriter(FormatWriter):
 
 
 def millimetres(depth: Float32Array) -> NDArray[np.uint16]:
-    """Convert depth (H, W) from metres to 16 bit millimetres; 0 where there is no surface, or beyond 65.535
-    m."""
+    """Convert depth (H, W) from metres to 16 bit millimetres; 0 for no surface, or beyond 65.535 m."""
     scaled = np.rint(depth * _DEPTH_SCALE)
     return np.where(scaled <= _LARGEST_16, scaled, 0).astype(np.uint16)
 
@@ -171,8 +166,7 @@ def flo_bytes(flow: Float32Array) -> bytes:
 
 
 def kitti_flow(flow: Float32Array, valid: NDArray[np.bool_]) -> NDArray[np.uint16]:
-    """Convert flow to KITTI's image (H, W, 3) with channels in the order of OpenCV: valid, v, u. Flow of more
-    than 512 pixels is invalid.
+    """Convert flow to KITTI's image (H, W, 3) with channels valid, v, u. Flow beyond 512 pixels is invalid.
 
     ``flow``: (H, W, 2) pixels. ``valid``: (H, W), pixels to keep.
     """
@@ -211,8 +205,7 @@ def _encoded(suffix: str, image: NDArray[Any], options: list[int]) -> bytes:
 
 
 class VideoWriter(FormatWriter):
-    """Writes an H.264 video for each camera, at the rate of the camera. If width or height is odd, one pixel
-    is cut off."""
+    """Writes an H.264 video for each camera, at its rate. An odd width or height is cut by one pixel."""
 
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
         for camera in self.settings.cameras:

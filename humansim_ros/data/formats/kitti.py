@@ -28,8 +28,7 @@ MOVING_SPEED = 0.1
 
 
 class KittiWriter(FormatWriter):
-    """Writes ``<scanner>/velodyne`` and ``labels``, and for each camera ``image_2``, ``calib`` and
-    ``label_2``.
+    """Writes ``<scanner>/velodyne`` and ``labels``, and by camera ``image_2``, ``calib`` and ``label_2``.
 
     Each file belongs to the frame at which a sweep ends, or to the first frame after it. Labels are those of
     this frame. Cameras may have their own rates, so the list of frames has only those with images of all
@@ -105,8 +104,7 @@ def point_classes(
 
 
 def levelled(camera: Camera) -> Array:
-    """Rotation (3, 3) from ``map`` to the levelled frame of a camera: z in the horizontal direction of view,
-    y down."""
+    """Rotation (3, 3) from ``map`` to the levelled camera: z in the horizontal direction of view, y down."""
     forward = camera.R[2] * (1, 1, 0)
     if np.linalg.norm(forward) < 1e-6:  # it looks straight down or up
         forward = camera.R[1] * (-1, -1, 0) * np.sign(-camera.R[2, 2])

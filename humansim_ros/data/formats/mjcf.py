@@ -52,8 +52,7 @@ _Element = ElementTree.Element
 
 
 class MujocoWriter(AnimationWriter):
-    """Writes the first frame as ``scene.xml`` with ``assets/``, and the poses of all frames as
-    ``motion.npz``."""
+    """Writes the first frame as ``scene.xml`` with ``assets/``, and all poses as ``motion.npz``."""
 
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
         scene = self.animated(records)
@@ -106,8 +105,8 @@ class MujocoModel:
 
     @property
     def motion(self) -> Mapping[str, NDArray[np.generic]]:
-        """Arrays of ``motion.npz``: times (F,) in seconds; names, positions and rotations (wxyz) of the M
-        mocap bodies."""
+        """Arrays of ``motion.npz``: times (F,), seconds; names, positions, rotations wxyz of M mocap
+        bodies."""
         tracks = self._tracks.values()
         flat = np.array([np.hstack([each.positions, _wxyz(each.rotations)]) for each in tracks])
         poses = np.swapaxes(flat.reshape(len(tracks), len(self._times), 7), 0, 1)
@@ -166,8 +165,7 @@ class MujocoModel:
             add_tag(body, "geom", type="box", size=joined(half), **place, group=_TOUCHED, mass="0")
 
     def _add_person(self, name: str, person: AnimatedHuman) -> None:
-        """Add a mocap body for each bone, with the convex hull of the skin of the bone; and the skin of the
-        person."""
+        """Add a mocap body for each bone, with the convex hull of its skin; and the skin of the person."""
         human, size = person.human, float(person.sizes[0])
         if person.grows:
             warn_about(f"MuJoCo person {name}", "its size changes: it keeps the first one")

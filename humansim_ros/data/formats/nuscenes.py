@@ -162,8 +162,7 @@ class NuScenesWriter(FormatWriter):
         return [data, ego_pose, calibrated]
 
     def _annotation(self, name: str, frame: Frame, sweeps: Iterable[Sweep]) -> _Row:
-        """Row of ``sample_annotation`` for a person: box, visibility, attribute and number of laser
-        points."""
+        """Row of ``sample_annotation`` for a person: box, visibility, attribute, count of laser points."""
         state, token = frame.humans[name], self._token
         box = state.upright_box
         length, width, height = box.size

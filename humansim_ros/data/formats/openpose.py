@@ -63,8 +63,7 @@ POSE2SIM_MODELS = {"body25": "BODY_25", "openpose137": "BODY_25", "coco17": "COC
 
 
 def openpose_keypoints(pixels: Array, visible: NDArray[np.uint8]) -> Array:
-    """Convert pixels (K, 2) and visibility (K,) to rows x, y, confidence (K, 3). Points outside the image are
-    zeros."""
+    """Convert pixels (K, 2) and visibility (K,) to rows x, y, confidence (K, 3); zeros outside the image."""
     confidence = np.where(visible == VISIBLE, VISIBLE_CONFIDENCE, 0.0)
     confidence[visible == OCCLUDED] = OCCLUDED_CONFIDENCE
     found = confidence > 0
@@ -103,11 +102,10 @@ def openpose_file(camera: str, frame: int) -> str:
 
 
 def pose2sim_order(cameras: Iterable[str]) -> list[str]:
-    """Sort cameras as Pose2Sim sorts their folders of keypoints: by the last number in the name. Names
-    without number come last.
+    """Sort cameras as Pose2Sim sorts their folders: by the last number in the name, then names without
+    number.
 
-    Pose2Sim takes calibrations in the order of ``Calib.toml`` and compares no names, so the file needs this
-    order.
+    Pose2Sim takes calibrations in the order of ``Calib.toml``, so the file needs this order.
 
     Example:
         >>> pose2sim_order(["camera_10", "left", "camera_2"])
@@ -172,7 +170,7 @@ class OpenPoseWriter(FormatWriter):
 
 
 def _pose_model(keypoints: str) -> list[str]:
-    """Lines of section ``pose`` of the configuration: a skeleton of Pose2Sim, or a new one, a root with all
+    """Lines of section ``pose`` of the configuration: a skeleton of Pose2Sim, or a new one: a root with all
     points as children."""
     if keypoints in POSE2SIM_MODELS:
         return [f'pose_model = "{POSE2SIM_MODELS[keypoints]}"']

@@ -14,8 +14,7 @@ from humansim_ros.scene.truth import OUTSIDE, BodyBox, KeypointView
 
 #: Class of pedestrians, the only class that is evaluated.
 _PEDESTRIAN = 1
-#: Added to pixels of this package (centre of the first pixel at 0), gives pixels of MOTChallenge (its border
-#: at 1).
+#: Added to pixels of this package (centre of the first at 0), gives pixels of MOTChallenge (its border at 1).
 _FROM_CORNER = 1.5
 
 

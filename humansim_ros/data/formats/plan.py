@@ -148,8 +148,7 @@ def read_index(folder: Path) -> dict[str, Any]:
 
 
 def _checked_frames(frames: range | None, count: int | None) -> range:
-    """Check that frames exist, and return them; if None, all. ``count``: number of existing frames; None for
-    no end."""
+    """Check that frames exist, and return them; if None, all. ``count``: existing frames; None for no end."""
     if frames is None:
         if count is None:
             raise ExportError("a scene has no end: give a number of frames, such as 300", key="--frames")

@@ -38,8 +38,7 @@ class RerunWriter(FormatWriter):
     """Writes ``rerun.rrd``."""
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
-        """Write the arrays of a frame to a temporary file for :meth:`finish`. Returns the scene time of the
-        frame."""
+        """Write the arrays of a frame to a temporary file for :meth:`finish`. Returns the scene time."""
         now, chosen = frame.frame, self.settings.keypoints
         arrays: dict[str, Any] = {}
         for name, camera in now.cameras.items():

@@ -130,8 +130,7 @@ class SimulatedSource:
 
 
 def _faults(camera: SceneCamera, frames: range) -> dict[str, Any]:
-    """Describe the faults of a camera: for each frame its faults and whether its image is sent; and the
-    published calibration."""
+    """Describe a camera with faults: faults by frame, whether images are sent, and published calibration."""
     assert camera.faults is not None
     published = camera.published_at(camera.pose(0.0))
     of_frames = {index: camera.faults.at(index) for index in camera.timing.frames(frames)}

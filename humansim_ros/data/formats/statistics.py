@@ -244,8 +244,8 @@ class Totals:
             self.histograms[name].update({int(number): count for number, count in counts.items()})
 
     def quantile(self, name: str, share: float) -> float:
-        """Value of a quantity below which ``share`` of its values lie, interpolated within a bin. NaN without
-        values."""
+        """Value of a quantity below which ``share`` of its values lie, interpolated within a bin. NaN if
+        there are no values."""
         row, counts = HISTOGRAMS[name], self.histograms[name]
         left = share * sum(counts.values())
         for number in sorted(counts):

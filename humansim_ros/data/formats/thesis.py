@@ -3,8 +3,8 @@
 A person has ``<person>/<frame>.verts``, a line ``x, y, z;`` for each vertex, and ``<person>/<frame>.bones``,
 lines ``l_knee.head=[x, y, z]`` and ``l_knee.tail=[x, y, z]``; metres in ``map``. A camera has a ``.cam`` file
 and its projection matrix. Both files describe a camera without lens distortion. So images of a camera with
-distortion, skew, or a principal point off the centre are converted to the ideal camera [thesis §9.8]. Other
-images are links.
+distortion, skew, or a principal point off the centre are converted to the ideal camera [thesis §9.8]. Others
+are links.
 """
 
 from __future__ import annotations

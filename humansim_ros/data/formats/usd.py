@@ -106,8 +106,8 @@ class UsdStage:
             self._add_mesh(f"/World/Surfaces/{name}", mesh)
 
     def add_light(self, lighting: Lighting) -> None:
-        """Add the sun, and a uniform sky: the mean of our sky and ground. A matt wall gets the same
-        brightness as in our images."""
+        """Add the sun, and a uniform sky: the mean of our sky and ground. A matt wall is as bright as in our
+        images."""
         from pxr import Gf, UsdGeom, UsdLux
 
         factor = lighting.strength * 2.0**lighting.exposure

@@ -114,8 +114,7 @@ def tar_entry(name: str, data: bytes) -> bytes:
 
 
 def box_entry(box: BodyBox) -> dict[str, Any]:
-    """Boxes of a body as values of JSON: left, top, width and height, from the corner of the image; None for
-    no box."""
+    """Boxes of a body for JSON: left, top, width, height, from the corner of the image; None for no box."""
 
     def place(edges: Any) -> list[float] | None:
         left, top, right, bottom = (edges + 0.5).tolist()

@@ -50,8 +50,8 @@ class FileEntry(TypedDict):
 
 
 class ExportFolder:
-    """Writes files to a folder of an export. All methods raise HumansimError, which names the path, if that
-    fails.
+    """Writes files to a folder of an export. All methods raise HumansimError, which names the path, if a file
+    cannot be written.
 
     Names are relative to the folder, with ``/``. Missing folders are created.
 
@@ -87,8 +87,7 @@ class ExportFolder:
             path.write_bytes(content.encode() if isinstance(content, str) else content)
 
     def write_temporary(self, name: str, content: bytes) -> None:
-        """Write a temporary file, which exists until the export is complete. :meth:`temporary` returns its
-        path."""
+        """Write a file that exists until the export is complete. :meth:`temporary` returns its path."""
         self._folder(TEMPORARY).write(self._prefix + name, content)
 
     def temporary(self, name: str) -> Path:
@@ -97,8 +96,7 @@ class ExportFolder:
 
     @contextmanager
     def path(self, name: str) -> Iterator[Path]:
-        """Give a temporary path to write a file to. At the end of the ``with`` block, the file gets its
-        name."""
+        """Give a temporary path to write a file to. After the ``with`` block, the file gets its name."""
         relative = self._prefix + name
         target = self.root / relative
         self._make_folder(target.parent)
@@ -359,8 +357,8 @@ class FormatWriter:
         """Write the files of the whole export.
 
         Args:
-            records: Number and result of :meth:`frame` for each frame, in order. Several iterations are
-                possible.
+            records: Number and result of :meth:`frame` for each frame, in order. It is possible to iterate
+                several times.
             folder: Folder of the format.
 
         Raises:

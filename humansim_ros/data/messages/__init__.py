@@ -1,5 +1,4 @@
-"""Functions that build and read all messages, and the list of all topics of a scene. They work without
-ROS."""
+"""Functions that build and read all messages, and the list of all topics of a scene, all without ROS."""
 
 from humansim_ros.lazy import lazy_exports
 

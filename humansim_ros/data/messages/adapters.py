@@ -179,8 +179,7 @@ class FrameAxes:
 
 
 def section_of(adapter: str) -> str:
-    """Name of the section of a scene file that has the settings of an adapter. ROS4HRI has its own
-    section."""
+    """Section of a scene file with the settings of an adapter; ROS4HRI has its own section."""
     return adapter if adapter == "hri" else f"adapters.{adapter}"
 
 

@@ -72,8 +72,8 @@ def read_joint_view(message: PointCloud2) -> NDArray[Any]:
 
 
 def joint_places(points: NDArray[Any]) -> tuple[Array, Array]:
-    """Return two columns of points (N,) of :data:`JOINT_POINT`: pixels (N, 2), and positions (N, 3) in the
-    optical frame, metres."""
+    """Pixels (N, 2), and positions (N, 3) in the optical frame, from points (N,) of type
+    :data:`JOINT_POINT`."""
     with np.errstate(invalid="ignore"):  # signalling NaN
         pixels, optical = (
             np.stack([points[axis] for axis in axes], axis=1).astype(float) for axes in ("uv", "xyz")

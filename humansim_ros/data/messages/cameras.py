@@ -61,8 +61,7 @@ def camera_info_message(camera: Camera, stamp: int, frame: str, region: Region =
 
 
 def read_camera_info(message: CameraInfo) -> Camera:
-    """Read a camera from a CameraInfo. Its pose is the origin. Raises CameraError if the values are not
-    valid."""
+    """Read a camera from a CameraInfo. Its pose is the origin. Raises CameraError if not valid."""
     if len(message.d) > _MAX_DISTORTION or len(message.distortion_model) > _MAX_NAME:
         raise CameraError(f"a lens with more than {_MAX_DISTORTION} coefficients, or of no known model")
     if not within_bounds([*message.k, *message.d, *message.r, *message.p]):

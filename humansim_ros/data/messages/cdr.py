@@ -74,8 +74,7 @@ def _numbers(name: str) -> list[tuple[tuple[str, ...], str | None]]:
 
 
 def _parts(message: Any, path: Sequence[str]) -> Iterator[Any]:
-    """Follow a path of attributes and yield the messages at its end. Where an attribute is a list, all its
-    messages are followed."""
+    """Yield the messages at the end of a path of attributes. If an attribute is a list, all are followed."""
     if isinstance(message, list):
         for each in message:
             yield from _parts(each, path)

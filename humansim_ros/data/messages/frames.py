@@ -288,8 +288,7 @@ class Frames(Generic[Content]):
         return {topic: count for topic, count in counts.items() if count}
 
     def behind(self, stamp: int) -> list[str]:
-        """Return the required topics that have no message from ``stamp`` on: even their newest message is
-        older."""
+        """Return the required topics that have only messages from before ``stamp``."""
         return [topic for topic in self._required if (self._stamps.get(topic) or [_NO_STAMP])[-1] < stamp]
 
     def newest_whole(
@@ -419,7 +418,7 @@ class PacedFrames(Frames[Any]):
 
     A whole frame far before the last one means that the clock was set back, for example because a recording
     starts again. A single message is not enough for this, so that one old stamp does not remove the present
-    frames. The last frame may become whole a second time, since lockstep sends it again for nodes that have
+    frames. The last frame may become whole a second time, since lockstep repeats it for nodes that have
     joined.
 
     ``now``: time of the node's clock, nanoseconds. ``steady``: time of a monotonic clock, seconds.

@@ -74,8 +74,7 @@ def face_id(person: str) -> str:
 
 @dataclass(frozen=True, eq=False)
 class HriPerson:
-    """A person as a camera sees it at one stamp. Image coordinates are from 0 to 1, as shares of width and
-    height.
+    """A person as a camera sees it at one stamp. Image coordinates are shares (0 to 1) of the image size.
 
     Attributes:
         name: Name of the human.
@@ -186,8 +185,7 @@ def _clipped(box: Array, size: tuple[int, int]) -> Array:
 
 
 def _bounds(pixels: Array, size: tuple[int, int]) -> Array | None:
-    """Box (4,) around points (N, 2), as shares of the image size. None if the box has no area inside the
-    image."""
+    """Box (4,) around points (N, 2), as shares of the image size. None without area inside the image."""
     finite = pixels[np.isfinite(pixels).all(axis=1)]
     if not len(finite):
         return None
@@ -291,8 +289,8 @@ _Build = Callable[[HriPerson, HriFrame, Header], Any]
 
 
 def _seen_topics(name: str, frame_id: str, image_size: tuple[int, int]) -> Iterator[HriTopic]:
-    """Create the topics of the body and face of a person. They have messages only while the camera sees the
-    person."""
+    """Create the topics of the body and face of a person. There are messages only while the person is
+    seen."""
     (width, height), own = image_size, body_id(name)
     skeleton, landmarks = (HRI_MESSAGES.message(kind) for kind in ("Skeleton2D", "FacialLandmarks"))
     body, face = f"humans/bodies/{own}", f"humans/faces/{face_id(name)}"
@@ -436,8 +434,8 @@ def _velocity_message(person: HriPerson, _: HriFrame, head: Header) -> TwistStam
 
 
 def _matches(frame: HriFrame, _: int) -> list[Any]:
-    """Build the messages of ``candidate_matches``: they match body and face of each visible person with
-    confidence 1."""
+    """Build the messages of ``candidate_matches``: body and face of each visible person, with confidence
+    1."""
     kind = HRI_MESSAGES.message("IdsMatch")
     out = []
     for person in frame.people.values():

@@ -139,7 +139,7 @@ def human_state(
 
 
 def rated_message(rated: Rated, stamp: int) -> JointState:
-    """Build a message of values that are no joints, such as ``humans/<id>/face``: each value with its rate of
+    """Build a message of values that are no joints, as ``humans/<id>/face``: each value and its rate of
     change."""
     message = JointState(header=header(stamp, WORLD_FRAME), name=list(rated.labels))
     message.position, message.velocity = rated.values.ravel().tolist(), rated.rates.ravel().tolist()
@@ -198,8 +198,7 @@ def read_vertices(message: PointCloud2) -> Float32Array:
 
 
 def mesh_message(mesh: Mesh) -> MeshMessage:
-    """Build ``humans/<id>/mesh``: the surface of the body in the rest pose, in body space (y up, facing
-    +z)."""
+    """Build ``humans/<id>/mesh``: the surface in the rest pose, in body space (y up, facing +z)."""
     message = MeshMessage()
     message.vertices = [Point(x=x, y=y, z=z) for x, y, z in mesh.vertices.tolist()]
     message.triangles = [
@@ -275,8 +274,7 @@ class MarkerBuilder:
 
 
 def _coarse_triangles(mesh: Mesh, cell: float) -> Indices:
-    """Merge all vertices of a cell to one of them. Returns the remaining triangles (N, 3) as vertex
-    indices."""
+    """Merge all vertices of a cell to one. Returns the remaining triangles (N, 3) as vertex indices."""
     cells = np.floor(mesh.vertices / cell).astype(np.int64)
     _, first, inverse = np.unique(cells, axis=0, return_index=True, return_inverse=True)
     merged = first[inverse.ravel()][mesh.triangles]

@@ -54,8 +54,7 @@ class ImageCompression:
 
 @dataclass(frozen=True)
 class DepthCompression:
-    """Settings of compressed depth, with the names and defaults of image_transport's plugin
-    ``compressedDepth``.
+    """Settings of compressed depth, with names and defaults of image_transport's ``compressedDepth``.
 
     Attributes:
         depth_max: Largest depth that is encoded, metres.
@@ -165,8 +164,7 @@ def compressed_depth_message(
 
 
 def read_compressed_image(message: CompressedImage) -> tuple[NDArray[Any], str]:
-    """Decode a JPEG or PNG. Returns the pixels (H, W) or (H, W, 3), and their encoding. In mono16 they have
-    16 bits.
+    """Decode a JPEG or PNG. Returns the pixels (H, W) or (H, W, 3), and their encoding. mono16 has 16 bits.
 
     Raises:
         RosError: The image is damaged, or neither JPEG nor PNG.

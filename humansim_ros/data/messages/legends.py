@@ -18,8 +18,7 @@ from humansim_ros.scene.truth import NOTHING, OCCLUDED, OUTSIDE, PERSON, SELF, T
 
 
 def motion_legend(source: JointSource) -> String:
-    """Build ``humans/<id>/motion/legend``: how the joints of the motion are mapped to the bones of the
-    skeleton (retargeting)."""
+    """Build ``humans/<id>/motion/legend``: how joints of the motion are mapped to bones (retargeting)."""
     return _legend(source.to_dict())
 
 
@@ -47,8 +46,7 @@ def part_legend(skeleton: Skeleton) -> String:
 
 
 def material_legend() -> String:
-    """Build ``<camera>/material/legend``: the kind of surface (skin, hair, a garment, a worn thing) for each
-    pixel value."""
+    """Build ``<camera>/material/legend``: kind of surface (skin, hair, garment, ...) by pixel value."""
     return _legend({"0": "background"} | _by_label(MATERIAL_LABELS))
 
 

@@ -1,5 +1,4 @@
-"""Read the poses of people from messages of trackers; the messages may come from a bag or from running
-nodes."""
+"""Read the poses of people from messages of any tracker, which may come from a bag or running nodes."""
 
 from __future__ import annotations
 
@@ -139,7 +138,7 @@ def _multi_dof(message: Any, _: PointNames) -> Iterator[Pose]:
 
 
 def _of_points(points: Array, names: PointNames) -> Iterator[Pose]:
-    """Divide a list of points (N, 3) into people. The points of a person follow each other, in the order of
+    """Divide points (N, 3) into people. The points of a person follow each other, in the order of
     ``names``."""
     if not len(points):
         return

@@ -105,8 +105,7 @@ class _Limb(NamedTuple):
 
 
 class _Ball(NamedTuple):
-    """Ball joint, made of three joints with one axis each: names of the three joints, parent link, child
-    link."""
+    """Ball joint, made of three joints with one axis each: their names, parent link, child link."""
 
     names: tuple[str, str, str]
     parent: str

@@ -99,8 +99,7 @@ def points_message(sweep: Sweep, layout: Layout, frame: str) -> PointCloud2:
 
 
 def _numbered(sweep: Sweep, layout: Layout) -> Rays:
-    """Rays of a sweep, with the ring numbers of a layout. In ``ouster`` ring 0 is the highest, since rings
-    are rows."""
+    """Rays of a sweep, with the ring numbers of a layout. In ``ouster`` ring 0 is the highest row."""
     return sweep.rays.from_top() if layout == "ouster" else sweep.rays
 
 

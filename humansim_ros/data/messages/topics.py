@@ -706,8 +706,7 @@ class DepthSensorTopics:
 
 
 def moving_camera_topics(name: str) -> tuple[Topic[CameraPose], Topic[CameraPose]]:
-    """Create the topics ``twist`` and ``pose`` of a camera with a trajectory. They have a message for each
-    frame of the scene."""
+    """Create the topics ``twist`` and ``pose`` of a camera with a trajectory. Each frame has a message."""
 
     def content(frame: Frame) -> CameraPose:
         return frame.camera_poses[name]

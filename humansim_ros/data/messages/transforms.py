@@ -1,5 +1,4 @@
-"""Transforms of tf: the topics ``/tf`` and ``/tf_static`` of a scene, and the pose of a coordinate frame by
-time."""
+"""Transforms of tf: topics ``/tf`` and ``/tf_static`` of a scene, and poses of coordinate frames by time."""
 
 from __future__ import annotations
 
@@ -209,8 +208,7 @@ class Transforms:
         return self._above[name][stamps[max(0, bisect_right(stamps, stamp) - 1)]]
 
     def ambiguous(self) -> Iterator[tuple[str, list[str]]]:
-        """Yield the frames that have had several parents, each with the first two of its parents in order of
-        stamps."""
+        """Yield frames that have had several parents, each with its first two parents in order of stamps."""
         for child, stamps in self._stamps.items():
             parents = list(dict.fromkeys(self._above[child][stamp][0] for stamp in stamps))
             if len(parents) > 1:

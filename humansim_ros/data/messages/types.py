@@ -199,8 +199,7 @@ def made_type(name: str) -> Any:
 
 
 def _default(node: Any, content: Any) -> Any:
-    """Default value of a field, from its description in rosbags: zero, empty, or a message with default
-    values."""
+    """Default value of a field, by its description in rosbags: zero, empty, or a message of defaults."""
     from rosbags.interfaces import Nodetype
 
     if node == Nodetype.NAME:

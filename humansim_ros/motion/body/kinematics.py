@@ -310,7 +310,8 @@ class JointPoses:
 
         Args:
             names: J names.
-            positions, rotations: (3, N, J, 3) and (3, N, J, 4) just before, at, and just after the times.
+            positions: (3, N, J, 3) just before, at, and just after the times.
+            rotations: (3, N, J, 4), as for ``positions``.
             seconds: Time between the first and the last of the three.
             speed: Factor of the velocities.
         """
@@ -361,10 +362,11 @@ class JointPoses:
         """Add K joints at the end of a single pose (N = 1).
 
         Args:
-            names, rotations: K names, and (K, 4) xyzw.
+            names: K names.
+            rotations: (K, 4) xyzw.
             angular: Angular velocities (K, 3). They are not used if the pose has no velocities.
-            positions, linear: Positions and velocities (K, 3). If None, the values of the first joint are
-                used.
+            positions: (K, 3). If None, the values of the first joint are used.
+            linear: Velocities (K, 3). If None, the values of the first joint are used.
         """
         if positions is None or linear is None:
             positions, linear = self.at_first_joint(len(names))

@@ -270,7 +270,8 @@ def draw_person(
     """Draw a person. The result depends only on the seed, the number and the given traits.
 
     Args:
-        seed, number: Seed, and number of the person.
+        seed: Seed of a group of people.
+        number: Number of the person in the group.
         ages: Youngest and oldest age, years. All ages between them are equally frequent.
         sex: Sex. If None, it is drawn, like all traits below.
         stature: Metres, barefoot.

@@ -544,7 +544,10 @@ def make_renderer(
 
     Args:
         name: Name of the renderer.
-        static_meshes, lighting, device, static_bodies: Arguments of :class:`GLRenderer`.
+        static_meshes: The same as in :class:`GLRenderer`.
+        lighting: The same as in :class:`GLRenderer`.
+        device: The same as in :class:`GLRenderer`.
+        static_bodies: The same as in :class:`GLRenderer`.
 
     Raises:
         RenderError: A library or the device is missing. The message says what to install.

@@ -109,7 +109,7 @@ def test_the_site_builds_without_a_warning_and_fetches_nothing_from_elsewhere(tm
         parser.feed(page.read_text())
         elsewhere = [address for address in parser.fetched if re.match(r"(\w+:)?//", address)]
         assert not elsewhere, f"{page.relative_to(tmp_path)} fetches {elsewhere}"
-    camera = (tmp_path / "api" / "camera.html").read_text()
+    camera = (tmp_path / "api" / "cameras.html").read_text()
     assert 'id="humansim_ros.cameras.camera.camera.Camera.project"' in camera
     assert ":meth:" not in camera
     assert (tmp_path / "source" / "examples" / "live_mocap.py.html").is_file()

@@ -288,12 +288,12 @@ def _fit_offsets(
     states: Sequence[BodyState],
     edges: Sequence[Mapping[int, Edges]],
 ) -> tuple[float, ...]:
-    """Find offsets of the surface of a human that move the edges of some frames to their outlines.
+    """Find offsets of the body surface that move the edges of the body onto the outlines of the masks.
 
     This is robust least squares, with the Gaussian process of :class:`SurfaceOffsets` as prior.
 
     ``name``: name or file of the human. ``model``: model of the human with its present offsets. ``edges``:
-    for each frame, edges by number of the view.
+    for each frame, the edges of the body by number of the view.
     """
     field = surface_offsets(name, model.base.shape)
     plain = shaped_human(name, replace(model.base, offsets=()))

@@ -549,7 +549,8 @@ def numbers_found(file: CalibrationFile, most: int = 4, least: int = 1) -> list[
 
 
 def parts_found(found: Found) -> tuple[list[str], list[str]]:
-    """The four things that a camera needs: which ones a file has, and which ones are missing."""
+    """Which of intrinsics, image size, rotation and translation a file has, and which ones are missing: two
+    lists of words for messages."""
     roles = {role for entries in found.cameras.values() for role in entries}
     needed = {
         "K or focal length": INTRINSIC,

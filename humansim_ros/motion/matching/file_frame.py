@@ -392,9 +392,10 @@ class _UpEvidence:
         return self._is_on_floor(mean) and not self._is_on_floor(witness)
 
     def _raised(self, mean: Array, witness: Array, least: float) -> bool:
-        """Whether the mean direction is up because the root rotates a rest pose that lies in file space.
-        Otherwise the person lies, crawls, or stands on the hands. ``least``: share of the frames in which the
-        person must be along the mean direction, if nothing else decides."""
+        """Decide between two axes that contradict each other: ``mean``, the mean direction from feet to head,
+        and ``witness``, the up axis of other evidence. If ``mean`` is up (True), the rest pose lies in the
+        file, and the root raises it. If ``witness`` is up, the person lies, crawls, or stands on the hands.
+        ``least``: if nothing else decides, the share of frames in which the person must be along ``mean``."""
         if _is_usual(mean) != _is_usual(witness):
             return _is_usual(mean)
         on_floor = self._is_on_floor(mean)

@@ -211,8 +211,8 @@ class BoneDrivers:
         return np.intersect1d(links.bones, [self.skeleton.bone(bone) for bone in self.rest_links])
 
     def _along_links(self, rotations: Array, bones: Indices) -> Array:
-        """Turn bones with rotations (N, b, 3, 3), which have an angle to their links at rest, along the
-        links. Bones that are parallel to their links do not change."""
+        """Remove the angle at rest between bones and their links from rotations (N, b, 3, 3). Bones that are
+        parallel to their links do not change."""
         if self._from_links is None:
             return rotations
         return np.asarray(rotations @ np.swapaxes(self._from_links[bones], -1, -2))

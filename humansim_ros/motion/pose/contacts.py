@@ -52,7 +52,8 @@ class Stance:
 
 
 def find_stances(skeleton: Skeleton, posed: Array, times: Array) -> list[Stance]:
-    """Find the stances of both feet in bone frames (N, B, 4, 4) in ``map``, at evenly spaced times (N,)."""
+    """Find the periods in which each foot stands on the floor. ``posed``: frames (N, B, 4, 4) of the bones in
+    ``map``. ``times``: evenly spaced (N,), seconds."""
     if len(times) < 2:
         return []
     standing = standing_feet(sole_points(skeleton, posed), times)

@@ -306,7 +306,8 @@ class Outline:
 
     @classmethod
     def of(cls, vertices: Array, faces: VertexIndices, axis: float) -> Outline:
-        """Outline of a surface of quads (F, 4) around the axis."""
+        """Measure the outline of a surface with vertices (V, 3), y up, and quads (F, 4) around the vertical
+        axis at x = 0 and z = ``axis``, metres. Small gaps are closed, and the result is smoothed."""
         corners = vertices[faces]
         sides = [(corners[:, k] + corners[:, k - 1]) / 2 for k in range(4)]
         points = np.concatenate([vertices[np.unique(faces)], corners.mean(axis=1), *sides])

@@ -124,7 +124,8 @@ class _Process:
             raise RenderError(_FORKED)
 
     def add(self, context: OpenGLContext) -> None:
-        """Note a context that works: if its device is a GPU, its driver has threads."""
+        """Remember whether a new context uses a GPU. Drivers of GPUs have threads, so that OpenGL is then
+        refused in forked processes."""
         self._without_threads &= context.on_processor
 
 

@@ -98,7 +98,8 @@ class CameraPose:
         return CameraPose(r, -r @ (seconds * self.velocity.linear - self.R.T @ self.t), self.velocity)
 
     def beside(self, offset: Array) -> CameraPose:
-        """Pose of the same rotation at an offset (3,) metres in the optical frame, fixed to this one."""
+        """Pose of a second camera that is rigidly attached to this one: the same rotation, ``offset`` (3,)
+        metres away in the optical frame of this camera. Its velocity follows from the rigid motion."""
         turned = self.R.T @ offset
         velocity = None if self.velocity is None else self.velocity.of_point(turned)
         return CameraPose.at(self.position + turned, self.rotation, velocity)

@@ -212,7 +212,8 @@ class Playback:
 
     @property
     def version(self) -> int:
-        """Number of changes: poses that were computed before one are out of date."""
+        """Number that grows with each change of the scene. Poses that were computed with a smaller number are
+        out of date."""
         return self.world.version
 
     def show(self, elapsed: int, pace: float = 1.0) -> SceneState:

@@ -193,7 +193,8 @@ def _coco(content: Any, file: ImageFile) -> Iterator[Any]:
 
 
 def _images_of(content: Any, key: str = "") -> Iterator[tuple[str | int | None, list[Any], str]]:
-    """Yield the images in parsed JSON: name or position of the image, people, and key of the people."""
+    """Yield, for each image in parsed JSON: its name or position (None if the JSON does not tell), the list
+    of its people, and the path of this list in the JSON, for messages. ``key``: path of ``content``."""
     if isinstance(content, list) and content and "instances" in content[0]:  # frames of a video
         first = min(frame["frame_id"] for frame in content)  # all frames are listed, and counted from 0 or 1
         for place, frame in enumerate(content):

@@ -98,8 +98,7 @@ class CameraPose:
         return CameraPose(r, -r @ (seconds * self.velocity.linear - self.R.T @ self.t), self.velocity)
 
     def beside(self, offset: Array) -> CameraPose:
-        """Pose of a second camera that is rigidly attached to this one: the same rotation, ``offset`` (3,)
-        metres away in the optical frame of this camera. Its velocity follows from the rigid motion."""
+        """Pose of a second camera, ``offset`` (3,) metres away in the optical frame and rigidly attached."""
         turned = self.R.T @ offset
         velocity = None if self.velocity is None else self.velocity.of_point(turned)
         return CameraPose.at(self.position + turned, self.rotation, velocity)

@@ -25,8 +25,8 @@ from humansim_ros.cameras import Camera
 from humansim_ros.files.mesh.mesh import Mesh
 from humansim_ros.render import CHANNELS, Body, GLRenderer
 from humansim_ros.render.device.context import lit_program, set_uniform, use_camera
-from humansim_ros.render.device.target import Rectangle
 from humansim_ros.render.frame.body_buffers import ProjectedPoints
+from humansim_ros.render.frame.gl import _SeenBody
 from humansim_ros.render.frame.static_scene import UNIT
 from humansim_ros.scene import Scene
 
@@ -86,8 +86,7 @@ def bare(meshes: Sequence[Mesh]) -> Draw:
             posed = renderer._bodies.pose(replace(body))
             projected = ProjectedPoints(posed.posed.points, there)
             nothing = np.full(there.size[::-1], np.inf, np.float32)
-            rectangle = Rectangle(0, 0, *there.size)
-            renderer._draw([posed], [projected], [0], target, rectangle, True, nothing)
+            renderer._draw([_SeenBody(0, posed, projected)], target, True, nothing)
             return [target.read(name, True) for name in ("rgba", "depth", "triangle_id")]
 
     return draw

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from humansim_ros.errors import HumansimError, SceneError
-from humansim_ros.geometry import VELOCITY_STEP, quaternion_to_matrix
+from humansim_ros.errors import HumansimError, SceneError, in_section
+from humansim_ros.geometry import VELOCITY_STEP, ObjectPose, quaternion_to_matrix
 from humansim_ros.motion.body.skeleton import sole_points
 from humansim_ros.motion.pose.limits import load_limits
 from humansim_ros.motion.pose.reaches import WITHOUT_REACH, Reach
@@ -19,8 +19,10 @@ from humansim_ros.scene.config.config import check_config
 from humansim_ros.scene.core.actor import Actor
 from humansim_ros.scene.core.features import begin_draft
 from humansim_ros.scene.core.live import LiveRetargeter
+from humansim_ros.scene.core.objects import SHAPES
 from humansim_ros.scene.core.playback import Playback
 from humansim_ros.scene.core.source import SceneSource
+from humansim_ros.scene.core.world import InHand
 from humansim_ros.scene.features.reach.feature import PointGoal
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -518,3 +520,16 @@ def test_two_features_do_not_use_one_hand_at_one_time() -> None:
             HumansimError, match=r"the right hand of anna is taken: see humans\.anna\.reach\.0"
         ):
             draft.reach("anna", [Reach("right", start, end, 0.0, goal, repeat, "umbrella")])
+
+
+def test_a_feature_adds_an_object_once_and_errors_name_its_key() -> None:
+    content = {"humans": {"anna": "adult_woman"}, "cameras": CAMERAS, "room": None}
+    draft = begin_draft(check_config(content), SceneSource())
+    hand = InHand(draft.world, "anna", ObjectPose.on_floor(0.0, 0.0, 0.0), "left")
+    with in_section("humans.anna.umbrella"):
+        draft.add_object("cane", SHAPES["box"](), (9, 9, 9), hand, "humans.anna.umbrella")
+    assert draft.objects["cane"].instance == 2 and draft.objects["cane"].moves
+    for name in ("cane", "anna"):
+        with pytest.raises(SceneError) as caught, in_section("humans.anna.umbrella"):
+            draft.add_object(name, SHAPES["box"](), (9, 9, 9), hand, "humans.anna.umbrella")
+        assert caught.value.key == "humans.anna.umbrella"

@@ -109,13 +109,13 @@ class Draft:
             color: Main colour, sRGB.
             mover: Returns the pose and the velocity at a scene time in seconds, such as
                 :class:`~humansim_ros.scene.core.world.InHand`.
-            key: Key of the scene file that makes the object.
+            key: Key of the scene file that makes the object. Errors get it from the section of the caller.
 
         Raises:
             SceneError: A human or an object has this name.
         """
         if name in self.names or name in self.objects:
-            raise SceneError(f"{name} is the name of a human or an object: give that another name", key=key)
+            raise SceneError(f"{name} is the name of a human or an object: give that another name")
         at_origin = ObjectPose.on_floor(0.0, 0.0, 0.0)
         self.objects[name] = SceneObject(
             name, key, color, mesh, at_origin, None, self.next_label(True), mover, key=key

@@ -150,7 +150,7 @@ class PoseLayer:
         return motion
 
     def fitted(self, human: Owner, config: MotionConfig) -> PoseLayer:
-        """This layer after the human has got the motion of a section. Raises HumansimError: the layer does
+        """This layer after the human has got the motion of a section. Raises HumansimError if the layer does
         not fit the motion; ``key`` is relative to the section."""
         return self
 
@@ -190,7 +190,7 @@ class PoseLayer:
         return False
 
     def sent(self, poses: JointPoses, human: Owner) -> tuple[str, ...]:
-        """Names of its joints in a message of any sender, in their order. Raises MotionError: the joints
+        """Names of its joints in a message of any sender, in their order. Raises MotionError if the joints
         cannot be decoded."""
         return tuple(name for name in poses.names if self.carries(name))
 

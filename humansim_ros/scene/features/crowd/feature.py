@@ -496,7 +496,7 @@ class Crowd(Feature):
 
     def expand(self, draft: Draft) -> None:
         """Add the people of the crowd with their paths. A HumansimWarning names the people who get nowhere.
-        Raises SceneError: the people have no room, or a goal has no floor. The error names the key."""
+        Raises SceneError if the people have no room, or a goal has no floor. The error names the key."""
         crowd, source = draft.config.crowd, draft.source
         if crowd is None or not crowd.count:
             return

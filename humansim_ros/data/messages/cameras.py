@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +26,7 @@ from humansim_ros.data.messages.types import (
 from humansim_ros.errors import CameraError, RosError, within_bounds
 from humansim_ros.files.mesh import Mesh
 from humansim_ros.geometry import ObjectPose, Velocity, matrix_to_quaternion, unit_quaternions
-from humansim_ros.scene.core import FURNITURE, CameraPose, SceneObject
+from humansim_ros.scene.core import CameraPose, SceneObject
 from humansim_ros.types import Array
 
 _WHOLE_SENSOR = Region()
@@ -167,6 +166,9 @@ def projection_message(camera: Camera) -> Float64MultiArray:
 
 #: Most triangles of a mesh without a file that are sent with each frame.
 _MOST_TRIANGLES = 1000
+#: Corners of the triangles of meshes, by the id of the mesh, and most meshes in it.
+_points_of_meshes: dict[int, tuple[Mesh, list[Point]]] = {}
+_MOST_MESHES = 64
 _MARKER_TYPES = {"box": Marker.CUBE, "sphere": Marker.SPHERE, "cylinder": Marker.CYLINDER}
 
 
@@ -189,24 +191,23 @@ def object_message(scene_object: SceneObject, pose: ObjectPose, stamp: int) -> M
     if shape == Marker.MESH_RESOURCE:
         marker.mesh_resource = Path(scene_object.shape).as_uri()
     elif shape == Marker.TRIANGLE_LIST:
-        known = scene_object.shape in FURNITURE
-        marker.points = _furniture(scene_object.shape) if known else _triangle_points(scene_object.mesh)
+        marker.points = _triangle_points(scene_object.mesh)
     return marker
-
-
-@lru_cache
-def _furniture(name: str) -> list[Point]:
-    """Corners of the triangles of a built-in piece of furniture: three points for each triangle."""
-    return _triangle_points(FURNITURE[name].mesh())
 
 
 def _triangle_points(mesh: Mesh) -> list[Point]:
     """Corners of the triangles of a mesh: three points for each triangle. A mesh with many triangles is
-    replaced by its convex hull."""
-    triangles = mesh.triangles
-    if len(triangles) > _MOST_TRIANGLES:
-        triangles = scipy.spatial.ConvexHull(mesh.vertices).simplices
-    return [Point(x=x, y=y, z=z) for x, y, z in mesh.vertices[triangles].reshape(-1, 3).tolist()]
+    replaced by its convex hull. The result is kept for each mesh, since a marker is sent with each frame."""
+    known = _points_of_meshes.get(id(mesh))
+    if known is None or known[0] is not mesh:
+        triangles = mesh.triangles
+        if len(triangles) > _MOST_TRIANGLES:
+            triangles = scipy.spatial.ConvexHull(mesh.vertices).simplices
+        corners = mesh.vertices[triangles].reshape(-1, 3).tolist()
+        if len(_points_of_meshes) >= _MOST_MESHES:
+            _points_of_meshes.clear()
+        known = _points_of_meshes[id(mesh)] = mesh, [Point(x=x, y=y, z=z) for x, y, z in corners]
+    return known[1]
 
 
 def read_object(message: Marker) -> ObjectPose:

@@ -184,19 +184,11 @@ class Follower(ABC):
         return replace(self, world=world)
 
 
-class OnPath(Follower):
-    """Follows the path of a human on the floor: x ahead, y left, z up, without the sway of steps."""
-
-    def frames(self, times: Array) -> tuple[Array, Array]:
-        """Points of the floor below the hips, and axes."""
-        return path_frames(self.actor, times)
-
-
 @dataclass(frozen=True, eq=False)
 class InHand(Follower):
     """Follows the left palm, or the right one, of a human, which may reach for something.
 
-    The axes are those of :class:`OnPath`: a thing in the hand keeps upright.
+    The axes are those of :func:`path_frames`: a thing in the hand keeps upright.
 
     Attributes:
         side: ``left`` or ``right``.

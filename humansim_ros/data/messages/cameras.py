@@ -26,6 +26,7 @@ from humansim_ros.data.messages.types import (
 from humansim_ros.errors import CameraError, RosError, within_bounds
 from humansim_ros.files.mesh import Mesh
 from humansim_ros.geometry import ObjectPose, Velocity, matrix_to_quaternion, unit_quaternions
+from humansim_ros.render.device import WeakCache
 from humansim_ros.scene.core import CameraPose, SceneObject
 from humansim_ros.types import Array
 
@@ -166,9 +167,8 @@ def projection_message(camera: Camera) -> Float64MultiArray:
 
 #: Most triangles of a mesh without a file that are sent with each frame.
 _MOST_TRIANGLES = 1000
-#: Corners of the triangles of meshes, by the id of the mesh, and most meshes in it.
-_points_of_meshes: dict[int, tuple[Mesh, list[Point]]] = {}
-_MOST_MESHES = 64
+#: Corners of the triangles of meshes that markers show.
+_corners = WeakCache[list[Point]]()
 _MARKER_TYPES = {"box": Marker.CUBE, "sphere": Marker.SPHERE, "cylinder": Marker.CYLINDER}
 
 
@@ -198,16 +198,15 @@ def object_message(scene_object: SceneObject, pose: ObjectPose, stamp: int) -> M
 def _triangle_points(mesh: Mesh) -> list[Point]:
     """Corners of the triangles of a mesh: three points for each triangle. A mesh with many triangles is
     replaced by its convex hull. The result is kept for each mesh, since a marker is sent with each frame."""
-    known = _points_of_meshes.get(id(mesh))
-    if known is None or known[0] is not mesh:
-        triangles = mesh.triangles
-        if len(triangles) > _MOST_TRIANGLES:
-            triangles = scipy.spatial.ConvexHull(mesh.vertices).simplices
-        corners = mesh.vertices[triangles].reshape(-1, 3).tolist()
-        if len(_points_of_meshes) >= _MOST_MESHES:
-            _points_of_meshes.clear()
-        known = _points_of_meshes[id(mesh)] = mesh, [Point(x=x, y=y, z=z) for x, y, z in corners]
-    return known[1]
+    known = _corners.get(mesh)
+    if known is not None:
+        return known
+    triangles = mesh.triangles
+    if len(triangles) > _MOST_TRIANGLES:
+        triangles = scipy.spatial.ConvexHull(mesh.vertices).simplices
+    corners = mesh.vertices[triangles].reshape(-1, 3).tolist()
+    _corners.take_orphans()  # of meshes that are gone
+    return _corners.put(mesh, [Point(x=x, y=y, z=z) for x, y, z in corners])
 
 
 def read_object(message: Marker) -> ObjectPose:

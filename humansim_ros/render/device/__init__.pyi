@@ -1,3 +1,4 @@
+from humansim_ros.render.device.caches import WeakCache as WeakCache
 from humansim_ros.render.device.context import OpenGLContext as OpenGLContext
 from humansim_ros.render.device.context import keep_image_blocks as keep_image_blocks
 from humansim_ros.render.device.lens_tessellation import NEAR as NEAR

@@ -99,7 +99,7 @@ def test_floor_points_in_images_place_a_rig(seed: int, noise: float) -> None:
         for name, camera in rig.items():
             pixel = camera.project(point[None])[0][0] + rng.normal(0, noise, 2)
             if np.isfinite(pixel).all() and ((pixel > 0) & (pixel < camera.size)).all():
-                pixels[name] = pixel
+                pixels[name] = tuple(pixel)
         if len(pixels) > 1:
             points.append(FloorPoint(pixels=pixels))
     assert len(points) >= 3
@@ -115,7 +115,7 @@ def test_floor_points_with_known_places_give_the_whole_pose(seed: int) -> None:
     in_file, pose = moved_rig(seed, a_rig(seed))
     xyz = (FLOOR - pose[:3, 3]) @ pose[:3, :3]
     points = [
-        FloorPoint(xyz=p, on_map=place[:2] if i in (1, 3) else None)
+        FloorPoint(xyz=tuple(p), map=tuple(place[:2]) if i in (1, 3) else None)
         for i, (p, place) in enumerate(zip(xyz, FLOOR, strict=True))
     ]
     found = place_by_floor(in_file, points)
@@ -125,7 +125,7 @@ def test_floor_points_with_known_places_give_the_whole_pose(seed: int) -> None:
     # noise of 5 mm
     rng = np.random.default_rng(seed)
     noisy = [
-        FloorPoint(xyz=p.xyz + rng.normal(0, 0.005, 3), on_map=q[:2])
+        FloorPoint(xyz=tuple(p.xyz + rng.normal(0, 0.005, 3)), map=tuple(q[:2]))
         for p, q in zip(points, FLOOR, strict=True)
     ]
     found = place_by_floor(in_file, noisy)
@@ -232,11 +232,11 @@ def test_triangulation_gives_the_point_of_its_pixels() -> None:
 
 
 def line(count: int) -> list[FloorPoint]:
-    return [FloorPoint(xyz=np.array([i, 2.0 * i, 0])) for i in range(count)]
+    return [FloorPoint(xyz=(i, 2.0 * i, 0)) for i in range(count)]
 
 
 def pixels(**names: tuple[float, float]) -> list[FloorPoint]:
-    return [FloorPoint(pixels={name: np.array(pixel) for name, pixel in names.items()})] * 3
+    return [FloorPoint(pixels=names)] * 3
 
 
 CASES: list[tuple[list[FloorPoint], str]] = [

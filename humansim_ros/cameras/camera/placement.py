@@ -17,7 +17,7 @@ import os
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import scipy
@@ -103,15 +103,33 @@ _UPRIGHT = 0.3
 _NARROW = 0.02
 
 
-@dataclass(frozen=True)
-class FloorPoint:
-    """A point on the floor, in the world of the file or as pixels of cameras. ``xyz``: (3,) metres.
-    ``pixels``: pixel (2,) by name of camera, for two or more cameras. ``on_map``: x, y in ``map``, metres;
-    None if unknown."""
+_Number = Annotated[float, Field(ge=-1e9, le=1e9)]
+#: In the text of a floor point, ``map:`` is followed by a place in ``map``; other names are those of cameras.
+_MAP = "map"
 
-    xyz: Array | None = None
-    pixels: Mapping[str, Array] = field(default_factory=dict)
-    on_map: Array | None = None
+
+class FloorPoint(Section):
+    """A point on the floor, in the world of the file or as pixels of cameras. ``xyz``: (3,), metres; in a
+    file, in its unit and axes. ``pixels``: pixel (2,) by name of camera, for two or more cameras. ``map``: x,
+    y in ``map``, metres; None if unknown."""
+
+    model_config = ConfigDict(coerce_numbers_to_str=True)
+
+    xyz: tuple[_Number, _Number, _Number] | None = None
+    pixels: dict[str, tuple[_Number, _Number]] = Field(default_factory=dict)
+    map: tuple[_Number, _Number] | None = None
+
+    @model_validator(mode="after")
+    def _one_of_both(self) -> FloorPoint:
+        if (self.xyz is None) == (not self.pixels):
+            raise ValueError("needs xyz, or pixels of two cameras or more")
+        return self
+
+    def converted(self, in_metres: Array) -> FloorPoint:
+        """The same point with ``xyz`` multiplied by a matrix (3, 3)."""
+        if self.xyz is None:
+            return self
+        return self.model_copy(update={"xyz": tuple((in_metres @ self.xyz).tolist())})
 
 
 @dataclass(frozen=True)
@@ -184,9 +202,9 @@ def place_by_floor(cameras: Mapping[str, Camera], points: Sequence[FloorPoint]) 
     centers = np.array([camera.center for camera in cameras.values()])
     above = float(np.median((centers - middle) @ axes[2]))
     placement = _standing(axes[2] if above >= 0 else -axes[2], middle, 0.0)
-    known = [index for index, point in enumerate(points) if point.on_map is not None]
+    known = [index for index, point in enumerate(points) if point.map is not None]
     if known:
-        on_map = np.array([points[index].on_map for index in known], dtype=float)
+        on_map = np.array([points[index].map for index in known], dtype=float)
         placement, residuals["map_mm"], scale = _aligned(placement, floor[known], on_map)
     else:
         placement = _over_origin(placement, cameras)
@@ -374,31 +392,10 @@ def _rms(values: ArrayLike) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-_Number = Annotated[float, Field(ge=-1e9, le=1e9)]
-#: In the text of a floor point, ``map:`` is followed by a place in ``map``; other names are those of cameras.
-_MAP = "map"
-
-
-class _Point(Section):
-    """One floor point of a file."""
-
-    model_config = ConfigDict(coerce_numbers_to_str=True)
-
-    xyz: tuple[_Number, _Number, _Number] | None = None
-    pixels: dict[str, tuple[_Number, _Number]] = Field(default_factory=dict)
-    map: tuple[_Number, _Number] | None = None
-
-    @model_validator(mode="after")
-    def _one_of_both(self) -> _Point:
-        if (self.xyz is None) == (not self.pixels):
-            raise ValueError("needs xyz, or pixels of two cameras or more")
-        return self
-
-
 class _File(Section):
     """Content of a file of floor points."""
 
-    points: tuple[_Point, ...] = Field(min_length=1, max_length=10_000)
+    points: tuple[FloorPoint, ...] = Field(min_length=1, max_length=10_000)
 
 
 def read_floor_points(path: str | os.PathLike[str], in_metres: Array) -> list[FloorPoint]:
@@ -413,14 +410,7 @@ def read_floor_points(path: str | os.PathLike[str], in_metres: Array) -> list[Fl
     if not isinstance(data, dict):
         raise CameraError("floor points are a mapping with the list 'points'", path=path)
     file = validated(_File, data, CameraError, path, tree)
-    return [
-        FloorPoint(
-            None if point.xyz is None else in_metres @ np.array(point.xyz),
-            {name: np.array(pixel) for name, pixel in point.pixels.items()},
-            None if point.map is None else np.array(point.map),
-        )
-        for point in file.points
-    ]
+    return [point.converted(in_metres) for point in file.points]
 
 
 def parse_floor_point(text: str, in_metres: Array) -> FloorPoint:
@@ -431,32 +421,15 @@ def parse_floor_point(text: str, in_metres: Array) -> FloorPoint:
     Raises:
         CameraError: The text is not a floor point.
     """
-    xyz, on_map, pixels = None, None, {}
+    point: dict[str, Any] = {"pixels": {}}
     for word in text.split():
-        name, colon, numbers = word.rpartition(":")
-        values = _values(numbers, 2 if colon else 3, text)
-        if not colon and xyz is None:
-            xyz = in_metres @ values
-        elif name == _MAP and on_map is None:
-            on_map = values
-        elif name and name != _MAP and name not in pixels:
-            pixels[name] = values
-        else:
-            raise CameraError(f"{word!r} is repeated, or has no name", key="--floor-point")
-    if (xyz is None) == (not pixels):
-        hint = (
-            "use 'left:312,400 right:280.5,410' (pixels of cameras) or '0.1,0.2,3' (in the world of the file)"
-        )
-        raise CameraError(f"{text!r} is not a floor point: {hint}", key="--floor-point")
-    return FloorPoint(xyz, pixels, on_map)
-
-
-def _values(text: str, count: int, point: str) -> Array:
+        name, _, numbers = word.rpartition(":")
+        values = point if name in ("", _MAP) else point["pixels"]
+        if (name or "xyz") in values:
+            raise CameraError(f"{word!r} is repeated", key="--floor-point")
+        values[name or "xyz"] = numbers.split(",")
     try:
-        values = np.array([float(word) for word in text.split(",")])
-    except ValueError:
-        values = np.zeros(0)
-    if len(values) != count or not np.isfinite(values).all():
-        message = f"{point!r}: needs {count} numbers with commas between them, not {text[:40]!r}"
-        raise CameraError(message, key="--floor-point")
-    return values
+        return validated(FloorPoint, point, CameraError).converted(in_metres)
+    except CameraError as error:
+        hint = "use 'left:312,400 right:280.5,410' (pixels) or '0.1,0.2,3' (in the world of the file)"
+        raise CameraError(f"{text!r} is no floor point: {error}; {hint}", key="--floor-point") from None

@@ -92,7 +92,7 @@ class RawCamera:
         return -self.rotation.T @ self.t if self.center is None else self.center
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CalibrationFile:
     """A calibration file that is being read: its text and, except for plain text, its parsed content.
 

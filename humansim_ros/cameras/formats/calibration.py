@@ -25,9 +25,8 @@ from humansim_ros.cameras.formats.checks import (
     image_size,
 )
 from humansim_ros.cameras.formats.conventions import check_unread, other_lens
+from humansim_ros.cameras.formats.layouts import MATRICES, MATRICES_NPZ
 from humansim_ros.cameras.formats.matrices import (
-    MATRICES,
-    MATRICES_NPZ,
     is_matrices,
     missing_parts,
     read_matrices,

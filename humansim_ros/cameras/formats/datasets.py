@@ -452,3 +452,5 @@ BLENDER = calibration_format(
     *reader_of(has_keys(_BLENDER_POSE, _BLENDER_LENS), has_keys(_BLENDER_POSE), _blender_camera),
     values=_blender_values,
 )
+
+FORMATS = (H36M, ASSOCIATION, PANOPTIC, SHELF, TRANSFORMS, ANIPOSE, BLENDER)

@@ -352,3 +352,5 @@ OPEN3D = calibration_format(
     "open3d",
     *reader_of(_is_open3d_camera, has_keys({"intrinsic", "intrinsic_matrix", "extrinsic"}), _open3d_camera),
 )
+
+FORMATS = (ZED, K4A, REALSENSE, OPEN3D)

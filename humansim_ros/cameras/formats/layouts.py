@@ -1,12 +1,7 @@
-"""Formats that differ from ``cameras/formats/matrices.py`` only in their keys. A table has a row for each
-format.
+"""Formats whose cameras are not mappings of keys, and formats with keys in any usual spelling.
 
-A row of ``config/calibration_layouts.json`` has ``name`` and ``title`` of the format, ``syntax``, ``known``
-(patterns of keys that a file has; for plain text, patterns of path and text), ``renamed`` (by pattern of a
-key: its name here, with ' for a matrix in column order, or "" to leave the key out; a pattern with = matches
-a key and its value), ``unit`` (metres; absent if the program defines no unit), ``up``, ``direction`` of R and
-t if their keys do not state it, and ``arrange``, a function below for files in which a camera is not a
-mapping of keys.
+A function of this module makes mappings of the cameras of a file; their keys are those of the format's row in
+``config/calibration_formats.json``.
 
 Sources: devkits of KITTI, nuScenes, EuRoC, InterHand2.6M, RICH and MPI-INF-3DHP (Skeletool); on github.com
 rameau-fr/MC-Calib, ethz-asl/okvis, stella-cv/stella_vslam, facebookresearch/projectaria_tools, arpg/Calibu,
@@ -19,7 +14,7 @@ IntelRealSense/librealsense; https://jarvis-mocap.github.io, https://captury.com
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -28,24 +23,19 @@ import numpy as np
 
 from humansim_ros.cameras.camera.camera import Camera, pinhole
 from humansim_ros.cameras.camera.lens import Lens
-from humansim_ros.cameras.formats.base import CalibrationFile, Keys, RawCamera, without_suffix
+from humansim_ros.cameras.formats.base import CalibrationFile, Keys, without_suffix
 from humansim_ros.cameras.formats.conventions import fitted_lens
-from humansim_ros.cameras.formats.matrices import MATRICES, read_matrices
-from humansim_ros.cameras.formats.spellings import keys_of, plain, words
+from humansim_ros.cameras.formats.matrices import is_matrices, read_matrices
+from humansim_ros.cameras.formats.spellings import plain
 from humansim_ros.cameras.formats.syntax import read_document
-from humansim_ros.cameras.formats.table import CalibrationFormat, nested
+from humansim_ros.cameras.formats.table import Cameras, calibration_format, nested, unit_of_file
 from humansim_ros.errors import CameraError, located, warn_about
-from humansim_ros.files.reading import exists, read_table, read_text
+from humansim_ros.files.reading import exists, npz_bytes, read_text
 from humansim_ros.types import Array
 
 _MOST_BYTES = 8 << 20
-#: Cameras by name, or in a list. Each is a mapping of keys.
-_Cameras = dict[str, dict[str, Any]] | list[dict[str, Any]]
-#: Names of the parameters of each lens with a name that does not list them.
-_LENSES = {"KannalaBrandtK3": "fx_fy_cx_cy_kb4", "Linear": "fx_fy_cx_cy"}
 _FROM_DEPTH = re.compile(r'Extrinsic from "Depth"\s+To\s+"(.+?)"')
 _LEAST_POINTS = 50
-_HALF_PIXEL = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
 _FLYDRA = ("fc1", "fc2", "cc1", "cc2", "k1", "k2", "p1", "p2")
 #: Pose of a camera with the world as its frame.
 _ORIGIN = {"c2w": np.eye(4)[:3].tolist()}
@@ -57,35 +47,12 @@ _ARGUS = {
 }
 
 
-def _with_params(file: CalibrationFile, items: dict[Any, Any], key: str) -> dict[Any, Any]:
-    """Give each number of ``params`` a key, which depends on the lens. ``key``: key of the lens, for
-    errors."""
-    if "params" not in items:
-        return items
-    model, numbers = str(items.get("model")), replace(file, document=items).some_numbers("params").tolist()
-    names = _LENSES.get(model, model.removeprefix("calibu_")).replace("kb4", "k1_k2_k3_k4").split("_")
-    if len(names) != len(numbers) or not {*names} <= words("f fu fv u0 v0 fx fy cx cy k1 k2 k3 k4"):
-        message = f"the lens {model[:60]!r} with {len(numbers)} numbers is not supported"
-        raise CameraError(message, path=file.path, key=key)
-    values = {"params": None, "model": "none", "fisheye": "k4" in names}
-    return items | values | dict(zip(names, numbers, strict=True))
-
-
-def _transposed(value: Any) -> Any:
-    """Transpose a square matrix in column order. A matrix of OpenCV has its numbers under ``data``."""
-    if isinstance(value, Mapping):
-        return {**value, "data": _transposed(value.get("data"))}
-    numbers = np.array(value, dtype=object).ravel()
-    side = int(len(numbers) ** 0.5)
-    return numbers.reshape(side, side).T.tolist() if side * side == len(numbers) else value
-
-
 def _placed(rotation: Array, center: Array) -> dict[str, Any]:
     """Pose of a camera: rotation (3, 3) from the camera to the world, and centre (3,)."""
     return {"c2w": nested(np.column_stack([rotation, center]))}
 
 
-def _nuscenes(file: CalibrationFile) -> _Cameras:
+def _nuscenes(file: CalibrationFile) -> Cameras:
     """Cameras of nuScenes, named after the channels in the table ``sensor`` of the same folder."""
     path = Path(file.path).with_name("sensor.json")
     table = read_document(path, _MOST_BYTES).items() if exists(path) else []
@@ -94,7 +61,7 @@ def _nuscenes(file: CalibrationFile) -> _Cameras:
     return [{**one, "name": names.get(str(one.get("sensor_token")), "")} for one in cameras]
 
 
-def _calibu(file: CalibrationFile) -> _Cameras:
+def _calibu(file: CalibrationFile) -> Cameras:
     """Cameras of Calibu. Their axes ``right``, ``down`` and ``forward`` are turned to the axes of OpenCV."""
     file, cameras = plain(file), []
     for at in file.elements(("rig",), "camera"):
@@ -127,7 +94,7 @@ def _through(
     return {**camera, "distortion": list(fitted.coefficients), "model": fitted.model}
 
 
-def _flydra(file: CalibrationFile) -> _Cameras:
+def _flydra(file: CalibrationFile) -> Cameras:
     file, cameras = plain(file), {}
     for at in file.elements(("multi_camera_reconstructor",), "single_camera_calibration"):
         fx, fy, cx, cy, *d = (file.number(*at, "non_linear_parameters", 0, key) for key in _FLYDRA)
@@ -140,7 +107,7 @@ def _flydra(file: CalibrationFile) -> _Cameras:
     return cameras
 
 
-def _selfcal(file: CalibrationFile) -> _Cameras:
+def _selfcal(file: CalibrationFile) -> Cameras:
     """Camera of ``cameraN.Pmat.cal``, with the lens of ``*N.rad``, the size in line N of Res.dat, and the
     name in line N of camera_order.txt."""
     path = Path(file.path)
@@ -163,7 +130,7 @@ def _line(path: Path, number: int) -> str:
     return lines[number - 1].strip() if 0 < number <= len(lines) else ""
 
 
-def _stephi(file: CalibrationFile) -> _Cameras:
+def _stephi(file: CalibrationFile) -> Cameras:
     """Camera of ``*.cal`` of MultiCamSelfCal: a centre, and the inverse of K R."""
     file = plain(file)
     kr = np.linalg.pinv(file.numbers((3, 3), "P"))
@@ -171,7 +138,7 @@ def _stephi(file: CalibrationFile) -> _Cameras:
     return {Path(file.path).stem: {"P": nested(np.column_stack([kr, -center]))}}
 
 
-def _captury(file: CalibrationFile) -> _Cameras:
+def _captury(file: CalibrationFile) -> Cameras:
     """Cameras of Captury. Lengths on the sensor are in mm. The width gives the pixels per mm."""
     if file.given_size is None:
         raise file.error("the file has no image size: give the size", "size")
@@ -193,7 +160,7 @@ def _captury(file: CalibrationFile) -> _Cameras:
     return cameras
 
 
-def _realsense(file: CalibrationFile) -> _Cameras:
+def _realsense(file: CalibrationFile) -> Cameras:
     """Cameras of RealSense for all modes of all streams. The world is the frame of the depth camera."""
     start = file.text.rfind("\n", 0, file.text.index('Intrinsic of "')) + 1
     document, cameras = plain(replace(file, text=file.text[start:])).document or {}, {}
@@ -210,7 +177,7 @@ def _realsense(file: CalibrationFile) -> _Cameras:
     return cameras
 
 
-def _stereo(file: CalibrationFile) -> _Cameras:
+def _stereo(file: CalibrationFile) -> Cameras:
     """Left and right camera in files of stella_vslam, OpenVSLAM and ORB-SLAM2. In these files, the matrix R
     of a camera rotates from its own axes to those of the rectified images."""
     items: dict[str, Any] = {}
@@ -238,7 +205,7 @@ def _stereo(file: CalibrationFile) -> _Cameras:
     return cameras
 
 
-def _orbslam3(file: CalibrationFile) -> _Cameras:
+def _orbslam3(file: CalibrationFile) -> Cameras:
     """Cameras of ORB-SLAM3. The second camera of a rectified pair is the first one, moved by the baseline."""
     cameras: dict[str, dict[str, Any]] = {}
     for key, value in file.mapping().items():
@@ -259,7 +226,7 @@ def _orbslam3(file: CalibrationFile) -> _Cameras:
     return [{"name": name, **shared, **camera} for name, camera in cameras.items() if "fx" in camera]
 
 
-def _ncamera(file: CalibrationFile) -> _Cameras:
+def _ncamera(file: CalibrationFile) -> Cameras:
     """Cameras of a rig. The lens that this format calls fisheye has the FOV model."""
     cameras = []
     for at in file.paths("cameras"):
@@ -278,7 +245,7 @@ _OPENSFM = {
 }
 
 
-def _opensfm(file: CalibrationFile) -> _Cameras:
+def _opensfm(file: CalibrationFile) -> Cameras:
     """Shots of OpenSfM, or its cameras. Lengths are fractions of the longer side, measured from the image
     centre."""
     at: Keys = (0,) if isinstance(file.document, list) else ()
@@ -307,7 +274,7 @@ def _opensfm(file: CalibrationFile) -> _Cameras:
     return cameras
 
 
-def _pymvg(file: CalibrationFile) -> _Cameras:
+def _pymvg(file: CalibrationFile) -> Cameras:
     """Cameras of pymvg. (Q, translation) is the pose of the rectified camera. R rectifies."""
     cameras = []
     for at in file.paths("camera_system"):
@@ -319,7 +286,7 @@ def _pymvg(file: CalibrationFile) -> _Cameras:
     return cameras
 
 
-def _matlab(file: CalibrationFile) -> _Cameras:
+def _matlab(file: CalibrationFile) -> Cameras:
     """Cameras of MATLAB. Pixels count from 1. Matrices are for row vectors, but not K and PoseCamera2."""
     pair = [key for key in ("CameraParameters1", "CameraParameters2") if file.get(key) is not None]
     cameras: dict[str, dict[str, Any]] = {}
@@ -346,7 +313,7 @@ def _matlab(file: CalibrationFile) -> _Cameras:
     return cameras
 
 
-def _argus(file: CalibrationFile) -> _Cameras:
+def _argus(file: CalibrationFile) -> Cameras:
     cameras: dict[str, dict[str, Any]] = {}
     for line, text in file.lines():
         values = file.row(text.replace(",", " ").split(), line)
@@ -359,66 +326,44 @@ def _argus(file: CalibrationFile) -> _Cameras:
     return cameras
 
 
-_ARRANGED: dict[str, Callable[[CalibrationFile], _Cameras]] = {
-    function.__name__.removeprefix("_"): function
-    for function in (
-        _nuscenes,
-        _calibu,
-        _flydra,
-        _selfcal,
-        _stephi,
-        _captury,
-        _realsense,
-        _stereo,
-        _orbslam3,
-        _ncamera,
-        _opensfm,
-        _pymvg,
-        _matlab,
-        _argus,
-    )
-}
+def _write_npz(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
+    models = {str(camera.model) for camera in cameras.values()}
+    if len(models) > 1:
+        given = " and ".join(sorted(models))
+        raise CameraError(f"this format needs one lens model for all cameras, not {given}")
+    values = list(cameras.values())
+    arrays = {
+        "names": np.array(list(cameras)),
+        "size": np.array([camera.size for camera in values]),
+        "K": np.array([camera.K for camera in values]),
+        "dist": np.array([camera.distortion for camera in values]),
+        "R": np.array([camera.R for camera in values]),
+        "t": np.array([camera.t for camera in values]),
+        "distortion_model": np.array(models.pop()),
+        "convention": np.array("world_to_camera"),
+        "unit": np.array("m"),
+    }
+    return {"": npz_bytes(arrays)}
 
 
-def _format(row: Mapping[str, Any]) -> CalibrationFormat:
-    renamed: Mapping[str, str] = row.get("renamed", {})
+MATRICES = calibration_format("matrices", is_matrices, read_matrices, find_unit=unit_of_file)
+MATRICES_NPZ = calibration_format("npz", is_matrices, read_matrices, _write_npz, find_unit=unit_of_file)
 
-    def matches(file: CalibrationFile) -> bool:
-        if file.syntax == "text":
-            text = f"{file.path}\n{file.text[: 1 << 16]}"
-            return all(re.search(one, text, re.MULTILINE) for one in row["known"])
-        keys = keys_of(file)
-        return all(any(re.fullmatch(one, key) for key in keys) for one in row["known"])
-
-    def read(file: CalibrationFile) -> dict[str, RawCamera]:
-        back: dict[str, str] = {}
-
-        def rewrite(items: dict[Any, Any]) -> dict[Any, Any]:
-            result: dict[Any, Any] = {}
-            for key, value in items.items():
-                texts = str(key), f"{key}={value}" if isinstance(value, (str, int, float)) else ""
-                found = ((re.fullmatch(one, texts["=" in one]), new) for one, new in renamed.items())
-                match, new = next(((match, new) for match, new in found if match), (None, ""))
-                here = key if match is None else match.expand(new.rstrip("'"))
-                back.setdefault(str(here), str(key))
-                if here != "":
-                    result[here] = _transposed(value) if new.endswith("'") else value
-            return _with_params(file, result, back.get("model", "model"))
-
-        arranged = file if "arrange" not in row else replace(file, document=_ARRANGED[row["arrange"]](file))
-        document = plain(arranged, rewrite).document
-        cameras = document if isinstance(document, dict) else {"cameras": document}
-        stated = {"convention": row.get("direction", "w2c"), **cameras}
-        read = read_matrices(replace(file, document=stated, renamed=back))
-        if stated.get("origin") == "corner":
-            read = {name: replace(c, K=c.K - _HALF_PIXEL) for name, c in read.items()}
-        path = Path(file.path)
-        return {path.parent.name: read[path.stem]} if [*read] == [path.stem] == ["sensor"] else read
-
-    names = {key: row[key] for key in ("name", "title", "syntax", "up", "unit") if key in row}
-    format = replace(MATRICES, **names, also=(), matches=matches, read=read)
-    return replace(format, find_unit=None) if "unit" in row else format
-
-
-#: Formats that can only be read.
-LAYOUTS = tuple(_format(row) for row in read_table("calibration_layouts"))
+FORMATS = (
+    *(MATRICES, MATRICES_NPZ),
+    calibration_format("nuscenes", arrange=_nuscenes),
+    calibration_format("stella", arrange=_stereo),
+    calibration_format("orbslam2", arrange=_stereo),
+    calibration_format("orbslam3", arrange=_orbslam3),
+    calibration_format("ncamera", arrange=_ncamera),
+    calibration_format("opensfm", arrange=_opensfm),
+    calibration_format("pymvg", arrange=_pymvg),
+    calibration_format("matlab", arrange=_matlab),
+    calibration_format("calibu", arrange=_calibu),
+    calibration_format("flydra", arrange=_flydra),
+    calibration_format("captury", arrange=_captury),
+    calibration_format("realsense_text", arrange=_realsense),
+    calibration_format("multicamselfcal", arrange=_selfcal),
+    calibration_format("multicamselfcal_cal", arrange=_stephi),
+    calibration_format("argus", arrange=_argus),
+)

@@ -16,24 +16,27 @@ https://github.com/Totoro97/NeuS
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from humansim_ros.cameras.camera.camera import Camera, pinhole
+from humansim_ros.cameras.camera.camera import pinhole
+from humansim_ros.cameras.camera.lens import MODELS
 from humansim_ros.cameras.formats.base import (
     MAX_CAMERAS,
     CalibrationFile,
     RawCamera,
+    SourceLocation,
     model_of,
     opencv_model,
     without_suffix,
 )
-from humansim_ros.cameras.formats.conventions import FilePose, find_model, find_unit, model_of_four, resolved
-from humansim_ros.cameras.formats.plain_text import camera_of_model
+from humansim_ros.cameras.formats.conventions import FilePose, find_model, model_of_four, resolved
 from humansim_ros.cameras.formats.spellings import (
+    COLMAP_PARAMETERS,
     INTRINSIC,
     POSE,
     ROTATION,
@@ -44,13 +47,11 @@ from humansim_ros.cameras.formats.spellings import (
     find_parameters,
     parts_found,
     plain,
+    role_of,
     size_of,
-    unit_of_keys,
     words,
 )
-from humansim_ros.cameras.formats.table import calibration_format
 from humansim_ros.errors import CameraError, some_of, warn_about
-from humansim_ros.files.reading import npz_bytes
 from humansim_ros.geometry import quaternion_to_matrix
 from humansim_ros.types import Array, ImageSize
 
@@ -61,6 +62,8 @@ _UNCLEAR = words(
     quaternion quat q qvec rotationquaternion rotationvector"""
 )
 _CENTRED, _LARGEST_ALPHA = 0.5, 0.1
+#: Shapes of the matrices of rectified images, by field of a camera.
+_RECTIFIED = {"rectification": (3, 3), "rectified": (3, 4)}
 #: Camera models with the coefficients of OpenCV.
 _UNNAMED = words(
     "pinhole perspective opencv simple_pinhole brown none full_opencv simple_radial radial pinhole_full"
@@ -105,13 +108,16 @@ def _with_models(file: CalibrationFile) -> CalibrationFile:
     return replace(file, document={**rest, "images": joined})
 
 
-def read_matrices(file: CalibrationFile, other: CalibrationFile | None = None) -> dict[str, RawCamera]:
+def read_matrices(
+    file: CalibrationFile, other: CalibrationFile | None = None, needs: Sequence[str] = ()
+) -> dict[str, RawCamera]:
     """Read the cameras of a document.
 
     Args:
         file: File with intrinsics, or with all parameters.
         other: File with extrinsics. The cameras of both files have the same names, or the same number and
             order.
+        needs: Keys that each camera must have, in their usual spelling.
 
     Raises:
         CameraError: A value is wrong, or there are no intrinsics or no extrinsics where they are needed.
@@ -128,6 +134,7 @@ def read_matrices(file: CalibrationFile, other: CalibrationFile | None = None) -
     cameras: dict[str, RawCamera] = {}
     poses: dict[str, FilePose] = {}
     for name, (entries, posed) in pairs.items():
+        _check_needed(entries, needs)
         camera = _intrinsics(file, entries)
         pose = None if "P" in entries and "K" not in entries else _pose(posed)
         file.add(cameras, name, camera)
@@ -142,6 +149,15 @@ def read_matrices(file: CalibrationFile, other: CalibrationFile | None = None) -
     if found.views:
         warn_about(file.path, "rvecs and tvecs are poses of a calibration board, not of cameras: ignored")
     return {**cameras, **resolved(files[-1], cameras, poses)}
+
+
+def _check_needed(entries: Mapping[str, Entry], needs: Sequence[str]) -> None:
+    """Raise CameraError if the parameters of a camera lack one of the keys ``needs``."""
+    *_, last = entries.values()
+    for key in needs:
+        if role_of(key) not in entries:
+            last.file.need(*last.keys[:-1], key)
+            raise last.file.error("has a wrong number of values", *last.keys[:-1], key)
 
 
 def read_poses(file: CalibrationFile) -> dict[str, RawCamera]:
@@ -250,6 +266,38 @@ def _short(pairs: _Pairs, identities: Mapping[str, Identity]) -> _Pairs:
 # -- intrinsics
 
 
+def camera_of_model(model: str, values: Sequence[float], location: SourceLocation) -> RawCamera:
+    """Camera without size and pose from the parameters of a camera model.
+
+    Args:
+        model: Name of the camera model, in upper case.
+        values: Numbers after width and height in cameras.txt; ``params`` in other files.
+        location: Location of the numbers, for errors.
+
+    Raises:
+        CameraError: The model is not known, or has another number of parameters.
+    """
+    names = COLMAP_PARAMETERS.get(model, "").split()
+    message = f"unknown camera model {model[:40]!r}; known are {', '.join(COLMAP_PARAMETERS)}"
+    if names:
+        message = f"{model} needs {' '.join(names)} after width and height, not {len(values)} numbers"
+    if not names or len(values) != len(names):
+        raise CameraError(message, path=location.path, line=location.line, key=location.key)
+    parameters = dict(zip(names, values, strict=True))
+    fx, fy = parameters.get("fx", parameters.get("f", 0.0)), parameters.get("fy", parameters.get("f", 0.0))
+    ros_model = "plumb_bob"
+    if model.endswith("FISHEYE"):
+        ros_model = "equidistant"
+    elif any(parameters.get(name) for name in ("k4", "k5", "k6")):
+        ros_model = "rational_polynomial"
+    return RawCamera(
+        pinhole(fx, fy, parameters["cx"] - 0.5, parameters["cy"] - 0.5),
+        distortion=tuple(parameters.get(name, 0.0) for name in MODELS[ros_model]),
+        model=ros_model,
+        locations={"": location},
+    )
+
+
 def _scalar(entries: Mapping[str, Entry], role: str, otherwise: float | None = None) -> float | None:
     entry = entries.get(role)
     return otherwise if entry is None else float(entry.file.numbers((), *entry.keys))
@@ -258,7 +306,7 @@ def _scalar(entries: Mapping[str, Entry], role: str, otherwise: float | None = N
 def _intrinsics(file: CalibrationFile, entries: Mapping[str, Entry]) -> RawCamera:
     """K, size and lens of a camera. If they come from P, also its pose."""
     size = size_of(entries)
-    roles = {"K": ("K", "fx", "focal"), "distortion": ("distortion",), "size": ("size",)}
+    roles = {"K": ("K", "fx", "focal")} | {part: (part,) for part in ("distortion", "size", *_RECTIFIED)}
     locations = {
         part: entries[role].location for part, all_ in roles.items() for role in all_ if role in entries
     }
@@ -278,7 +326,10 @@ def _intrinsics(file: CalibrationFile, entries: Mapping[str, Entry]) -> RawCamer
     distortion, model = _lens(file, entries, camera.K)
     if size is not None and "size" in entries and "K" in entries and _is_transposed(entries["K"].numbers()):
         size = size[1], size[0]  # MATLAB's size is (rows, columns)
-    return replace(camera, size=size, distortion=distortion, model=model)
+    rectified: dict[str, Any] = {
+        part: entries[part].numbers(*shape) for part, shape in _RECTIFIED.items() if part in entries
+    }
+    return replace(camera, size=size, distortion=distortion, model=model, **rectified)
 
 
 def _k(entries: Mapping[str, Entry], size: ImageSize | None) -> Array:
@@ -421,35 +472,3 @@ def _rotation(entry: Entry) -> Array:
     if entry.key == "rxyz" and np.linalg.norm(values) > 2 * np.pi:
         raise entry.error("is no rotation vector in radians: give a matrix, not angles")
     return entry.file.rotation(*entry.keys)
-
-
-def _find_unit(file: CalibrationFile, cameras: Mapping[str, RawCamera]) -> float:
-    """Metres per unit of a file: from its keys, such as ``translation_mm``, or from :func:`find_unit`."""
-    return unit_of_keys(file) or find_unit(file, cameras)
-
-
-# -- writing
-
-
-def _write_npz(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
-    models = {str(camera.model) for camera in cameras.values()}
-    if len(models) > 1:
-        given = " and ".join(sorted(models))
-        raise CameraError(f"this format needs one lens model for all cameras, not {given}")
-    values = list(cameras.values())
-    arrays = {
-        "names": np.array(list(cameras)),
-        "size": np.array([camera.size for camera in values]),
-        "K": np.array([camera.K for camera in values]),
-        "dist": np.array([camera.distortion for camera in values]),
-        "R": np.array([camera.R for camera in values]),
-        "t": np.array([camera.t for camera in values]),
-        "distortion_model": np.array(models.pop()),
-        "convention": np.array("world_to_camera"),
-        "unit": np.array("m"),
-    }
-    return {"": npz_bytes(arrays)}
-
-
-MATRICES = calibration_format("matrices", is_matrices, read_matrices, find_unit=_find_unit)
-MATRICES_NPZ = calibration_format("npz", is_matrices, read_matrices, _write_npz, find_unit=_find_unit)

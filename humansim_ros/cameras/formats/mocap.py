@@ -379,3 +379,5 @@ def _ego_values(own: Values, camera: Camera) -> Values:
 
 
 EGOEXO = calibration_format("egoexo4d", _is_ego, _read_ego, values=_ego_values)
+
+FORMATS = (DLT, EGOEXO, MOTIVE, QUALISYS, THEIA, VICON)

@@ -488,3 +488,5 @@ BUNDLER = calibration_format(
     _read_bundler,
     _write_bundler,
 )
+
+FORMATS = (BUNDLER, MESHROOM, METASHAPE, OPENMVG)

@@ -16,15 +16,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
-from humansim_ros.cameras.camera.camera import Camera, pinhole
-from humansim_ros.cameras.camera.lens import MODELS
+from humansim_ros.cameras.camera.camera import Camera
 from humansim_ros.cameras.formats.base import (
     MAX_CAMERAS,
     CalibrationFile,
@@ -33,6 +32,7 @@ from humansim_ros.cameras.formats.base import (
     without_suffix,
 )
 from humansim_ros.cameras.formats.checks import size_of_named_image
+from humansim_ros.cameras.formats.matrices import camera_of_model
 from humansim_ros.cameras.formats.spellings import COLMAP_MODELS, COLMAP_PARAMETERS, role_of
 from humansim_ros.cameras.formats.table import Values, calibration_format, image_names, row
 from humansim_ros.errors import CameraError
@@ -268,38 +268,6 @@ def _read_models(file: CalibrationFile) -> dict[str, RawCamera]:
     return cameras
 
 
-def camera_of_model(model: str, values: Sequence[float], location: SourceLocation) -> RawCamera:
-    """Camera without size and pose from the parameters of a camera model.
-
-    Args:
-        model: Name of the camera model, in upper case.
-        values: Numbers after width and height in cameras.txt; ``params`` in other files.
-        location: Location of the numbers, for errors.
-
-    Raises:
-        CameraError: The model is not known, or has another number of parameters.
-    """
-    names = COLMAP_PARAMETERS.get(model, "").split()
-    message = f"unknown camera model {model[:40]!r}; known are {', '.join(COLMAP_PARAMETERS)}"
-    if names:
-        message = f"{model} needs {' '.join(names)} after width and height, not {len(values)} numbers"
-    if not names or len(values) != len(names):
-        raise CameraError(message, path=location.path, line=location.line, key=location.key)
-    parameters = dict(zip(names, values, strict=True))
-    fx, fy = parameters.get("fx", parameters.get("f", 0.0)), parameters.get("fy", parameters.get("f", 0.0))
-    ros_model = "plumb_bob"
-    if model.endswith("FISHEYE"):
-        ros_model = "equidistant"
-    elif any(parameters.get(name) for name in ("k4", "k5", "k6")):
-        ros_model = "rational_polynomial"
-    return RawCamera(
-        pinhole(fx, fy, parameters["cx"] - 0.5, parameters["cy"] - 0.5),
-        distortion=tuple(parameters.get(name, 0.0) for name in MODELS[ros_model]),
-        model=ros_model,
-        locations={"": location},
-    )
-
-
 def _image_lines(file: CalibrationFile) -> Iterator[tuple[int, list[str]]]:
     """Line numbers and words of images. After each image, a line of points (three words each) or an empty
     line is left out."""
@@ -355,3 +323,5 @@ def _model_of(camera: Camera) -> tuple[str, tuple[float, ...]]:
 
 
 COLMAP = calibration_format("colmap", _is_colmap, _read_colmap, _write_colmap)
+
+FORMATS = (COLMAP, KRTD, MIDDLEBURY, MVSNET, PROJECTION)

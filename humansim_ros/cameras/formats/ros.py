@@ -523,3 +523,5 @@ def _write_json(cameras: Mapping[str, Camera]) -> dict[str, str]:
 OPENCV = calibration_format("opencv", _is_storage, _read_opencv, _write_yaml)
 OPENCV_XML = calibration_format("opencv_xml", _is_storage, _read_opencv, _write_xml)
 OPENCV_JSON = calibration_format("opencv_json", _is_storage, _read_opencv, _write_json)
+
+FORMATS = (CAMERA_INFO, INI, KALIBR, OPENCV, OPENCV_JSON, OPENCV_XML)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from itertools import islice
 from typing import Any
 
@@ -53,6 +54,8 @@ _COUNTS = {
     "radial": (6, 3, 2),
     "tangential": (2,),
     "params": (12, 8, 5, 4, 3),
+    "rectification": (9,),
+    "rectified": (12,),
 }
 _TEXTS = ("model", "name", "names", "fisheye")
 #: Parameters that are single numbers.
@@ -361,8 +364,10 @@ def _joined(items: dict[Any, Any]) -> dict[Any, Any]:
     return items
 
 
+@lru_cache(maxsize=1)
 def keys_of(file: CalibrationFile) -> set[str]:
-    """Keys of a document. If the document is large, only those of its first thousands of values."""
+    """Keys of a document, in which all formats look for theirs. If the document is large, only those of its
+    first thousands of values."""
     return {str(key) for keys, _ in islice(leaves_of(file), 2000) for key in keys}
 
 
@@ -498,7 +503,8 @@ def _split(key: str) -> tuple[str, Identity] | None:
     for length in range(len(words) - 1, 0, -1):
         for own, rest in ((words[-length:], words[:-length]), (words[:length], words[length:])):
             role = _ROLES.get("".join(own).lower())
-            if role is not None and role not in _TEXTS and not _NO_CAMERA.intersection(map(str.lower, rest)):
+            named = role not in _TEXTS or (role == "model" and len(own) > 1)
+            if role is not None and named and not _NO_CAMERA.intersection(map(str.lower, rest)):
                 return role, ("_".join(rest),)
     return None
 

@@ -1,8 +1,15 @@
-"""Table of the calibration formats: their names, units and what they store, and the functions of each.
+"""Table of the calibration formats: their names, units, keys and what they store.
 
-``config/calibration_formats.json`` has a row for each format. The keys of a row are fields of
-:class:`CalibrationFormat`, which has their defaults. The module of the format's family adds the functions
-with :func:`calibration_format`.
+``config/calibration_formats.json`` has a row for each format, in the order in which they are tried. The keys
+of a row are fields of :class:`CalibrationFormat`, which has their defaults; a row without ``suffix`` is only
+read. The other keys say how a file is read and written. Where they do not suffice, the module of the format's
+family adds functions with :func:`calibration_format`.
+
+``known`` are patterns of keys that a file has; for plain text, patterns of path and text. ``only``: all keys
+of camera parameters that a file may have. ``needs``: keys that each camera must have. ``renamed``: by pattern
+of a key, its name here, with ' for a matrix in column order, or "" to leave the key out; a pattern with =
+matches a key and its value. ``direction`` of R and t, if their keys do not state it. If a row has no ``unit``
+(metres), the file or the extent of the rig decides.
 
 ``written`` of a row is a template: the content of a JSON file; that of an XML file as attributes and lists of
 elements by tag; or the lines of a text. ``$fx`` is replaced by the value ``fx`` of a camera (:func:`_values`,
@@ -16,8 +23,9 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from itertools import chain
+from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element, indent, tostring
 
@@ -27,12 +35,20 @@ from scipy.spatial.transform import Rotation
 from humansim_ros.cameras.camera.camera import Camera
 from humansim_ros.cameras.camera.lens import MODELS
 from humansim_ros.cameras.formats.base import OPENGL, CalibrationFile, RawCamera
+from humansim_ros.cameras.formats.conventions import find_unit
+from humansim_ros.cameras.formats.matrices import read_matrices
+from humansim_ros.cameras.formats.spellings import keys_of, plain, role_of, unit_of_keys, words
 from humansim_ros.errors import CameraError
 from humansim_ros.files.reading import read_table
 from humansim_ros.geometry import matrix_to_quaternion
 from humansim_ros.types import Array, ImageSize
 
-_ROWS: Mapping[str, dict[str, Any]] = read_table("calibration_formats")
+ROWS: Mapping[str, dict[str, Any]] = read_table("calibration_formats")
+#: Cameras by name, or in a list. Each is a mapping of keys.
+Cameras = dict[str, dict[str, Any]] | list[dict[str, Any]]
+#: Names of the parameters of each lens with a name that does not list them.
+_LENSES = {"KannalaBrandtK3": "fx_fy_cx_cy_kb4", "Linear": "fx_fy_cx_cy"}
+_HALF_PIXEL = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
 
 
 @dataclass(frozen=True)
@@ -42,11 +58,11 @@ class CalibrationFormat:
     Attributes:
         name: Name on the command line.
         title: Name in messages.
-        suffix: Suffix of its files.
         syntax: ``text``, ``yaml``, ``json``, ``toml``, ``xml`` or ``npz``.
         matches: Function that tells whether a file of this syntax has this format.
         read: Function that returns the cameras of a file by name.
         write: Function that returns the content of each file by file name. A single file has the name "".
+        suffix: Suffix of its files.
         multiple: Whether a file holds more than one camera.
         unit: Metres per unit of the file.
         up: Axis of its world that points up.
@@ -60,11 +76,11 @@ class CalibrationFormat:
 
     name: str
     title: str
-    suffix: str
     syntax: str
     matches: Callable[[CalibrationFile], bool]
     read: Callable[[CalibrationFile], dict[str, RawCamera]]
     write: Callable[[Mapping[str, Camera]], Mapping[str, str | bytes]]
+    suffix: str = ""
     multiple: bool = True
     unit: float = 1.0
     up: str = "z"
@@ -82,11 +98,18 @@ class CalibrationFormat:
 Values = Mapping[str, Any]
 
 
+_FIELDS = {one.name for one in fields(CalibrationFormat)}
+_Matches = Callable[[CalibrationFile], bool]
+_Read = Callable[[CalibrationFile], dict[str, RawCamera]]
+
+
 def calibration_format(
     name: str,
-    matches: Callable[[CalibrationFile], bool],
-    read: Callable[[CalibrationFile], dict[str, RawCamera]],
+    matches: _Matches | None = None,
+    read: _Read | None = None,
     write: Callable[[Mapping[str, Camera]], Mapping[str, str | bytes]] | None = None,
+    *,
+    arrange: Callable[[CalibrationFile], Cameras] | None = None,
     find_unit: Callable[[CalibrationFile, Mapping[str, RawCamera]], float] | None = None,
     values: Callable[[Values, Camera], Values] = lambda own, camera: {},
 ) -> CalibrationFormat:
@@ -95,16 +118,119 @@ def calibration_format(
     Args:
         name: Name of the format. ``matches``, ``read``, ``write`` and ``find_unit``: see
             :class:`CalibrationFormat`.
-        matches: Whether a file has this format.
-        read: Cameras of a file.
+        matches: Whether a file has this format. If None, the row has patterns of its keys.
+        read: Cameras of a file. If None, they are read by their keys.
         write: Files of cameras. If None, the row has a template.
+        arrange: Makes mappings of keys of the cameras of a file, if they are something else there.
         find_unit: Metres per unit.
         values: Computes values that only this template needs from the other values of a camera.
     """
-    row: Any = {key: _tuples(value) for key, value in _ROWS[name].items() if key not in ("written", "names")}
-    template, names = _ROWS[name].get("written"), _ROWS[name].get("names", "")
+    row = ROWS[name]
+    if read is None:
+        read = _reader(row, arrange)
+        find_unit = find_unit or (None if "unit" in row else unit_of_file)
+    return CalibrationFormat(
+        name,
+        matches=matches or _matcher(row),
+        read=read,
+        write=write or _writer(row, values),
+        find_unit=find_unit,
+        **{key: _tuples(value) for key, value in row.items() if key in _FIELDS},
+    )
 
-    def write_template(cameras: Mapping[str, Camera]) -> Mapping[str, str | bytes]:
+
+def _tuples(value: Any) -> Any:
+    return tuple(map(_tuples, value)) if isinstance(value, list) else value
+
+
+# -- reading by keys
+
+
+def _matcher(row: Mapping[str, Any]) -> _Matches:
+    """Make the function ``matches`` of a row."""
+
+    def matches(file: CalibrationFile) -> bool:
+        if file.syntax == "text":
+            text = f"{file.path}\n{file.text[: 1 << 16]}"
+            return all(re.search(one, text, re.MULTILINE) for one in row["known"])
+        keys = keys_of(file)
+        if "only" in row and any(role_of(key) for key in keys - words(row["only"])):
+            return False
+        return all(any(re.fullmatch(one, key) for key in keys) for one in row["known"])
+
+    return matches
+
+
+def _reader(row: Mapping[str, Any], arrange: Callable[[CalibrationFile], Cameras] | None) -> _Read:
+    """Make the function ``read`` of a row."""
+    renamed: Mapping[str, str] = row.get("renamed", {})
+
+    def read(file: CalibrationFile) -> dict[str, RawCamera]:
+        back: dict[str, str] = {}
+
+        def rewrite(items: dict[Any, Any]) -> dict[Any, Any]:
+            result: dict[Any, Any] = {}
+            for key, value in items.items():
+                texts = str(key), f"{key}={value}" if isinstance(value, (str, int, float)) else ""
+                found = ((re.fullmatch(one, texts["=" in one]), new) for one, new in renamed.items())
+                match, new = next(((match, new) for match, new in found if match), (None, ""))
+                here = key if match is None else match.expand(new.rstrip("'"))
+                back.setdefault(str(here), str(key))
+                if here != "":
+                    result[here] = _transposed(value) if new.endswith("'") else value
+            return _with_params(file, result, back.get("model", "model"))
+
+        arranged = file if arrange is None else replace(file, document=arrange(file))
+        document = plain(arranged, rewrite).document
+        cameras = document if isinstance(document, dict) else {"cameras": document}
+        stated = {"convention": row.get("direction", "w2c"), **cameras}
+        read = read_matrices(replace(file, document=stated, renamed=back), needs=row.get("needs", ()))
+        if stated.get("origin") == "corner":
+            read = {name: replace(c, K=c.K - _HALF_PIXEL) for name, c in read.items()}
+        path = Path(file.path)
+        return {path.parent.name: read[path.stem]} if [*read] == [path.stem] == ["sensor"] else read
+
+    return read
+
+
+def _with_params(file: CalibrationFile, items: dict[Any, Any], key: str) -> dict[Any, Any]:
+    """Give each number of ``params`` a key, which depends on the lens. ``key``: key of the lens, for
+    errors."""
+    if "params" not in items:
+        return items
+    model, numbers = str(items.get("model")), replace(file, document=items).some_numbers("params").tolist()
+    names = _LENSES.get(model, model.removeprefix("calibu_")).replace("kb4", "k1_k2_k3_k4").split("_")
+    if len(names) != len(numbers) or not {*names} <= words("f fu fv u0 v0 fx fy cx cy k1 k2 k3 k4"):
+        message = f"the lens {model[:60]!r} with {len(numbers)} numbers is not supported"
+        raise CameraError(message, path=file.path, key=key)
+    values = {"params": None, "model": "none", "fisheye": "k4" in names}
+    return items | values | dict(zip(names, numbers, strict=True))
+
+
+def _transposed(value: Any) -> Any:
+    """Transpose a square matrix in column order. A matrix of OpenCV has its numbers under ``data``."""
+    if isinstance(value, Mapping):
+        return {**value, "data": _transposed(value.get("data"))}
+    numbers = np.array(value, dtype=object).ravel()
+    side = int(len(numbers) ** 0.5)
+    return numbers.reshape(side, side).T.tolist() if side * side == len(numbers) else value
+
+
+def unit_of_file(file: CalibrationFile, cameras: Mapping[str, RawCamera]) -> float:
+    """Metres per unit of a file: from its keys, such as ``translation_mm``, or from :func:`find_unit`."""
+    return unit_of_keys(file) or find_unit(file, cameras)
+
+
+# -- writing
+
+
+def _writer(
+    row: Mapping[str, Any], values: Callable[[Values, Camera], Values]
+) -> Callable[[Mapping[str, Camera]], Mapping[str, str | bytes]]:
+    """Make the function ``write`` of a row, which has a template."""
+    names = row.get("names", "")
+
+    def write(cameras: Mapping[str, Camera]) -> Mapping[str, str | bytes]:
         if names:
             check_names(cameras, words=names == "words")
         each = []
@@ -113,14 +239,9 @@ def calibration_format(
             each.append({**own, **values(own, camera)})
         fisheyes = all(camera.model == "equidistant" for camera in cameras.values()) or None
         shared = {**(each[0] if len(each) == 1 else {}), "count": len(each), "all_fisheye": fisheyes}
-        return _FILES.get(row["syntax"], text_file)(_filled(template, each, shared))
+        return _FILES.get(row["syntax"], text_file)(_filled(row["written"], each, shared))
 
-    write = write or write_template
-    return CalibrationFormat(name, matches=matches, read=read, write=write, find_unit=find_unit, **row)
-
-
-def _tuples(value: Any) -> Any:
-    return tuple(map(_tuples, value)) if isinstance(value, list) else value
+    return write
 
 
 def _values(name: str, index: int, camera: Camera) -> dict[str, Any]:

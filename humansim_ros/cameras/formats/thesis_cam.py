@@ -329,3 +329,5 @@ def _listed(values: Array) -> str:
 SCENE = calibration_format(
     "scene", lambda file: isinstance(file.get("cameras"), Mapping), _read_scene, _write_scene
 )
+
+FORMATS = (CAM, SCENE)

@@ -1,7 +1,7 @@
 """Table of all calibration formats, and writing of calibration files.
 
-To add a format, give it a row of ``config/calibration_formats.json``, and in the module of its family
-functions that recognise, read and write it (:func:`calibration_format`). Then add it to :data:`FORMATS`. The
+To add a format, give it a row of ``config/calibration_formats.json``. If its keys do not suffice, add
+functions to the module of its family (:func:`calibration_format`), and the format to ``FORMATS`` there. The
 rest of the package and the command line need no change. ``calibration.py`` converts units and axes, guesses
 missing image sizes, checks cameras, and reports errors with file, line and key for all formats.
 """
@@ -18,25 +18,18 @@ from pathlib import Path
 import numpy as np
 
 from humansim_ros.cameras.camera.camera import Camera
-from humansim_ros.cameras.formats.checks import has_pose
-from humansim_ros.cameras.formats.datasets import (
-    ANIPOSE,
-    ASSOCIATION,
-    BLENDER,
-    H36M,
-    PANOPTIC,
-    SHELF,
-    TRANSFORMS,
+from humansim_ros.cameras.formats import (
+    datasets,
+    devices,
+    layouts,
+    mocap,
+    photogrammetry,
+    plain_text,
+    ros,
+    thesis_cam,
 )
-from humansim_ros.cameras.formats.devices import K4A, OPEN3D, REALSENSE, ZED
-from humansim_ros.cameras.formats.layouts import LAYOUTS
-from humansim_ros.cameras.formats.matrices import MATRICES, MATRICES_NPZ
-from humansim_ros.cameras.formats.mocap import DLT, EGOEXO, MOTIVE, QUALISYS, THEIA, VICON
-from humansim_ros.cameras.formats.photogrammetry import BUNDLER, MESHROOM, METASHAPE, OPENMVG
-from humansim_ros.cameras.formats.plain_text import COLMAP, KRTD, MIDDLEBURY, MVSNET, PROJECTION
-from humansim_ros.cameras.formats.ros import CAMERA_INFO, INI, KALIBR, OPENCV, OPENCV_JSON, OPENCV_XML
-from humansim_ros.cameras.formats.table import CalibrationFormat
-from humansim_ros.cameras.formats.thesis_cam import CAM, SCENE
+from humansim_ros.cameras.formats.checks import has_pose
+from humansim_ros.cameras.formats.table import ROWS, CalibrationFormat, calibration_format
 from humansim_ros.errors import CameraError, located, some_of, unknown, warn_about
 from humansim_ros.files.reading import atomic_path
 from humansim_ros.types import Array
@@ -53,19 +46,13 @@ Z_UP_FROM_FILE: Mapping[str, Array] = {
 #: Formats by usual ends of file names, for names with a suffix that several formats share.
 _USUAL_NAMES = {"par.txt": "middlebury", ".qca.txt": "qualisys", "transforms.json": "transforms", ".txt": "p"}
 _SKEW_TOLERANCE = 1e-9
-#: All formats in the order in which they are tried. The first one that recognises a file reads it.
-FORMATS: tuple[CalibrationFormat, ...] = (
-    *(BUNDLER, MVSNET, EGOEXO, DLT, METASHAPE, VICON, MOTIVE, THEIA, OPENMVG, MESHROOM),
-    *(ZED, K4A, BLENDER),
-    *(CAMERA_INFO, INI, KALIBR, SCENE),
-    *(H36M, ASSOCIATION, PANOPTIC, SHELF, TRANSFORMS, ANIPOSE),
-    *(QUALISYS, REALSENSE, OPEN3D),
-    *(OPENCV, OPENCV_XML, OPENCV_JSON, MATRICES, MATRICES_NPZ),
-    *(CAM, COLMAP, MIDDLEBURY, KRTD, PROJECTION),
-)
-
-#: All formats that can be read, in the order in which they are tried. Some cannot be written.
-READ_FORMATS = (*LAYOUTS, *FORMATS)
+_FAMILIES = (layouts, photogrammetry, plain_text, mocap, devices, ros, datasets, thesis_cam)
+_WITH_FUNCTIONS = {format.name: format for family in _FAMILIES for format in family.FORMATS}
+#: All formats that can be read, in the order in which they are tried. The first one that recognises a file
+#: reads it.
+READ_FORMATS = tuple(_WITH_FUNCTIONS.get(name) or calibration_format(name) for name in ROWS)
+#: All formats that can be written.
+FORMATS = tuple(format for format in READ_FORMATS if "suffix" in ROWS[format.name])
 
 
 def write_calibration(

@@ -22,7 +22,8 @@ from scipy.spatial import cKDTree
 
 from humansim_ros.errors import MeshError
 from humansim_ros.files import read_mesh
-from humansim_ros.files.mesh.gltf_compression import decode_stream
+from humansim_ros.files.mesh.gltf_compression import decode_meshopt
+from humansim_ros.files.mesh.gltf_format import MeshoptView
 from humansim_ros.motion import read_motion
 from humansim_ros.people.loading.loading import load_human
 
@@ -226,7 +227,15 @@ STREAMS: list[dict[str, Any]] = json.loads((ROOT / "test" / "data" / "meshopt.js
 
 
 def decoded(stream: dict[str, Any], data: bytes) -> np.ndarray[Any, np.dtype[np.uint8]]:
-    return decode_stream(data, stream["mode"], stream["filter"], stream["count"], stream["stride"])
+    view = MeshoptView(
+        buffer=0,
+        byteLength=len(data),
+        byteStride=stream["stride"],
+        count=stream["count"],
+        mode=stream["mode"],
+        filter=stream["filter"],
+    )
+    return np.frombuffer(decode_meshopt(view, data), np.uint8)
 
 
 @pytest.mark.parametrize("stream", STREAMS, ids=lambda stream: f"{stream['name']} {stream['stride']}")
@@ -247,10 +256,10 @@ def test_a_damaged_stream_is_decoded_or_refused_but_never_crashes(stream: dict[s
     whole = base64.b64decode(stream["data"])
     random = np.random.default_rng(len(whole))
     for length in range(1, len(whole), max(len(whole) // 20, 1)):
-        with pytest.raises(ValueError, match=r"\w"):
+        with pytest.raises(MeshError, match="the meshopt data"):
             decoded(stream, whole[:length])
     for _ in range(40):
         harmed = bytearray(whole)
         harmed[random.integers(len(harmed))] = random.integers(256)
-        with contextlib.suppress(ValueError):
+        with contextlib.suppress(MeshError):
             assert len(decoded(stream, bytes(harmed))) == stream["count"] * stream["stride"]

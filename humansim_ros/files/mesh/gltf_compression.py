@@ -7,16 +7,14 @@ untrusted, so each read is checked, and the size of the result is known before d
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Mapping
-from typing import Annotated, Any, Literal
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
-from humansim_ros.errors import MeshError, in_section
-from humansim_ros.files.mesh.gltf_format import Index, Part
-from humansim_ros.files.yaml.schema import validated
+from humansim_ros.errors import MeshError
+from humansim_ros.files.mesh.gltf_format import MeshoptView
 
 Bytes = NDArray[np.uint8]
 
@@ -29,30 +27,6 @@ _UNPACKED = {
     2: tuple(bytes((byte >> shift) & 3 for shift in (6, 4, 2, 0)) for byte in range(256)),
     4: tuple(bytes((byte >> 4, byte & 15)) for byte in range(256)),
 }
-
-
-def decode_stream(data: bytes, mode: str, filter_name: str, count: int, stride: int) -> Bytes:
-    """Decode a buffer view to (count * stride,) bytes. Raises ValueError if the data do not fit the format.
-
-    Args:
-        data: Compressed bytes.
-        mode, filter_name: The same as in :class:`MeshoptView`.
-        count, stride: Number of elements, and bytes of each element.
-    """
-    try:
-        if mode == "ATTRIBUTES":
-            if stride % 4 or not 4 <= stride <= 256:
-                raise ValueError(f"elements of {stride} bytes")
-            return _FILTERS[filter_name](_attributes(data, count, stride))
-        if stride not in (2, 4) or filter_name != "NONE":
-            raise ValueError(f"indices of {stride} bytes with filter {filter_name[:20]}")
-        decoder = {"TRIANGLES": _triangles, "INDICES": _indices}[mode]
-        values = np.array(decoder(data, count), dtype=np.uint32)
-        return values.astype("<u2" if stride == 2 else "<u4").view(np.uint8)
-    except IndexError:
-        raise ValueError("the data end too early") from None
-    except KeyError as unknown:
-        raise ValueError(f"unknown mode or filter {unknown}") from None
 
 
 # --- attributes
@@ -349,30 +323,10 @@ _FILTERS: dict[str, Callable[[Bytes], Bytes]] = {
 DRACO = "KHR_draco_mesh_compression"
 #: Magic bytes, version, kind, method and flags.
 _DRACO_START, _DRACO_METADATA = "<5s4BH", 0x8000
-_MESHOPT = ("KHR_meshopt_compression", "EXT_meshopt_compression")
 #: Largest size of all decoded buffer views in bytes, and most elements of a view with indices.
 MAX_DECODED, _MAX_INDICES = 1 << 29, 30_000_000
 #: Most triangles or points in the Draco data of a file, since a few hundred bytes can declare any number.
 MAX_DRACO = 5_000_000
-
-
-class MeshoptView(Part):
-    """Extension of a buffer view: place and layout of the compressed data."""
-
-    buffer: Index
-    byteOffset: Index = 0
-    byteLength: Annotated[int, Field(ge=1)]
-    byteStride: Annotated[int, Field(ge=1, le=256)]
-    count: Annotated[int, Field(ge=1)]
-    mode: Literal["ATTRIBUTES", "TRIANGLES", "INDICES"]
-    filter: Literal["NONE", "OCTAHEDRAL", "QUATERNION", "EXPONENTIAL", "COLOR"] = "NONE"
-
-
-class DracoPrimitive(Part):
-    """Extension of a primitive: the buffer view with the compressed mesh, and the ids of its attributes."""
-
-    bufferView: Index
-    attributes: dict[str, Index]
 
 
 class DracoMesh:
@@ -430,29 +384,21 @@ def _skip_metadata(reader: _Reader) -> None:
         _skip_metadata(reader)
 
 
-def meshopt_view(extensions: Mapping[str, Any]) -> MeshoptView | None:
-    """Meshopt extension of a buffer view; None if the view has none. Raises MeshError, which names the wrong
-    key."""
-    name = next((name for name in _MESHOPT if name in extensions), None)
-    return None if name is None else _validated(MeshoptView, extensions[name], name)
-
-
-def draco_primitive(extensions: Mapping[str, Any]) -> DracoPrimitive | None:
-    """Draco extension of a primitive; None if the primitive has none. Raises MeshError, which names the wrong
-    key."""
-    return _validated(DracoPrimitive, extensions[DRACO], DRACO) if DRACO in extensions else None
-
-
 def decode_meshopt(view: MeshoptView, data: bytes) -> bytes:
-    """Decode the data of a meshopt buffer view. Raises MeshError."""
-    if view.mode != "ATTRIBUTES" and view.count > _MAX_INDICES:
+    """Decode the data of a meshopt buffer view. Raises MeshError if the data do not fit the format."""
+    stride, is_index = view.byteStride, view.mode != "ATTRIBUTES"
+    if is_index and view.count > _MAX_INDICES:
         raise MeshError(f"{view.count} indices; at most {_MAX_INDICES} are read")
     try:
-        return decode_stream(data, view.mode, view.filter, view.count, view.byteStride).tobytes()
+        if not is_index:
+            if stride % 4:
+                raise ValueError(f"elements of {stride} bytes")
+            return _FILTERS[view.filter](_attributes(data, view.count, stride)).tobytes()
+        if stride not in (2, 4) or view.filter != "NONE":
+            raise ValueError(f"indices of {stride} bytes with filter {view.filter}")
+        decoder = _triangles if view.mode == "TRIANGLES" else _indices
+        return np.array(decoder(data, view.count), np.uint32).astype(f"<u{stride}").tobytes()
+    except IndexError:
+        raise MeshError("the meshopt data end too early") from None
     except ValueError as reason:
         raise MeshError(f"the meshopt data cannot be decoded: {reason}") from None
-
-
-def _validated(model: type[Any], content: Any, name: str) -> Any:
-    with in_section(name):
-        return validated(model, content, MeshError)

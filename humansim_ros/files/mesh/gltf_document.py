@@ -28,11 +28,7 @@ from humansim_ros.files.mesh.gltf_compression import (
     MAX_DECODED,
     MAX_DRACO,
     DracoMesh,
-    DracoPrimitive,
-    MeshoptView,
     decode_meshopt,
-    draco_primitive,
-    meshopt_view,
 )
 from humansim_ros.files.mesh.gltf_format import (
     Accessor,
@@ -40,6 +36,7 @@ from humansim_ros.files.mesh.gltf_format import (
     Document,
     GltfMaterial,
     GltfMesh,
+    MeshoptView,
     Node,
     Primitive,
     Skin,
@@ -239,12 +236,12 @@ class Gltf:
             MeshError: The accessor or the Draco data are wrong.
         """
         number = primitive.attributes[name]
-        mesh, packed = self._draco_mesh(primitive)
-        if mesh is None or name not in packed.attributes:
+        mesh, ids = self._draco_mesh(primitive)
+        if mesh is None or name not in ids:
             return self.accessor(number, kinds, what)
         key = f"accessors.{number}"
         accessor = self._item(self.document.accessors, number, key)
-        values = mesh.attributes.get(packed.attributes[name])
+        values = mesh.attributes.get(ids[name])
         shape = (accessor.count, _WIDTHS[accessor.type])
         if accessor.type not in kinds or values is None or values.reshape(len(values), -1).shape != shape:
             raise self._error(f"the Draco data do not have these {what}", key)
@@ -261,19 +258,18 @@ class Gltf:
             return None, primitive.mode
         return self.accessor(primitive.indices, ["SCALAR"], "indices").astype(np.int64), primitive.mode
 
-    def _draco_mesh(self, primitive: Primitive) -> tuple[DracoMesh | None, DracoPrimitive]:
+    def _draco_mesh(self, primitive: Primitive) -> tuple[DracoMesh | None, dict[str, int]]:
         """Decoded Draco mesh of a primitive (None for no Draco mesh), and the ids of its attributes."""
-        with located(path=self.path, key=DRACO):
-            packed = draco_primitive(primitive.extensions)
-            position = primitive.attributes["POSITION"]
-            plain = self._item(self.document.accessors, position, "accessors").bufferView
-            if packed is None or plain is not None:  # the file has the same mesh uncompressed
-                return None, DracoPrimitive(bufferView=0, attributes={})
-            if packed.bufferView not in self._draco_meshes:
-                view = self._view(packed.bufferView, f"bufferViews.{packed.bufferView}")
-                used = sum(len(mesh.triangles) for mesh in self._draco_meshes.values())
+        packed = primitive.extensions.KHR_draco_mesh_compression
+        positions = self._item(self.document.accessors, primitive.attributes["POSITION"], "accessors")
+        if packed is None or positions.bufferView is not None:  # the file has the same mesh uncompressed
+            return None, {}
+        if packed.bufferView not in self._draco_meshes:
+            view = self._view(packed.bufferView, f"bufferViews.{packed.bufferView}")
+            used = sum(len(mesh.triangles) for mesh in self._draco_meshes.values())
+            with located(path=self.path, key=DRACO):
                 self._draco_meshes[packed.bufferView] = DracoMesh(bytes(view), MAX_DRACO - used)
-        return self._draco_meshes[packed.bufferView], packed
+        return self._draco_meshes[packed.bufferView], packed.attributes
 
     def image(self, number: int) -> bytes:
         """Encoded content of image ``number``: a PNG or JPEG file."""
@@ -372,10 +368,7 @@ class Gltf:
         key = f"bufferViews.{number}"
         if number in self._decoded:
             return memoryview(self._decoded[number])
-        try:
-            packed = meshopt_view(view.extensions)
-        except MeshError as error:
-            raise self._error(error.message, f"{key}.{error.key}") from None
+        packed = view.extensions.KHR_meshopt_compression or view.extensions.EXT_meshopt_compression
         if packed is not None:
             return self._decode(number, packed, view.byteLength)
         data = self._buffer(view.buffer, key)

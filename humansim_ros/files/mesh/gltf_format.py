@@ -31,6 +31,25 @@ class Buffer(Part):
     uri: str | None = None
 
 
+class MeshoptView(Part):
+    """Compressed data of a buffer view [KHR_meshopt_compression]."""
+
+    buffer: Index
+    byteOffset: Index = 0
+    byteLength: Annotated[int, Field(ge=1)]
+    byteStride: Annotated[int, Field(ge=1, le=256)]
+    count: Annotated[int, Field(ge=1)]
+    mode: Literal["ATTRIBUTES", "TRIANGLES", "INDICES"]
+    filter: Literal["NONE", "OCTAHEDRAL", "QUATERNION", "EXPONENTIAL", "COLOR"] = "NONE"
+
+
+class ViewExtensions(Part):
+    """Extensions of a buffer view: the same one under its two names."""
+
+    KHR_meshopt_compression: MeshoptView | None = None
+    EXT_meshopt_compression: MeshoptView | None = None
+
+
 class BufferView(Part):
     """Range of bytes in a buffer."""
 
@@ -38,7 +57,7 @@ class BufferView(Part):
     byteOffset: Index = 0
     byteLength: Annotated[int, Field(ge=1)]
     byteStride: Annotated[int, Field(ge=4, le=252)] | None = None
-    extensions: dict[str, Any] = Field(default_factory=dict)
+    extensions: ViewExtensions = ViewExtensions()
 
 
 class SparseValues(Part):
@@ -74,6 +93,19 @@ class Accessor(Part):
     sparse: Sparse | None = None
 
 
+class DracoPrimitive(Part):
+    """Buffer view with a compressed mesh, and the ids of its attributes [KHR_draco_mesh_compression]."""
+
+    bufferView: Index
+    attributes: dict[str, Index]
+
+
+class PrimitiveExtensions(Part):
+    """Extensions of a primitive."""
+
+    KHR_draco_mesh_compression: DracoPrimitive | None = None
+
+
 class Primitive(Part):
     """Part of a mesh with one material. ``mode`` 4, 5 and 6 are triangles, strip and fan."""
 
@@ -82,7 +114,7 @@ class Primitive(Part):
     material: Index | None = None
     mode: Annotated[int, Field(ge=0, le=6)] = 4
     targets: tuple[dict[str, Any], ...] = ()
-    extensions: dict[str, Any] = Field(default_factory=dict)
+    extensions: PrimitiveExtensions = PrimitiveExtensions()
     extras: Any = None
 
 
@@ -116,12 +148,20 @@ class Node(Part):
 
 
 class TextureTransform(Part):
-    """Extension KHR_texture_transform: uv' = offset + rotation * scale * uv, with v down."""
+    """Texture coordinates: uv' = offset + rotation * scale * uv, with v down [KHR_texture_transform]."""
 
     offset: Pair = (0.0, 0.0)
     rotation: Number = 0.0
     scale: Pair = (1.0, 1.0)
     texCoord: Index | None = None
+
+
+class TextureExtensions(Part):
+    """Extensions of a texture. ``model_extra`` has those that are not read."""
+
+    model_config = ConfigDict(extra="allow")
+
+    KHR_texture_transform: TextureTransform | None = None
 
 
 class TextureInfo(Part):
@@ -130,7 +170,7 @@ class TextureInfo(Part):
     index: Index
     texCoord: Index = 0
     scale: float = 1.0
-    extensions: dict[str, Any] = Field(default_factory=dict)
+    extensions: TextureExtensions = TextureExtensions()
 
 
 class Pbr(Part):
@@ -141,6 +181,20 @@ class Pbr(Part):
     metallicFactor: float = 1.0
     roughnessFactor: float = 1.0
     metallicRoughnessTexture: TextureInfo | None = None
+
+
+class EmissiveStrength(Part):
+    """Factor of the emitted light [KHR_materials_emissive_strength]."""
+
+    emissiveStrength: Number = 1.0
+
+
+class MaterialExtensions(Part):
+    """Extensions of a material. ``model_extra`` has those that are not read."""
+
+    model_config = ConfigDict(extra="allow")
+
+    KHR_materials_emissive_strength: EmissiveStrength = EmissiveStrength()
 
 
 class GltfMaterial(Part):
@@ -155,7 +209,7 @@ class GltfMaterial(Part):
     alphaMode: Literal["OPAQUE", "MASK", "BLEND"] = "OPAQUE"
     alphaCutoff: float = 0.5
     doubleSided: bool = False
-    extensions: dict[str, Any] = Field(default_factory=dict)
+    extensions: MaterialExtensions = MaterialExtensions()
 
 
 class Wrap(Part):

@@ -10,20 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import block_diag, csr_matrix, vstack
 
-from humansim_ros.errors import MeshError, in_section, located, warn_about
+from humansim_ros.errors import MeshError, located, warn_about
 from humansim_ros.files.mesh.gltf_document import Gltf
-from humansim_ros.files.mesh.gltf_format import GltfMaterial, Primitive, TextureInfo, TextureTransform
+from humansim_ros.files.mesh.gltf_format import GltfMaterial, Primitive, TextureInfo
 from humansim_ros.files.mesh.gltf_skeleton import GltfSkeleton
 from humansim_ros.files.mesh.mesh import FaceIndices, Material, Mesh, SkinnedMesh, normalise_weights, padded
 from humansim_ros.files.mesh.normals import PLAIN, atlas_mesh, plain_tile, shading_weights
 from humansim_ros.files.reading.images import encode_srgb
-from humansim_ros.files.yaml.schema import validated
 from humansim_ros.geometry import unit_vectors
 from humansim_ros.types import Array, Image
 
 _REPEATED, _MIRRORED, _CLAMPED = 10497, 33648, 33071
-_TRANSFORM = "KHR_texture_transform"
-_EMISSIVE_STRENGTH = "KHR_materials_emissive_strength"
 
 
 def read_material(gltf: Gltf, number: int | None, has_uv: bool) -> Material:
@@ -38,12 +35,13 @@ def read_material(gltf: Gltf, number: int | None, has_uv: bool) -> Material:
     }
     used = {what: info for what, info in maps.items() if info is not None}
     leading = base or next(iter(used.values()), None)
+    mapping = None if leading is None else (leading.texCoord, leading.extensions)
     ignored = _unsupported(gltf, material, leading)
     images: dict[str, Image] = {}
     for what, info in used.items():
         if not has_uv:
             ignored.append(f"the {what}, because the mesh has no texture coordinates")
-        elif leading is not None and _mapping(info) != _mapping(leading):
+        elif (info.texCoord, info.extensions) != mapping:
             ignored.append(f"the {what}, because the colour has other texture coordinates")
         else:
             image = read_image(gltf, info)
@@ -55,9 +53,7 @@ def read_material(gltf: Gltf, number: int | None, has_uv: bool) -> Material:
     for part in ignored:
         warn_about(gltf.path, f"material {material.name or number!r}: ignored: {part}")
     wraps = (_REPEATED, _REPEATED) if leading is None else gltf.wraps(leading.index)
-    given = material.extensions.get(_EMISSIVE_STRENGTH)
-    strength = given.get("emissiveStrength", 1.0) if isinstance(given, dict) else 1.0
-    strength = float(strength) if isinstance(strength, (int, float)) and 0 <= strength < 1e6 else 1.0
+    strength = material.extensions.KHR_materials_emissive_strength.emissiveStrength
     red, green, blue = np.maximum(np.array(material.emissiveFactor) * strength, 0.0).tolist()
     if material.emissiveTexture is not None and "emission" not in images:
         red = green = blue = 0.0
@@ -101,28 +97,16 @@ def _decoded(
         return decode(source, lambda: gltf.image(source))
 
 
-def texture_transform(gltf: Gltf, info: TextureInfo) -> TextureTransform | None:
-    """Transform of the texture coordinates of a texture; None for no transform. Raises MeshError."""
-    if _TRANSFORM not in info.extensions:
-        return None
-    with located(path=gltf.path), in_section(_TRANSFORM):
-        return validated(TextureTransform, info.extensions[_TRANSFORM], MeshError)
-
-
 def _unsupported(gltf: Gltf, material: GltfMaterial, leading: TextureInfo | None) -> list[str]:
     """Names of the properties of a material that are ignored, for a warning."""
-    parts = [f"extension {name!r}" for name in material.extensions if name != _EMISSIVE_STRENGTH]
+    parts = [f"extension {name!r}" for name in material.extensions.model_extra or ()]
     if material.occlusionTexture is not None:
         parts.append("the ambient occlusion map (ambient occlusion is computed)")
     if leading is not None:
-        parts += [f"extension {name!r} of its texture" for name in leading.extensions if name != _TRANSFORM]
+        parts += [f"extension {name!r} of its texture" for name in leading.extensions.model_extra or ()]
         if _MIRRORED in gltf.wraps(leading.index):
             parts.append("mirrored repetition of the texture")
     return parts
-
-
-def _mapping(info: TextureInfo) -> tuple[int, str]:
-    return info.texCoord, str(sorted(info.extensions.items()))
 
 
 def _clamp(value: float) -> float:
@@ -376,7 +360,7 @@ def _normals(gltf: Gltf, primitive: Primitive, key: str, count: int) -> Array | 
 def _texture_coordinates(gltf: Gltf, primitive: Primitive, key: str, count: int) -> Array | None:
     """Texture coordinates (V, 2), v down, for the colour of a material; None if there are none."""
     info = gltf.material(primitive.material).pbrMetallicRoughness.baseColorTexture
-    change = None if info is None else texture_transform(gltf, info)
+    change = None if info is None else info.extensions.KHR_texture_transform
     number = 0 if info is None else info.texCoord
     if change is not None and change.texCoord is not None:
         number = change.texCoord

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import subprocess
 import sys
@@ -176,19 +175,6 @@ def test_processes_that_start_together_make_a_human_once(cache: Path, tmp_path: 
     assert sum(words.count("made") for words in printed) == 1
     assert len({words[-1] for words in printed}) == 1
     assert [path.name for path in cache.iterdir()] == ["someone-key.npz"]
-
-
-def test_nobody_waits_for_ever_for_a_process_that_was_stopped(
-    cache: Path, figure: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    load_human(figure)
-    (file,) = cache.glob("*.npz")
-    file.unlink()
-    monkeypatch.setattr("humansim_ros.people.loading.loading._LONGEST_WAIT", 0.2)
-    with file.with_suffix(".lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        assert len(load_human(figure).mesh.vertices) == len(figures.boxes()[0])
-    assert file.is_file()
 
 
 def test_the_cache_has_a_maximum_size(

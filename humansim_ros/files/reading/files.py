@@ -10,7 +10,6 @@ import os
 import shutil
 import stat
 import tempfile
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from itertools import islice
@@ -395,64 +394,21 @@ def _beside(target: Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
-# --- temporary folders
-
-#: Prefix of the names of temporary folders.
-_PREFIX = "humansim-"
-#: File in a folder that the process using the folder keeps locked.
-_LOCK = ".lock"
-#: A process locks a folder at most this many seconds after it has made the folder.
-_MAKING = 10.0
+# --- temporary folders, and the cache
 
 
 @contextmanager
 def temporary_folder() -> Iterator[Path]:
     """Temporary folder. It is removed at the end of ``with``. Raises HumansimError if no folder can be made,
-    such as on a full disk.
-
-    A process that is killed leaves its folder behind, so this call first removes such folders of this user.
-    The folder of a running process is locked, even if the process runs in another container with the same
-    ``/tmp``.
-    """
-    _remove_dead_folders()
+    such as on a full disk."""
     try:
-        folder = Path(tempfile.mkdtemp(prefix=_PREFIX))
+        folder = tempfile.TemporaryDirectory(prefix="humansim-", ignore_cleanup_errors=True)
     except OSError as reason:
         raise HumansimError(
             f"cannot make a temporary folder: {reason.strerror}; set TMPDIR to a folder with space"
         ) from None
-    try:
-        with (folder / _LOCK).open("w") as lock:
-            fcntl.flock(lock, fcntl.LOCK_EX)
-            yield folder
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
-
-
-def _remove_dead_folders() -> None:
-    with suppress(OSError):
-        for folder in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*"):
-            with suppress(OSError):
-                found = folder.lstat()
-                own = stat.S_ISDIR(found.st_mode) and found.st_uid == os.geteuid()
-                if own and time.time() - found.st_mtime > _MAKING:
-                    _remove_if_dead(folder)
-
-
-def _remove_if_dead(folder: Path) -> None:
-    """Remove a folder if nobody has locked its lock file. OSError if it is locked or has no lock file."""
-    lock = os.open(folder / _LOCK, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        shutil.rmtree(folder, ignore_errors=True)  # rmtree follows no links
-    finally:
-        os.close(lock)
-
-
-# --- the cache
-
-#: Seconds between two attempts to lock a file.
-_LOOK_EVERY = 0.05
+    with folder as name:
+        yield Path(name)
 
 
 def cache_folder() -> Path | None:
@@ -466,10 +422,10 @@ def cache_folder() -> Path | None:
 
 
 @contextmanager
-def only_one_process(path: Path, longest: float) -> Iterator[None]:
+def only_one_process(path: Path) -> Iterator[None]:
     """Make processes that want to create the same file do so one after the other. A process that has waited
-    finds the file ready. After ``longest`` seconds a process stops waiting, since the other process may have
-    been stopped. Without write access no process waits. ``path``: lock file, which is removed afterwards."""
+    finds the file ready. Without write access no process waits. ``path``: lock file, which is removed
+    afterwards."""
     with suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
     try:
@@ -478,29 +434,12 @@ def only_one_process(path: Path, longest: float) -> Iterator[None]:
         yield
         return
     try:
-        has_lock = _locks(lock, time.monotonic() + longest)
-        try:
-            yield
-        finally:
-            if has_lock:
-                with suppress(OSError):
-                    path.unlink(missing_ok=True)
-                    # unlocked explicitly, since a child process may have it open
-                    fcntl.flock(lock, fcntl.LOCK_UN)
+        with suppress(OSError):  # a file system without locks
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
     finally:
+        with suppress(OSError):
+            path.unlink(missing_ok=True)
+            # unlocked explicitly, since a child process may have it open
+            fcntl.flock(lock, fcntl.LOCK_UN)
         os.close(lock)
-
-
-def _locks(lock: int, end: float) -> bool:
-    """Try to lock an open file until a time of ``time.monotonic``. Returns whether it could be locked."""
-    while True:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            if time.monotonic() > end:
-                return False
-            time.sleep(_LOOK_EVERY)
-        except OSError:
-            return False
-        else:
-            return True

@@ -152,8 +152,6 @@ CACHE_VERSION = 12
 #: Level of compression in the cache. It takes a tenth of the time of the best level, for files of 1.2 times
 #: the size.
 _LEVEL = 1
-#: Seconds that a process waits for another process that makes the same human.
-_LONGEST_WAIT = 60.0
 #: Most files in the cache, about 1 MB each. The least recently used are deleted.
 MAX_HUMANS = 100
 #: Most files in the cache that were used within the second value (seconds). They stay although there are more
@@ -183,7 +181,7 @@ def cached(key: str, name: str, make: Callable[[], Human]) -> Human:
     path = folder / f"{name[:40]}-{key}.npz"
     human = _read(path)
     if human is None:
-        with only_one_process(path.with_suffix(".lock"), _LONGEST_WAIT):
+        with only_one_process(path.with_suffix(".lock")):
             human = _read(path) or _made_in(path, make)
     return replace(human, name=name)
 

@@ -63,25 +63,13 @@ def solid(mesh: Mesh, spacing: float) -> Volume:
     surface = np.zeros(tuple(shape), dtype=bool)
     surface[tuple(np.rint((points - low) / spacing).astype(np.intp).T)] = True
     sides, enclosed = np.zeros(surface.shape, dtype=np.uint8), np.zeros(surface.shape, dtype=bool)
+    plane = scipy.ndimage.generate_binary_structure(2, 1)
     for axis in range(3):
         sides += np.logical_or.accumulate(surface, axis=axis)
         sides += np.flip(np.logical_or.accumulate(np.flip(surface, axis), axis=axis), axis)
-        enclosed |= _enclosed(surface, axis)
+        across = np.moveaxis(plane[np.newaxis], 0, axis)
+        enclosed |= scipy.ndimage.binary_fill_holes(surface, across)
     return Volume(surface | (enclosed & (sides >= _SIDES)), low, spacing)
-
-
-def _enclosed(surface: NDArray[np.bool_], axis: int) -> NDArray[np.bool_]:
-    """Voxels that cannot be reached from the border within slices across an axis."""
-    neighbours = np.array(scipy.ndimage.generate_binary_structure(3, 1))
-    index = [slice(None)] * 3
-    for side in (0, 2):
-        index[axis] = slice(side, side + 1)
-        neighbours[tuple(index)] = False
-    # the border is empty, so the outside of a slice has the label of its corner
-    label, _ = scipy.ndimage.label(~surface, structure=neighbours)
-    corner = [slice(0, 1)] * 3
-    corner[axis] = slice(None)
-    return np.asarray(~surface & (label != label[tuple(corner)]))
 
 
 def surface_points(mesh: Mesh, spacing: float) -> Array:

@@ -27,48 +27,8 @@ from humansim_ros.people.makehuman.data import SOURCE
 from humansim_ros.people.rigging.landmarks import SKIN_VERTICES, is_makehuman
 from humansim_ros.types import Array, Indices
 
-
-def _between(first: Mapping[str, float], second: Mapping[str, float], share: float) -> dict[str, float]:
-    """Shares of points in the point that lies ``share`` of the way from the first to the second."""
-    joints = dict.fromkeys((*first, *second), 0.0)
-    for point, part in ((first, 1 - share), (second, share)):
-        for joint, weight in point.items():
-            joints[joint] += part * weight
-    return joints
-
-
-_HIPS: Mapping[str, float] = {"l_hip": 0.5, "r_hip": 0.5}
-_SHOULDERS: Mapping[str, float] = {"l_shoulder": 0.5, "r_shoulder": 0.5}
-_NECK: Mapping[str, float] = {"vt3": 1.0}
-_CROWN: Mapping[str, float] = {"vt3_end": 1.0}
-_NECK_BASE = _between(_SHOULDERS, _NECK, 0.5)
-
-
-#: Points on both sides of the body: the joints before and after the point, and its share of the way between.
-_ON_SIDES = {
-    "collar": ("sternoclavicular", "shoulder", 0.35),
-    "palm": ("wrist", "wrist_end", 0.35),
-    "foot_ball": ("ankle", "ankle_end", 0.6),
-}
-#: Shares of joints in each point between joints. SMPL's shares are measured on its mean body, between hips
-#: and neck. The middle of the skull is that of the skeleton of Human3.6M.
-MIXES: Mapping[str, Mapping[str, float]] = {
-    "mid_hip": _HIPS,
-    "mid_shoulder": _SHOULDERS,
-    "neck_base": _NECK_BASE,
-    "spine_middle": _between(_HIPS, _NECK_BASE, 0.5),
-    "skull_middle": _between(_NECK, _CROWN, 0.5),
-    "pelvis": _between(_HIPS, _NECK, 0.15),
-    "spine_1": _between(_HIPS, _NECK, 0.33),
-    "spine_2": _between(_HIPS, _NECK, 0.55),
-    "spine_3": _between(_HIPS, _NECK, 0.64),
-    "head_joint": _between(_NECK, _CROWN, 0.3),
-    **{
-        f"{side}_{point}": _between({f"{side}_{first}": 1.0}, {f"{side}_{second}": 1.0}, share)
-        for side in "lr"
-        for point, (first, second, share) in _ON_SIDES.items()
-    },
-}
+#: Shares of joints in each point between joints (docs/keypoints.md says how they were chosen).
+MIXES: Mapping[str, Mapping[str, float]] = read_table("keypoint_mixes")
 
 
 @dataclass(frozen=True)

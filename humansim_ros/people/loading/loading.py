@@ -41,6 +41,7 @@ from humansim_ros.files.reading import (
     missing_file,
     only_one_process,
     read_bytes,
+    read_table,
     resolve_relative,
     resource_path,
 )
@@ -84,19 +85,7 @@ _Metres = Annotated[float, Field(ge=-10, le=10)]
 BodyPoint = tuple[_Metres, _Metres, _Metres]
 
 #: Outfits for a mesh without colours. With them, person detectors recognise it.
-DEFAULT_OUTFITS = {
-    "blue": Clothes(),
-    "red": Clothes(
-        skin=(150, 104, 78), hair=(28, 24, 24), shirt=(168, 58, 52), trousers=(96, 84, 66), shoes=(70, 46, 30)
-    ),
-    "green": Clothes(
-        skin=(232, 190, 166),
-        hair=(140, 96, 54),
-        shirt=(70, 124, 78),
-        trousers=(44, 46, 52),
-        shoes=(120, 116, 110),
-    ),
-}
+DEFAULT_OUTFITS = {name: Clothes(**row) for name, row in read_table("mesh_outfits").items()}
 
 
 class MeshHuman(Section):

@@ -131,9 +131,11 @@ def _reading(file: CalibrationFile, poses: list[FilePose]) -> tuple[int, str]:
     unclear = [pose for pose in poses if not pose.clear]
     if not unclear:
         return 0, ""
+    stated = str(file.get("convention") or file.get(0, "convention") or "").strip().lower()
+    if stated in _ALLOWED:  # "shelf" of a format: the views may contradict
+        unclear = [replace(pose, kind=stated) for pose in unclear]
     kind = unclear[0].kind
     first = _ALLOWED[kind][0]
-    stated = str(file.get("convention") or file.get(0, "convention") or "").strip().lower()
     if stated in _STATED:
         return _STATED[stated], ""
     keys = " and ".join(

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,23 +27,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.cameras.camera.camera import Camera, pinhole
-from humansim_ros.cameras.camera.lens import MODELS
-from humansim_ros.cameras.formats.base import (
-    FLIP,
-    CalibrationFile,
-    Keys,
-    Place,
-    RawCamera,
-    camera_at,
-    has_keys,
-    opencv_model,
-    reader_of,
-    without_suffix,
-)
+from humansim_ros.cameras.formats.base import FLIP, CalibrationFile, Keys, without_suffix
 from humansim_ros.cameras.formats.checks import IMAGE_SIZES, size_of_named_image
-from humansim_ros.cameras.formats.conventions import FilePose, find_unit, resolved, stated_unit
-from humansim_ros.cameras.formats.spellings import role_of
-from humansim_ros.cameras.formats.table import Values, calibration_format, json_file, nested
+from humansim_ros.cameras.formats.conventions import stated_unit
+from humansim_ros.cameras.formats.table import Cameras, Values, calibration_format, json_file, nested
 from humansim_ros.errors import CameraError, warn_about
 from humansim_ros.types import Array, ImageSize
 
@@ -50,35 +38,20 @@ from humansim_ros.types import Array, ImageSize
 
 #: Image sizes of the cameras by their serial numbers.
 _H36M_SIZES: dict[str, ImageSize] = {serial: (w, h) for serial, (w, h) in IMAGE_SIZES["human36m"].items()}
-#: Keys of lens and focal lengths in files of Shelf and Campus. One of these keys identifies a file.
-_SHELF_INTRINSICS = {"k", "p", "f"}
 _PANEL_AND_NODE = re.compile(r"([0-9]{2})_([0-9]{2})")
 _SUBJECT = re.compile(r"(S[0-9]+)_(.+)", re.DOTALL)
 
 
-def _is_h36m(file: CalibrationFile) -> bool:
-    inner, outer = file.get("intrinsics"), file.get("extrinsics")
-    whole = isinstance(inner, dict) and isinstance(outer, dict)
-    return whole and any(map(has_keys({"calibration_matrix"}), inner.values()))
-
-
-def _read_h36m(file: CalibrationFile) -> dict[str, RawCamera]:
-    cameras: dict[str, RawCamera] = {}
-    subjects = file.mapping("extrinsics")
+def _h36m(file: CalibrationFile) -> Cameras:
+    cameras: dict[str, dict[str, Any]] = {}
+    lenses, subjects = file.mapping("intrinsics"), file.mapping("extrinsics")
     for subject in subjects:
         for name in file.mapping("extrinsics", subject):
-            if name not in file.mapping("intrinsics"):
+            if name not in lenses:
                 raise file.error("has no intrinsics", "extrinsics", subject, name)
-            inner, outer = ("intrinsics", name), ("extrinsics", subject, name)
-            for keys in ((*inner, "distortion"), (*outer, "R")):
-                file.need(*keys)
-            places: dict[str, Place] = {
-                "K": (*inner, "calibration_matrix"),
-                "distortion": (*inner, "distortion"),
-            }
-            places |= {"R": (*outer, "R"), "t": (*outer, "t")}
-            camera = camera_at(file, (), places, size=_H36M_SIZES.get(str(name)), model="plumb_bob")
-            file.add(cameras, name if len(subjects) == 1 else f"{subject}_{name}", camera)
+            one = {**file.mapping("intrinsics", name), **file.mapping("extrinsics", subject, name)}
+            one["size"] = _H36M_SIZES.get(str(name))
+            cameras[name if len(subjects) == 1 else f"{subject}_{name}"] = one
     return cameras
 
 
@@ -99,59 +72,12 @@ def _write_h36m(cameras: Mapping[str, Camera]) -> dict[str, str]:
     return json_file({"intrinsics": intrinsics, "extrinsics": extrinsics})
 
 
-# -- Shelf and Campus: x = R (X - T), where T is the camera centre; millimetres, z up
-
-
-def _shelf_camera(file: CalibrationFile, at: Keys) -> RawCamera:
-    own: dict[str, Any] = {}
-    if file.has(*at, "f") and not file.has(*at, "fx"):  # arrays as VoxelPose writes them
-        own["K"] = pinhole(*file.numbers((2,), *at, "f"), *file.numbers((2,), *at, "c"))
-    size = file.pair_size(*at, "imgSize")
-    if size is None and file.has(*at, "width") and file.has(*at, "height"):
-        size = file.size((*at, "width"), (*at, "height"))
-    radial, tangential = (
-        file.numbers((count,), *at, key) if file.has(*at, key) else np.zeros(count)
-        for key, count in (("k", 3), ("p", 2))
-    )
-    places = {"K": "fx fy cx cy", "R": "R", "center": "T", "distortion": "k"}
-    lens = (*radial[:2], *tangential, radial[2])
-    return camera_at(file, at, places, **own, size=size, distortion=lens, model="plumb_bob")
-
-
-_is_shelf, _read_as_shelf = reader_of(
-    has_keys({"R"}, {"T"}, _SHELF_INTRINSICS), has_keys({"R", "T", "fx", "f"}), _shelf_camera
-)
-
-
-def _read_shelf(file: CalibrationFile) -> dict[str, RawCamera]:
-    """Cameras with R and T as VoxelPose defines them, unless the file or the views contradict."""
-    cameras = _read_as_shelf(file)
-    poses = {
-        name: FilePose(
-            camera.R, camera.position, "shelf", False, {part: camera.locations[part] for part in ("R", "t")}
-        )
-        for name, camera in cameras.items()
-        if camera.R is not None
-    }
-    return {**cameras, **resolved(file, cameras, poses)}
+H36M = calibration_format("human36m", write=_write_h36m, arrange=_h36m)
+#: Shelf and Campus: x = R (X - T), where T is the camera centre, unless the file or the views contradict.
+SHELF = calibration_format("shelf", find_unit=lambda file, _: stated_unit(file) or 0.001)
 
 
 # -- CMU Panoptic: x = R X + t in centimetres, y down
-
-
-def _is_panoptic(file: CalibrationFile) -> bool:
-    cameras = file.get("cameras")
-    own = has_keys({"K"}, {"distCoef", "panel"}), has_keys({"K"}, {"type"}, {"resolution"})
-    return isinstance(cameras, list) and any(is_own(camera) for camera in cameras for is_own in own)
-
-
-def _read_panoptic(file: CalibrationFile) -> dict[str, RawCamera]:
-    cameras: dict[str, RawCamera] = {}
-    places = {"K": "K", "R": "R", "t": "t", "distortion": "distCoef", "size": "resolution"}
-    for at in file.paths("cameras"):
-        camera = camera_at(file, at, places, model="plumb_bob")
-        file.add(cameras, str(file.need(*at, "name")), camera, *at)
-    return cameras
 
 
 def _panoptic_values(own: Values, camera: Camera) -> Values:
@@ -161,39 +87,7 @@ def _panoptic_values(own: Values, camera: Camera) -> Values:
     return {"type": "hd" if camera.size == (1920, 1080) else "vga", "panel": panel, "node": node}
 
 
-H36M = calibration_format("human36m", _is_h36m, _read_h36m, _write_h36m)
-SHELF = calibration_format(
-    "shelf", _is_shelf, _read_shelf, find_unit=lambda file, _: stated_unit(file) or 0.001
-)
-PANOPTIC = calibration_format("panoptic", _is_panoptic, _read_panoptic, values=_panoptic_values)
-
-
-_PARTS = {"matrix", "rotation", "translation", "distortions"}
-
-
-def _camera_anipose(file: CalibrationFile, at: Keys) -> RawCamera:
-    places = {
-        "K": "matrix",
-        "rvec": "rotation",
-        "t": "translation",
-        "size": "size",
-        "distortion": "distortions",
-    }
-    lens = file.optional_numbers(*at, "distortions")
-    for present, missing in (("rotation", "translation"), ("translation", "rotation")):
-        if file.has(*at, present) and not file.has(*at, missing):
-            raise file.error(f"needs {missing} as well", *at, present)
-    return camera_at(file, at, places, distortion=lens, model=_anipose_model(file, at, lens))
-
-
-def _anipose_model(file: CalibrationFile, at: Keys, distortion: Array) -> str:
-    fisheye = file.get(*at, "fisheye")
-    if fisheye is not None and not isinstance(fisheye, bool):
-        raise file.error("needs true or false", *at, "fisheye")
-    model = "equidistant" if fisheye else opencv_model(distortion)
-    if len(distortion) >= 4 or model == "equidistant":
-        file.check_count(model, distortion, (*at, "distortions"))
-    return model
+PANOPTIC = calibration_format("panoptic", values=_panoptic_values)
 
 
 def _anipose_values(own: Values, camera: Camera) -> Values:
@@ -204,43 +98,7 @@ def _anipose_values(own: Values, camera: Camera) -> Values:
     return {"quoted": f'"{escaped}"', "fisheye": str(camera.model == "equidistant").lower()}
 
 
-ANIPOSE = calibration_format(
-    "anipose",
-    *reader_of(has_keys({"matrix"}), has_keys(_PARTS), _camera_anipose, named=True),
-    values=_anipose_values,
-    find_unit=find_unit,
-)
-
-
-#: Keys of the lens, in order of precedence.
-_LENS = ("distCoeff", "distCoeffs", "distCoef", "distortion_coefficients", "D")
-
-
-#: Keys of a camera. If a camera has other parameters, the file has another format.
-_OWN = {"K", "RT", "R", "T", "t", "imgSize", "name", "id", *_LENS}
-
-
-def _is_camera(value: object) -> bool:
-    if not isinstance(value, dict) or "K" not in value or value.keys().isdisjoint(("RT", "imgSize")):
-        return False
-    return not any(role_of(key) for key in value.keys() - _OWN)
-
-
-def _camera_association(file: CalibrationFile, at: Keys) -> RawCamera:
-    whole = file.has(*at, "RT")
-    shift = "RT" if whole else file.first(at, "T", "t") or "T"
-    lens = next((key for key in _LENS if file.get(*at, key) not in (None, [])), _LENS[0])
-    places = {"K": "K", "rvec": "RT" if whole else "R", "t": shift, "distortion": lens, "size": "imgSize"}
-    if not whole:
-        return camera_at(file, at, places)
-    rows = 4 if len(file.some_numbers(*at, "RT")) == 16 else 3
-    matrix = file.pose_matrix(*at, "RT", rows=rows)
-    return camera_at(file, at, places, R=matrix[:3, :3], t=matrix[:3, 3])
-
-
-ASSOCIATION = calibration_format(
-    "4dassociation", *reader_of(_is_camera, has_keys({"K", "RT"}), _camera_association)
-)
+ANIPOSE = calibration_format("anipose", values=_anipose_values)
 
 
 # -- transforms.json
@@ -249,7 +107,7 @@ ASSOCIATION = calibration_format(
 _NERF_SIZE = (800, 800)
 #: Folder of the images in most files. It is not part of a camera's name.
 _FOLDER = "images/"
-_COEFFICIENTS = ("k1", "k2", "k3", "k4", "p1", "p2")
+_KEPT = ("cx", "cy", "k1", "k2", "k3", "k4", "p1", "p2", "transform_matrix")
 #: Names of lens models in ``camera_model``.
 _COLMAP_LENSES = {
     **dict.fromkeys(("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "RADIAL", "SIMPLE_RADIAL"), "plumb_bob"),
@@ -257,24 +115,24 @@ _COLMAP_LENSES = {
 }
 
 
-def _is_transforms(file: CalibrationFile) -> bool:
-    frames = file.get("frames")
-    return isinstance(frames, list) and any(map(has_keys({"transform_matrix"}), frames))
-
-
-def _read_transforms(file: CalibrationFile) -> dict[str, RawCamera]:
-    cameras: dict[str, RawCamera] = {}
+def _transforms(file: CalibrationFile) -> Cameras:
+    """Frames with the values that the file gives for all frames, which have their own values first."""
+    shared = {key: value for key, value in file.mapping().items() if key != "frames"}
+    cameras: dict[str, dict[str, Any]] = {}
     assumed = False
-    for index, name in enumerate(_names(file)):
-        size = _size(file, index)
-        if size is None and file.given_size is None and _number(file, index, "cx") is None:
+    for at, name in zip(file.paths("frames"), _names(file), strict=True):
+        frame = replace(file, document={**shared, **file.mapping(*at)})
+        size = _size(frame)
+        if size is None and file.given_size is None and not frame.has("cx"):
             size, assumed = _NERF_SIZE, True
-        file.add(cameras, name, _frame_camera(file, index, size), "frames", index)
+        if name in cameras:
+            raise file.error(f"there are two cameras with the name {name!r}", *at)
+        cameras[name] = _frame(frame, size)
     if assumed:
         width, height = _NERF_SIZE
         message = f"w and h are missing; {width}x{height} is assumed, as in the synthetic scenes of NeRF"
         warn_about(file.path, message)
-    return cameras
+    return {"origin": "corner", **cameras}
 
 
 def _names(file: CalibrationFile) -> list[str]:
@@ -288,88 +146,48 @@ def _names(file: CalibrationFile) -> list[str]:
     return names
 
 
-def _frame_camera(file: CalibrationFile, index: int, size: ImageSize | None) -> RawCamera:
-    keys = ("frames", index, "transform_matrix")
-    rows = 3 if len(file.some_numbers(*keys)) == 12 else 4
-    pose = file.pose_matrix(*keys, rows=rows, tolerance=1e-6)
-    k = _matrix(file, index, file.given_size or size)
-    model, lens = _frame_lens(file, index)
-    locations = file.locations(keys[:2], R=keys[2], t=keys[2]) | {
-        "K": file.location(*_keys(file, index, "fl_x"))
-    }
-    return RawCamera(
-        k, FLIP @ pose[:3, :3].T, np.zeros(3), pose[:3, 3], size, lens, model, locations=locations
-    )
-
-
-def _keys(file: CalibrationFile, index: int, key: str) -> Keys:
-    """Key path of a value of a frame: in the frame or, if it is for all frames, at the top of the file."""
-    own = ("frames", index, key)
-    return own if file.has(*own) else (key,)
-
-
-def _number(file: CalibrationFile, index: int, key: str) -> float | None:
-    keys = _keys(file, index, key)
-    return file.number(*keys) if file.has(*keys) else None
-
-
-def _size(file: CalibrationFile, index: int) -> ImageSize | None:
-    width, height = _keys(file, index, "w"), _keys(file, index, "h")
-    if file.has(*width) or file.has(*height):
-        return file.size(width, height)
-    image, folder = str(file.get("frames", index, "file_path") or ""), Path(file.path).parent
+def _size(frame: CalibrationFile) -> ImageSize | None:
+    if frame.has("w") or frame.has("h"):
+        return frame.size(("w",), ("h",))
+    image, folder = str(frame.get("file_path") or ""), Path(frame.path).parent
     return size_of_named_image(folder, image) or size_of_named_image(folder, f"{image}.png")
 
 
-def _matrix(file: CalibrationFile, index: int, size: ImageSize | None) -> Array:
-    """K of a frame. ``size`` is needed if the file has an angle of view in place of a focal length, or no
-    principal point."""
-    width, height = size or (None, None)
-    given = _focal_length(file, index, "x", width), _focal_length(file, index, "y", height)
+def _frame(frame: CalibrationFile, size: ImageSize | None) -> dict[str, Any]:
+    """Camera of a frame. ``size`` is needed if the file has an angle of view in place of a focal length, or
+    no principal point."""
+    width, height = frame.given_size or size or (None, None)
+    given = _focal_length(frame, "x", width), _focal_length(frame, "y", height)
     lengths = [length for length in given if length is not None]
     if not lengths:
-        raise file.error("is missing: give fl_x, or camera_angle_x", *_keys(file, index, "fl_x"))
-    cx, cy = _number(file, index, "cx"), _number(file, index, "cy")
-    if (cx is None or cy is None) and size is None:
-        raise file.error("is missing", *_keys(file, index, "cx" if cx is None else "cy"))
-    cx = (width or 0) / 2 if cx is None else cx
-    cy = (height or 0) / 2 if cy is None else cy
-    return pinhole(lengths[0], lengths[-1], cx - 0.5, cy - 0.5)
-
-
-def _focal_length(file: CalibrationFile, index: int, axis: str, side: int | None) -> float | None:
-    length, angle = _number(file, index, f"fl_{axis}"), _number(file, index, f"camera_angle_{axis}")
-    if length is not None or angle is None:
-        return length
-    keys = _keys(file, index, f"camera_angle_{axis}")
-    if not 0 < angle < np.pi:
-        raise file.error(f"must be an angle between 0 and pi radians, not {angle:g}", *keys)
-    if side is None:
-        raise file.error("needs w and h as well", *keys)
-    return float(side / 2 / np.tan(angle / 2))
-
-
-def _frame_lens(file: CalibrationFile, index: int) -> tuple[str, tuple[float, ...]]:
-    keys = _keys(file, index, "camera_model")
-    word = file.get(*keys)
-    fisheye = file.get(*_keys(file, index, "is_fisheye")) is True
-    model = "equidistant" if fisheye else "plumb_bob"
+        raise frame.error("is missing: give fl_x, or camera_angle_x", "fl_x")
+    middle = {} if width is None or height is None else {"cx": width / 2, "cy": height / 2}
+    word = frame.get("camera_model")
+    model = "equidistant" if frame.get("is_fisheye") is True else "plumb_bob"
     if word is not None:
         if str(word).upper() not in _COLMAP_LENSES:
             message = f"unknown camera model {str(word)[:40]!r}; known are {', '.join(_COLMAP_LENSES)}"
-            raise file.error(message, *keys)
+            raise frame.error(message, "camera_model")
         model = _COLMAP_LENSES[str(word).upper()]
-    values = {key: _number(file, index, key) or 0.0 for key in _COEFFICIENTS}
-    for key in set(_COEFFICIENTS) - set(MODELS[model]):
-        if values[key]:
-            raise file.error(f"is not supported by a {model} lens", *_keys(file, index, key))
-    return model, tuple(values[key] for key in MODELS[model])
+    own = {key: frame.get(key) for key in _KEPT if frame.has(key)}
+    return {"fl_x": lengths[0], "fl_y": lengths[-1], **middle, **own, "size": size, "model": model}
+
+
+def _focal_length(frame: CalibrationFile, axis: str, side: int | None) -> float | None:
+    length, angle = f"fl_{axis}", f"camera_angle_{axis}"
+    if frame.has(length) or not frame.has(angle):
+        return frame.number(length) if frame.has(length) else None
+    value = frame.number(angle)
+    if not 0 < value < np.pi:
+        raise frame.error(f"must be an angle between 0 and pi radians, not {value:g}", angle)
+    if side is None:
+        raise frame.error("needs w and h as well", angle)
+    return float(side / 2 / np.tan(value / 2))
 
 
 TRANSFORMS = calibration_format(
     "transforms",
-    _is_transforms,
-    _read_transforms,
+    arrange=_transforms,
     values=lambda own, camera: {"lens": "OPENCV_FISHEYE" if camera.model == "equidistant" else "OPENCV"},
 )
 
@@ -389,7 +207,17 @@ def _blender_value(file: CalibrationFile, at: Keys, key: str, otherwise: float |
     return float(file.numbers((), *(found or (*at, key))))
 
 
-def _blender_camera(file: CalibrationFile, at: Keys) -> RawCamera:
+def _blender(file: CalibrationFile, at: Keys = ()) -> Any:
+    """The value at a key path, with each camera in it in place of the values of bpy."""
+    value = file.get(*at)
+    if isinstance(value, Mapping):
+        if not _BLENDER_POSE.isdisjoint(value) and not _BLENDER_LENS.isdisjoint(value):
+            return _blender_camera(file, at)
+        return {key: _blender(file, (*at, key)) for key in value}
+    return [_blender(file, one) for one in file.paths(*at)] if isinstance(value, list) else value
+
+
+def _blender_camera(file: CalibrationFile, at: Keys) -> dict[str, Any]:
     sides = [_blender_value(file, at, f"resolution_{axis}") for axis in "xy"]
     percent = _blender_value(file, at, "resolution_percentage", 100.0) / 100
     width, height = (round(side * percent) for side in sides)
@@ -417,9 +245,9 @@ def _blender_camera(file: CalibrationFile, at: Keys) -> RawCamera:
     cx = width / 2 - _blender_value(file, at, "shift_x", 0.0) * view - 0.5
     cy = height / 2 + _blender_value(file, at, "shift_y", 0.0) * view / aspect - 0.5
     k, (rotation, center) = pinhole(focal, focal / aspect, cx, cy), _blender_pose(file, at)
-    part = "matrix_world" if file.has(*at, "matrix_world") else "location"
-    places = {"K": key, "R": part, "center": part}
-    return camera_at(file, at, places, K=k, R=FLIP @ rotation.T, center=center, size=(width, height))
+    pose = {"R_w2c": nested(FLIP @ rotation.T), "center": nested(center)}
+    names = {key: file.get(*at, key) for key in ("name", "camera") if file.has(*at, key)}
+    return {**names, "K": nested(k), **pose, "width": width, "height": height}
 
 
 def _blender_pose(file: CalibrationFile, at: Keys) -> tuple[Array, Array]:
@@ -447,10 +275,6 @@ def _blender_values(own: Values, camera: Camera) -> Values:
     }
 
 
-BLENDER = calibration_format(
-    "blender",
-    *reader_of(has_keys(_BLENDER_POSE, _BLENDER_LENS), has_keys(_BLENDER_POSE), _blender_camera),
-    values=_blender_values,
-)
+BLENDER = calibration_format("blender", arrange=_blender, values=_blender_values)
 
-FORMATS = (H36M, ASSOCIATION, PANOPTIC, SHELF, TRANSFORMS, ANIPOSE, BLENDER)
+FORMATS = (H36M, PANOPTIC, SHELF, TRANSFORMS, ANIPOSE, BLENDER)

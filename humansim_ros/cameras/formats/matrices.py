@@ -117,7 +117,7 @@ def read_matrices(
         file: File with intrinsics, or with all parameters.
         other: File with extrinsics. The cameras of both files have the same names, or the same number and
             order.
-        needs: Keys that each camera must have, in their usual spelling.
+        needs: Keys that each camera must have, with | between keys that replace each other.
 
     Raises:
         CameraError: A value is wrong, or there are no intrinsics or no extrinsics where they are needed.
@@ -154,10 +154,10 @@ def read_matrices(
 def _check_needed(entries: Mapping[str, Entry], needs: Sequence[str]) -> None:
     """Raise CameraError if the parameters of a camera lack one of the keys ``needs``."""
     *_, last = entries.values()
-    for key in needs:
-        if role_of(key) not in entries:
-            last.file.need(*last.keys[:-1], key)
-            raise last.file.error("has a wrong number of values", *last.keys[:-1], key)
+    for keys in needs:
+        key = keys.split("|")[0]
+        if entries.keys().isdisjoint(map(role_of, keys.split("|"))):
+            raise last.file.error("is missing", *last.keys[:-1], key)
 
 
 def read_poses(file: CalibrationFile) -> dict[str, RawCamera]:

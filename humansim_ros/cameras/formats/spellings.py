@@ -541,6 +541,17 @@ def _count(role: str, shape: _Shape) -> int | None:
     return shape[0] if each in counts else None
 
 
+def check_counts(file: CalibrationFile) -> None:
+    """Raise CameraError if a key of a camera parameter has a number of values that the parameter cannot
+    have."""
+    for keys, shape in leaves_of(file):
+        own = keys[:-1] if keys[-1:] == ("data",) else keys
+        counts = _COUNTS.get(role_of(own[-1]) or "", ()) if own else ()
+        if counts and not isinstance(shape, str) and _spelled(keys, shape) is None:
+            known = " or ".join(map(str, sorted(counts)))
+            raise file.error(f"needs {known} numbers, not {int(np.prod(shape))}", *own)
+
+
 def numbers_found(file: CalibrationFile, most: int = 4, least: int = 1) -> list[str]:
     """For messages: first unknown keys with at least ``least`` numbers in a document, and the shapes."""
     found: list[str] = []

@@ -6,7 +6,8 @@ read. The other keys say how a file is read and written. Where they do not suffi
 family adds functions with :func:`calibration_format`.
 
 ``known`` are patterns of keys that a file has; for plain text, patterns of path and text. ``only``: all keys
-of camera parameters that a file may have. ``needs``: keys that each camera must have. ``renamed``: by pattern
+of camera parameters that a file may have. ``needs``: keys that each camera must have, with | between keys
+that replace each other. ``shared``: values of all cameras that do not have their own. ``renamed``: by pattern
 of a key, its name here, with ' for a matrix in column order, or "" to leave the key out; a pattern with =
 matches a key and its value. ``direction`` of R and t, if their keys do not state it. If a row has no ``unit``
 (metres), the file or the extent of the rig decides.
@@ -37,15 +38,15 @@ from humansim_ros.cameras.camera.lens import MODELS
 from humansim_ros.cameras.formats.base import OPENGL, CalibrationFile, RawCamera
 from humansim_ros.cameras.formats.conventions import find_unit
 from humansim_ros.cameras.formats.matrices import read_matrices
-from humansim_ros.cameras.formats.spellings import keys_of, plain, role_of, unit_of_keys, words
+from humansim_ros.cameras.formats.spellings import check_counts, keys_of, plain, role_of, unit_of_keys, words
 from humansim_ros.errors import CameraError
 from humansim_ros.files.reading import read_table
 from humansim_ros.geometry import matrix_to_quaternion
 from humansim_ros.types import Array, ImageSize
 
 ROWS: Mapping[str, dict[str, Any]] = read_table("calibration_formats")
-#: Cameras by name, or in a list. Each is a mapping of keys.
-Cameras = dict[str, dict[str, Any]] | list[dict[str, Any]]
+#: Cameras by name, or in a list. Each is a mapping of keys. There may also be values of all cameras.
+Cameras = dict[str, Any] | list[dict[str, Any]]
 #: Names of the parameters of each lens with a name that does not list them.
 _LENSES = {"KannalaBrandtK3": "fx_fy_cx_cy_kb4", "Linear": "fx_fy_cx_cy"}
 _HALF_PIXEL = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
@@ -183,8 +184,10 @@ def _reader(row: Mapping[str, Any], arrange: Callable[[CalibrationFile], Cameras
         arranged = file if arrange is None else replace(file, document=arrange(file))
         document = plain(arranged, rewrite).document
         cameras = document if isinstance(document, dict) else {"cameras": document}
-        stated = {"convention": row.get("direction", "w2c"), **cameras}
-        read = read_matrices(replace(file, document=stated, renamed=back), needs=row.get("needs", ()))
+        stated = {"convention": row.get("direction", "w2c"), **row.get("shared", {}), **cameras}
+        file = replace(file, document=stated, renamed=back)
+        check_counts(file)
+        read = read_matrices(file, needs=row.get("needs", ()))
         if stated.get("origin") == "corner":
             read = {name: replace(c, K=c.K - _HALF_PIXEL) for name, c in read.items()}
         path = Path(file.path)

@@ -125,6 +125,8 @@ def read_matrices(
     file, other = _with_models(plain(file)), None if other is None else plain(other)
     files = (file,) if other is None else (file, other)
     found = find_parameters(*files)
+    for identity in _leaf_cameras(found, found.having(INTRINSIC | POSE)) if needs else ():
+        _check_needed(found.entries_of(identity), needs)
     if not found.having(INTRINSIC):
         raise CameraError(missing_parts(found), path=file.path)
     if other is not None and not find_parameters(other).having(POSE):
@@ -134,7 +136,6 @@ def read_matrices(
     cameras: dict[str, RawCamera] = {}
     poses: dict[str, FilePose] = {}
     for name, (entries, posed) in pairs.items():
-        _check_needed(entries, needs)
         camera = _intrinsics(file, entries)
         pose = None if "P" in entries and "K" not in entries else _pose(posed)
         file.add(cameras, name, camera)

@@ -22,7 +22,6 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -31,17 +30,16 @@ import numpy as np
 
 from humansim_ros.cameras.camera.camera import Camera, pinhole
 from humansim_ros.cameras.formats.base import (
-    FLIP,
     MAX_CAMERAS,
     CalibrationFile,
     Keys,
     RawCamera,
     SourceLocation,
-    camera_at,
+    is_number,
 )
 from humansim_ros.cameras.formats.conventions import fitted_lens
 from humansim_ros.cameras.formats.spellings import SCALARS, role_of
-from humansim_ros.cameras.formats.table import Values, calibration_format, row
+from humansim_ros.cameras.formats.table import Cameras, Values, calibration_format, nested, row
 from humansim_ros.errors import CameraError, some_of, warn_about
 from humansim_ros.geometry import matrix_to_quaternion
 from humansim_ros.types import Array, ImageSize
@@ -49,15 +47,14 @@ from humansim_ros.types import Array, ImageSize
 # -- Vicon
 
 
-def _read_vicon(file: CalibrationFile) -> dict[str, RawCamera]:
-    cameras: dict[str, RawCamera] = {}
+def _vicon(file: CalibrationFile) -> Cameras:
+    cameras: list[dict[str, Any]] = []
     skipped = []
-    for index, camera in enumerate(file.need("Cameras", "Camera")):
-        at: Keys = ("Cameras", "Camera", index)
-        name = str(camera.get("DEVICEID") or camera.get("USERID") or index)
+    for at in file.paths("Cameras", "Camera"):
+        name = str(file.get(*at, "DEVICEID") or file.get(*at, "USERID") or at[-1])
         frame = (*at, "KeyFrames", 0, "KeyFrame", 0)
         if file.has(*frame, "FOCAL_LENGTH"):
-            file.add(cameras, name, _vicon_camera(file, at, frame), *at)
+            cameras.append({"name": name, **_vicon_camera(file, at, frame)})
         else:
             skipped.append(name)
     if not cameras:
@@ -67,7 +64,7 @@ def _read_vicon(file: CalibrationFile) -> dict[str, RawCamera]:
     return cameras
 
 
-def _vicon_camera(file: CalibrationFile, at: Keys, frame: Keys) -> RawCamera:
+def _vicon_camera(file: CalibrationFile, at: Keys, frame: Keys) -> dict[str, Any]:
     size = file.size_of(file.words(2, *at, "SENSOR_SIZE"), *at, "SENSOR_SIZE")
     focal = file.words(1, *frame, "FOCAL_LENGTH")[0]
     ratio = file.words(1, *at, "PIXEL_ASPECT_RATIO")[0] if file.get(*at, "PIXEL_ASPECT_RATIO") else 1.0
@@ -76,9 +73,9 @@ def _vicon_camera(file: CalibrationFile, at: Keys, frame: Keys) -> RawCamera:
     k = pinhole(focal, focal / ratio, *file.words(2, *frame, "PRINCIPAL_POINT"))
     r = file.unit_rotation(file.words(4, *frame, "ORIENTATION"), *frame, "ORIENTATION")
     center = file.words(3, *frame, "POSITION")
-    places = {"K": "FOCAL_LENGTH", "R": "ORIENTATION", "center": "POSITION"}
     model, lens = _vicon_lens(file, frame, k, size)
-    return camera_at(file, frame, places, K=k, R=r, center=center, size=size, model=model, distortion=lens)
+    pose = {"R_w2c": nested(r), "center": nested(center)}
+    return {"K": nested(k), **pose, "size": size, "model": model, "distortion": list(lens)}
 
 
 def _vicon_lens(
@@ -109,127 +106,75 @@ def _vicon_lens(
     return lens.model, lens.coefficients
 
 
-VICON = calibration_format("vicon", lambda file: isinstance(file.get("Cameras", "Camera"), list), _read_vicon)
+VICON = calibration_format("vicon", arrange=_vicon)
 
 
 # -- OptiTrack Motive
 
-_MOTIVE: Keys = ("calibrationProfile", "Calibration", 0, "Cameras", 0, "Camera")
-_LENS = "k1 k2 TangentialX TangentialY k3"
-_ORIENT = " ".join(f"OrientMatrix{i}" for i in range(9))
 
-
-def _read_motive(file: CalibrationFile) -> dict[str, RawCamera]:
-    cameras: dict[str, RawCamera] = {}
-    unlike = []
-    for index, item in enumerate(file.need(*_MOTIVE)):
-        at: Keys = (*_MOTIVE, index)
-        name = str(item.get("Serial") or index)
-        standard = file.has(*at, "IntrinsicStandardCameraModel", 0)
-        inner: Keys = ("IntrinsicStandardCameraModel" if standard else "Intrinsic", 0)
-        places = {
-            "K": (*inner, "HorizontalFocalLength VerticalFocalLength LensCenterX LensCenterY"),
-            "R": ("Extrinsic", 0, _ORIENT),
-            "center": ("Extrinsic", 0, "X Y Z"),
-            "size": ("Attributes", 0, "ImagerPixelWidth ImagerPixelHeight"),
-        }
-        if standard:
-            places["distortion"] = (*inner, _LENS)
+def _motive(file: CalibrationFile) -> Cameras:
+    cameras, unlike = [], []
+    for at in file.paths("calibrationProfile", "Calibration", 0, "Cameras", 0, "Camera"):
+        camera = {"Serial": file.get(*at, "Serial"), **file.mapping(*at, "Attributes", 0)}
+        if file.has(*at, "IntrinsicStandardCameraModel", 0):
+            camera |= file.mapping(*at, "IntrinsicStandardCameraModel", 0)
         else:
-            unlike.append(name)
-        camera = camera_at(file, at, places, model="plumb_bob")
-        file.add(cameras, name, camera if camera.R is None else replace(camera, R=FLIP @ camera.R.T), *at)
+            unlike.append(str(camera["Serial"] or at[-1]))
+            lens = file.mapping(*at, "Intrinsic", 0)
+            camera |= {key: value for key, value in lens.items() if "Length" in key or "Center" in key}
+        cameras.append({**camera, **(file.get(*at, "Extrinsic", 0) or {})})
     if unlike:
         what = f"no IntrinsicStandardCameraModel of {some_of(unlike, 4)}"
         warn_about(file.path, f"{what}: the lens of Motive is not of OpenCV, and its distortion is left out")
     return cameras
 
 
-MOTIVE = calibration_format("motive", lambda file: isinstance(file.get(*_MOTIVE), list), _read_motive)
+MOTIVE = calibration_format("motive", arrange=_motive)
 
 
-# -- Theia3D
+# -- Theia3D and Qualisys
 
-#: Attributes of a camera of Theia3D and of Qualisys.
-_K = ("intrinsic", 0, "focalLengthU focalLengthV centerPointU centerPointV")
-_R = ("transform", 0, " ".join(f"r{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3)))
-_POSITION = ("transform", 0, "x y z")
-#: Keys of the coefficients in the order of ROS. Tangential coefficients have several spellings.
-_LENS_KEYS = (
-    *(("radialDistortion1",), ("radialDistortion2",)),
-    *(tuple(f"{word}Distortion{i}" for word in ("tangental", "tengential", "tangential")) for i in (1, 2)),
-    ("radialDistortion3",),
-)
 #: Largest side of a sensor in pixels. Qualisys counts 64 units per pixel.
 _LARGEST_SIDE = 12_000.0
-
-
-def _xml_cameras(file: CalibrationFile) -> list[Keys]:
-    """Key paths of the cameras in all groups of a file of Theia3D or Qualisys."""
-    return file.elements(("calibration",), "cameras", "camera") if _is_qualisys(file) else []
-
-
-def _xml_camera(file: CalibrationFile, at: Keys, shift: str, **own: Any) -> RawCamera:
-    """Camera with K in the unit of its element ``intrinsic``. ``shift``: ``t`` or ``center``, which x, y, z
-    are."""
-    keys = (file.first((*at, "intrinsic", 0), *names) for names in _LENS_KEYS)
-    lens = [0.0 if key is None else file.number(*at, "intrinsic", 0, key) for key in keys]
-    camera = camera_at(
-        file, at, {"K": _K, "R": _R, shift: _POSITION}, **own, distortion=lens, model="plumb_bob"
-    )
-    camera.K[0, 1] = file.number(*at, "intrinsic", 0, "skew", otherwise=0.0)
-    return camera
-
-
-def _is_theia(file: CalibrationFile) -> bool:
-    for at in _xml_cameras(file)[:1]:
-        try:
-            return 0 < float(file.get(*at, "intrinsic", 0, "sensorMaxU") or 0) < _LARGEST_SIDE
-        except (TypeError, ValueError):
-            return False
-    return False
-
-
-def _read_theia(file: CalibrationFile) -> dict[str, RawCamera]:
-    cameras: dict[str, RawCamera] = {}
-    for at in _xml_cameras(file):
-        inner = (*at, "intrinsic", 0)
-        sides = [
-            file.number(*inner, f"sensorMax{axis}") - file.number(*inner, f"sensorMin{axis}") for axis in "UV"
-        ]
-        # the side is 1919 or 1920
-        even = np.array([side + bool(side % 2) for side in sides])
-        camera = _xml_camera(file, at, "t", size=file.size_of(even, *inner, "sensorMaxU"))
-        file.add(cameras, str(file.get(*at, "serial") or len(cameras)), camera, *at)
-    return cameras
-
-
-THEIA = calibration_format("theia", _is_theia, _read_theia)
-
-
-# -- Qualisys
-
-#: Units of focal lengths and principal points per pixel.
 _SUBPIXELS = 64.0
 #: Elements with the window of the video on the sensor. The first one that a file has counts.
 _WINDOWS = ("fov_video", "fov_video_max", "fov_marker", "fov_marker_max")
 
 
-def _is_qualisys(file: CalibrationFile) -> bool:
-    return isinstance(file.get("calibration", "cameras"), list)
+def _is_theia(file: CalibrationFile) -> bool:
+    if not isinstance(file.get("calibration", "cameras"), list):
+        return False
+    at = next(iter(file.elements(("calibration",), "cameras", "camera")), ())
+    side = str(file.get(*at, "intrinsic", 0, "sensorMaxU"))
+    return is_number(side) and 0 < float(side) < _LARGEST_SIDE
 
 
-def _read_qualisys(file: CalibrationFile) -> dict[str, RawCamera]:
-    cameras: dict[str, RawCamera] = {}
-    for at in _xml_cameras(file):
-        corner, size = _window(file, at)
-        camera = _xml_camera(file, at, "center", size=size)
-        camera.K[:2] /= _SUBPIXELS
-        camera.K[:2, 2] -= corner
-        if camera.R is not None:
-            camera = replace(camera, R=FLIP @ camera.R)
-        name = str(file.get(*at, "serial") or "").strip() or str(len(cameras))
-        file.add(cameras, name, camera, *at)
+def _theia(file: CalibrationFile) -> Cameras:
+    cameras = []
+    for at in file.elements(("calibration",), "cameras", "camera"):
+        inner = (*at, "intrinsic", 0)
+        sides = [
+            file.number(*inner, f"sensorMax{axis}") - file.number(*inner, f"sensorMin{axis}") for axis in "UV"
+        ]
+        # the side is 1919 or 1920
+        size = [side + bool(side % 2) for side in sides]
+        pose = file.get(*at, "transform", 0) or {}
+        cameras.append({"serial": file.get(*at, "serial"), **file.mapping(*inner), **pose, "size": size})
+    return cameras
+
+
+def _qualisys(file: CalibrationFile) -> Cameras:
+    cameras = []
+    for at in file.elements(("calibration",), "cameras", "camera"):
+        inner = (*at, "intrinsic", 0)
+        (left, top), size = _window(file, at)
+        keys = ("focalLengthU", "focalLengthV", "centerPointU", "centerPointV")
+        fx, fy, cx, cy = (file.number(*inner, key) / _SUBPIXELS for key in keys)
+        skew = file.number(*inner, "skew", otherwise=0.0) / _SUBPIXELS
+        k = [[fx, skew, cx - left], [0, fy, cy - top], [0, 0, 1]]
+        lens = {key: value for key, value in file.mapping(*inner).items() if "Distortion" in key}
+        pose = file.get(*at, "transform", 0) or {}
+        cameras.append({"serial": file.get(*at, "serial"), "K": k, "size": size, **lens, **pose})
     return cameras
 
 
@@ -253,7 +198,8 @@ def _qualisys_values(own: Values, camera: Camera) -> Values:
     return {**lens, "right": own["width"] - 1, "bottom": own["height"] - 1}
 
 
-QUALISYS = calibration_format("qualisys", _is_qualisys, _read_qualisys, values=_qualisys_values)
+THEIA = calibration_format("theia", matches=_is_theia, arrange=_theia)
+QUALISYS = calibration_format("qualisys", arrange=_qualisys, values=_qualisys_values)
 
 
 # -- DLT
@@ -317,52 +263,34 @@ DLT = calibration_format("dlt", _is_dlt, _read_dlt, _write_dlt)
 
 # -- Ego-Exo4D
 
-_EGO = (
-    *("cam_uid", "tx_world_cam", "ty_world_cam", "tz_world_cam"),
+_EGO_NUMBERS = (
+    *("tx_world_cam", "ty_world_cam", "tz_world_cam"),
     *("qx_world_cam", "qy_world_cam", "qz_world_cam", "qw_world_cam"),
-    *("image_width", "image_height", "intrinsics_type"),
+    *("image_width", "image_height"),
     *(f"intrinsics_{i}" for i in range(8)),
 )
-_EGO_LENS = ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4")
 
 
-def _is_ego(file: CalibrationFile) -> bool:
-    head = file.head[0] if file.head else ""
-    return "cam_uid" in head and "tx_world_cam" in head
-
-
-def _read_ego(file: CalibrationFile) -> dict[str, RawCamera]:
+def _ego(file: CalibrationFile) -> Cameras:
     lines = list(islice(file.lines(), MAX_CAMERAS + 1))
     head = [word.strip() for word in next(csv.reader([lines[0][1]]))]
-    absent = [key for key in _EGO if key not in head]
+    absent = [key for key in ("cam_uid", *_EGO_NUMBERS, "intrinsics_type") if key not in head]
     if absent:
         raise file.error(f"columns are missing: {some_of(absent)}", line=lines[0][0])
-    cameras: dict[str, RawCamera] = {}
+    cameras = []
     for line, text in lines[1:]:
         words = next(csv.reader([text]))
         if len(words) != len(head):
             raise file.error(f"needs {len(head)} values as the header, not {len(words)}", line=line)
         cells = dict(zip(head, (word.strip() for word in words), strict=True))
-        name, lens_type = cells["cam_uid"], cells["intrinsics_type"]
+        lens_type = cells["intrinsics_type"]
         if lens_type != "KANNALABRANDTK3":
             message = f"{lens_type[:40]!r} is not a supported lens; known is KANNALABRANDTK3"
             raise file.error(message, "intrinsics_type", line=line)
-        numbers = {
-            key: file.row([cells[key]], line, key)[0]
-            for key in _EGO
-            if key not in ("cam_uid", "intrinsics_type")
-        }
-        x, y, z, *xyzw, width, height, fx, fy, cx, cy, k1, k2, k3, k4 = numbers.values()
-        camera = RawCamera(
-            pinhole(fx, fy, cx, cy),
-            file.unit_rotation(np.array(xyzw), line=line).T,
-            center=np.array([x, y, z]),
-            size=file.size_of(np.array([width, height])),
-            distortion=(k1, k2, k3, k4),
-            model="equidistant",
-            locations={"": SourceLocation(None, line)},
-        )
-        file.add(cameras, name, camera, line=line)
+        numbers = [file.row([cells[key]], line, key)[0] for key in _EGO_NUMBERS]
+        pose = {"position": numbers[:3], "quaternion_xyzw": numbers[3:7]}
+        lens = {"K": numbers[9:13], "distortion": numbers[13:], "model": "equidistant"}
+        cameras.append({"name": cells["cam_uid"], **pose, "size": numbers[7:9], **lens})
     if not cameras:
         raise file.error("the file has no cameras")
     return cameras
@@ -374,10 +302,13 @@ def _ego_values(own: Values, camera: Camera) -> Values:
         raise CameraError("this format has only the equidistant lens", key=name)
     if set(name) & set(',"'):
         raise CameraError("this format needs a name without commas and quotation marks", key=name)
-    numbers = (*camera.center, *matrix_to_quaternion(camera.R.T)), (*(own[key] for key in _EGO_LENS),)
+    numbers = (
+        (*camera.center, *matrix_to_quaternion(camera.R.T)),
+        [own[key] for key in ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4")],
+    )
     return {"pose": row(numbers[0], ","), "lens": row(numbers[1], ",")}
 
 
-EGOEXO = calibration_format("egoexo4d", _is_ego, _read_ego, values=_ego_values)
+EGOEXO = calibration_format("egoexo4d", arrange=_ego, values=_ego_values)
 
 FORMATS = (DLT, EGOEXO, MOTIVE, QUALISYS, THEIA, VICON)

@@ -1,4 +1,4 @@
-"""Formats whose cameras are not mappings of keys, and formats with keys in any usual spelling.
+"""Formats with cameras that are not mappings of keys, and with keys in any usual spelling.
 
 A function of this module makes mappings of the cameras of a file; their keys are those of the format's row in
 ``config/calibration_formats.json``.

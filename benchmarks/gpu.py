@@ -67,10 +67,8 @@ def works(
 
     def ours(number: int, *channels: str) -> None:
         bodies = [replace(body) for body in frames[number]]  # a new frame for the renderer, which caches them
-        requests = [RenderRequest(bodies, camera, channels) for camera in cameras]
-        renderer.prepare(requests)
-        for request in requests:
-            renderer.render_request(request)
+        for camera in cameras:
+            renderer.render_request(RenderRequest(bodies, camera, channels))
 
     return {
         "rgb, depth, instance, part": lambda number: ours(number, *CHANNELS),

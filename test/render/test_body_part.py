@@ -149,27 +149,6 @@ def test_the_default_channels_are_the_same_to_the_last_bit(woman: Human) -> None
         assert getattr(more, name).tobytes() == getattr(default, name).tobytes()
 
 
-@pytest.mark.slow
-def test_views_that_are_drawn_together_are_the_same(woman: Human, monkeypatch: pytest.MonkeyPatch) -> None:
-    from humansim_ros.render.device.target import RenderTargets
-    from humansim_ros.render.interface.renderer import RenderRequest
-
-    cameras = [CAMERA, Camera.look_at((-1.5, 1, 1.5), (2.2, 0, 0.8), CAMERA.size, 0.9)]
-    expected = [rendered(people(woman), camera).body_part for camera in cameras]
-    monkeypatch.setattr(RenderTargets, "together", lambda _, sizes: len(sizes))
-    bodies = people(woman)
-    with renderer_or_skip(ROOM) as renderer:
-        requests = [
-            RenderRequest(bodies, camera, channels)
-            for camera in cameras
-            for channels in (("part", "body_part"), ("rgb", "body_part"))
-        ]
-        renderer.prepare(requests)
-        views = [renderer.render_request(request) for request in requests]
-    for number, view in enumerate(views):
-        np.testing.assert_array_equal(view.body_part, expected[number // 2])
-
-
 def test_a_human_without_such_surfaces_is_drawn_once(monkeypatch: pytest.MonkeyPatch) -> None:
     drawn = []
     draw = GLRenderer._draw

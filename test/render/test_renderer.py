@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from render_scenes import EACH_RENDERER, EVEN, along_x, body, box, quad, renderer_or_skip, walkers, wall
 
 from humansim_ros.cameras import Camera
 from humansim_ros.errors import RenderError
 from humansim_ros.render import ALL_CHANNELS, CHANNELS, Body, Lighting, Renderer, RendererName, View
 from humansim_ros.render.device.context import OpenGLContext
-from humansim_ros.render.device.target import RenderTarget
 from humansim_ros.render.frame import static_layers
 from humansim_ros.render.frame.gl import make_renderer
 from humansim_ros.scene import Scene, Simulation
@@ -330,7 +328,7 @@ def test_images_that_stay_on_a_gpu_give_the_same_bytes(
 
 
 @pytest.mark.slow
-def test_cameras_that_are_drawn_together_give_the_same_bytes(
+def test_images_that_are_read_with_one_wait_have_the_same_bytes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """All channels, with a lens, an exposure, a camera that moves, and labelled objects that do not."""
@@ -352,19 +350,10 @@ def test_cameras_that_are_drawn_together_give_the_same_bytes(
         with Simulation(scene, ALL_CHANNELS) as simulation:
             return [view for frame in simulation.frames(2) for view in frame.views.values()]
 
-    plain, steps = views(), list[str]()
+    plain = views()
     as_on_gpu(monkeypatch)
-    draw = RenderTarget.read_together
-
-    def recorded(target: RenderTarget, names: Sequence[str], lit: bool) -> Callable[[], list[NDArray[Any]]]:
-        wait = draw(target, names, lit)
-        steps.append("drawn")
-        return lambda: steps.append("read") or wait()
-
-    monkeypatch.setattr(RenderTarget, "read_together", recorded)
     for one, other in zip(views(), plain, strict=True):
         assert_same(one, other, ALL_CHANNELS)
-    assert steps[:6] == [*["drawn"] * 5, "read"]
 
 
 def test_a_view_is_the_callers_own(room: Renderer, scene: Scene) -> None:

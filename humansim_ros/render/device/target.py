@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import accumulate
 from typing import Any, cast
 
 import moderngl
@@ -181,16 +180,11 @@ class RenderTarget:
         )
         return _image(name, pixels, self._read_of(name))
 
-    def read_together(self, names: Sequence[str], lit: bool) -> Callable[[], list[NDArray[Any]]]:
-        """Start to read several attachments, see :meth:`read`.
-
-        Returns:
-            A function that waits for the attachments. Until it is called, the target may be drawn into, but
-            not read.
-        """
+    def read_all(self, lit: bool) -> list[NDArray[Any]]:
+        """Read triangle ids, depths and, if ``lit``, colours, each as :meth:`read` does."""
+        names = ("triangle_id", "depth", "rgba")[: 2 + lit]
         if self._to_read is None:
-            images = [self.read(name, lit) for name in names]
-            return lambda: images
+            return [self.read(name, lit) for name in names]
         areas = [self._read_of(name) for name in names]
         sizes = [4 * area.shape[0] * area.shape[1] for area in areas]
         starts = [sum(sizes[:number]) for number in range(len(names))]
@@ -199,16 +193,11 @@ class RenderTarget:
             self._framebuffers[lit].read_into(
                 *(self._to_read, area.xywh, components, attachment, 1, dtype), write_offset=start
             )
-        buffer = self._to_read
-
-        def wait() -> list[NDArray[Any]]:
-            pixels = memoryview(buffer.read(sum(sizes)) if any(sizes) else b"")
-            return [
-                _image(name, pixels[start : start + size], area)
-                for name, area, start, size in zip(names, areas, starts, sizes, strict=True)
-            ]
-
-        return wait
+        pixels = memoryview(self._to_read.read(sum(sizes)) if any(sizes) else b"")
+        return [
+            _image(name, pixels[start : start + size], area)
+            for name, area, start, size in zip(names, areas, starts, sizes, strict=True)
+        ]
 
     def _read_of(self, name: str) -> Rectangle:
         """Rectangle of an attachment that is read."""
@@ -279,29 +268,20 @@ class SumOfImages:
             one.release()
 
 
-#: Most targets in the cache, most images that are drawn together, and most pixels of these images.
-_MAX_TARGETS, _TOGETHER, _TOGETHER_PIXELS = 64, 16, 1 << 25
+#: Most targets in the cache.
+_MAX_TARGETS = 64
 
 
-class RenderTargets(LruCache[tuple[ImageSize, int], RenderTarget]):
+class RenderTargets(LruCache[ImageSize, RenderTarget]):
     """A cache of targets to draw into, for the most recently used image sizes."""
 
     def __init__(self, context: OpenGLContext) -> None:
         super().__init__(_MAX_TARGETS, release=lambda target: target.release())
         self._context = context
 
-    def of(self, size: ImageSize, number: int = 0) -> RenderTarget:
-        """Return a target of an image size, which still has the image drawn before. ``size``: width and
-        height, pixels. ``number``: 0, or a different number for each image that is read after others are
-        drawn."""
+    def of(self, size: ImageSize) -> RenderTarget:
+        """Return the target of an image size (width and height, pixels). It still has the image drawn
+        before."""
         return self.get_or_make(
-            (size, number), lambda: RenderTarget(self._context.gl, size, self._context.on_processor)
+            size, lambda: RenderTarget(self._context.gl, size, self._context.on_processor)
         )
-
-    def together(self, sizes: Sequence[ImageSize]) -> int:
-        """Return how many images to draw before the first is read. ``sizes``: sizes of the images, in this
-        order. If OpenGL runs on the CPU, the number is 1, since a new image is still in the CPU's cache."""
-        if self._context.on_processor:
-            return 1
-        pixels = accumulate(width * height for width, height in sizes[:_TOGETHER])
-        return sum(total <= _TOGETHER_PIXELS for total in pixels)

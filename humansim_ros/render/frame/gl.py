@@ -14,7 +14,7 @@ same number of pixels in both.
 from __future__ import annotations
 
 import weakref
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
@@ -145,23 +145,6 @@ class GLRenderer(Renderer):
     def check_usable(self) -> None:
         self._context.check()
 
-    def prepare(self, requests: Sequence[RenderRequest]) -> None:
-        """Draw several requests before the first image is read, so that a GPU reads some images while it
-        draws others. Without a GPU this does nothing. The frames wait in the cache for :meth:`render`. Each
-        request has its own target, since in one large image the device would round positions differently."""
-        with self._context.current():
-            count = self._targets.together([request.camera.size for request in requests])
-            if count < 2:
-                return
-            self._bodies.release_unused()
-            waiting: list[Callable[[], RenderedFrame]] = []
-            for request in requests[:count]:
-                request.check(self)
-                for part, levels in self._parts(request):
-                    waiting.append(self._start(part, levels, len(waiting) + 1))
-            for wait in waiting:
-                wait()
-
     def render_request(self, request: RenderRequest) -> View:
         with self._context.current():
             self._bodies.release_unused()
@@ -184,7 +167,7 @@ class GLRenderer(Renderer):
     def _view(self, request: RenderRequest, levels: tuple[int, ...]) -> View:
         """Render the channels of a request. ``levels``: level of detail of each body; empty for full
         meshes."""
-        frame = self._start(request, levels)()
+        frame = self._frame(request, levels)
         adjacent: AdjacentFrames = {}
         for name in ADJACENT_NAMES:
             channels, other = comparing_with(name, request.channels), request.adjacent(name)
@@ -193,7 +176,7 @@ class GLRenderer(Renderer):
             other, rendered = replace(other, bodies=self._moving(other.bodies)), None
             if any(CHANNEL_TABLE[channel].occlusion for channel in channels):
                 # keep the channels of this frame, since it will be requested next
-                rendered = self._start(replace(request, bodies=other.bodies, camera=other.camera))()
+                rendered = self._frame(replace(request, bodies=other.bodies, camera=other.camera))
             adjacent = {**adjacent, name: (other, rendered)}
         return frame.view(request.bodies, request.channels, adjacent)
 
@@ -235,29 +218,21 @@ class GLRenderer(Renderer):
         static = {id(body) for body in self._static_bodies}
         return [body for body in bodies if id(body) not in static] if static else bodies
 
-    def _start(
-        self, request: RenderRequest, levels: tuple[int, ...] = (), number: int = 0
-    ) -> Callable[[], RenderedFrame]:
-        """Start to draw the frame of a request into target ``number``, unless the frame is cached. Returns a
-        function that waits for the images. ``levels``: as in :meth:`_view`."""
+    def _frame(self, request: RenderRequest, levels: tuple[int, ...] = ()) -> RenderedFrame:
+        """Frame of a request, from the cache or drawn now. ``levels``: as in :meth:`_view`."""
         bodies, camera, passes = request.bodies, request.camera, passes_of(request.channels)
         moving, backdrop = request.moving_camera, request.backdrop
         view = camera_key(camera), moving, id(backdrop), levels
         cached = self._frames.get(bodies, view)
         if cached is not None and cached.passes >= passes:
-            return lambda: cached
+            return cached
         layer = self._static.layer(camera, moving, backdrop, "lit" in passes)
-        read = self._render(bodies, passes, layer, self._targets.of(camera.size, number), camera, levels)
-
-        def wait() -> RenderedFrame:
-            frame = read()
-            if self._static_bodies:
-                frame.static_labels = self._static_labels(frame, moving)
-            if "uncovered" in passes:
-                frame.body_part = self._uncovered(frame, bodies, moving)
-            return self._frames.put(bodies, view, frame)
-
-        return wait
+        frame = self._render(bodies, passes, layer, self._targets.of(camera.size), camera, levels)
+        if self._static_bodies:
+            frame.static_labels = self._static_labels(frame, moving)
+        if "uncovered" in passes:
+            frame.body_part = self._uncovered(frame, bodies, moving)
+        return self._frames.put(bodies, view, frame)
 
     def _render(
         self,
@@ -268,9 +243,9 @@ class GLRenderer(Renderer):
         camera: Camera,
         levels: tuple[int, ...] = (),
         uncovered: bool = False,
-    ) -> Callable[[], RenderedFrame]:
-        """Start to draw a frame. Returns a function that reads the images. ``levels``: as in :meth:`_view`.
-        ``uncovered``: leave out off-body surfaces such as skirts and hats."""
+    ) -> RenderedFrame:
+        """Draw a frame. ``levels``: as in :meth:`_view`. ``uncovered``: leave out off-body surfaces such as
+        skirts and hats."""
         lit, posed = "lit" in passes, [self._bodies.pose(body) for body in bodies]
         if levels:
             posed = [body.level(number) for body, number in zip(posed, levels, strict=True)]
@@ -305,21 +280,16 @@ class GLRenderer(Renderer):
                     if each.number in facing
                 ]
                 outline = edge_crossings([part for body in edges for part in body], camera.size)
-        wait = target.read_together(("triangle_id", "depth", "rgba")[: 2 + lit], lit)
+        triangle_ids, depth, *colours = target.read_all(lit)
         alone = None
         if "alone" in passes:
             labelled = [each for each in everybody if each.body.body.instance]
             alone = {each.body.body.instance: self._alone(each) for each in labelled}
         instances = tuple(body.instance for body in bodies)
-
-        def read() -> RenderedFrame:
-            triangle_ids, depth, *colours = wait()
-            return RenderedFrame(
-                *(passes, instances, camera, layer, touched, rectangle, ids, triangle_ids, depth),
-                *(colours[0] if lit else None, outline, alone),
-            )
-
-        return read
+        return RenderedFrame(
+            *(passes, instances, camera, layer, touched, rectangle, ids, triangle_ids, depth),
+            *(colours[0] if lit else None, outline, alone),
+        )
 
     def _static_labels(self, frame: RenderedFrame, moving_camera: bool) -> StaticLabels:
         """Labels of the static bodies in a frame, from the cache or computed now."""
@@ -328,7 +298,7 @@ class GLRenderer(Renderer):
         if layer.labels is None or not layer.labels.passes >= passes:
             target = self._targets.of(camera.size)
             self._static.draw_unlabelled(target, camera, moving_camera)
-            own = self._render(self._static_bodies, passes, StaticLayer(target, None), target, camera)()
+            own = self._render(self._static_bodies, passes, StaticLayer(target, None), target, camera)
             layer.labels = StaticLabels(replace(own, layer=layer), self._static_bodies)
         return layer.labels
 
@@ -349,7 +319,7 @@ class GLRenderer(Renderer):
             layer, bodies = StaticLayer(target, None), [*bodies, *self._static_bodies]
         elif frame.static_labels is not None:
             parts = frame.static_labels.images(("body_part",))["body_part"]
-        drawn = self._render(bodies, frozenset(), layer, target, camera, uncovered=True)()
+        drawn = self._render(bodies, frozenset(), layer, target, camera, uncovered=True)
         values = drawn.ids.table("part").take(drawn.triangle_ids)
         np.copyto(parts[drawn.rectangle.slices], values, where=drawn.triangle_ids > 0)
         return parts

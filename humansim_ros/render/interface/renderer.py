@@ -160,14 +160,6 @@ class Renderer(ABC):
         asked.check(self)
         return self.render_request(asked)
 
-    def prepare(self, requests: Sequence[RenderRequest]) -> None:
-        """Announce the next requests of :meth:`render`, so that a renderer may draw them together.
-
-        Raises:
-            RenderError: A request is not valid, or OpenGL failed.
-        """
-        return
-
     @abstractmethod
     def render_request(self, request: RenderRequest) -> View:
         """Render a checked request."""

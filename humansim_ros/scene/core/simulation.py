@@ -389,9 +389,6 @@ class Simulation:
             )
             for name, camera in chosen.items()
         }
-        requests = [shot.request for shot in shots.values() if shot.request is not None]
-        if len(requests) > 1:
-            self.renderer.prepare(requests)
         captured = {name: observe(state, self.renderer, shot) for name, shot in shots.items()}
         return Frame(
             index=index,

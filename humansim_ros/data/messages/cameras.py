@@ -205,7 +205,6 @@ def _triangle_points(mesh: Mesh) -> list[Point]:
     if len(triangles) > _MOST_TRIANGLES:
         triangles = scipy.spatial.ConvexHull(mesh.vertices).simplices
     corners = mesh.vertices[triangles].reshape(-1, 3).tolist()
-    _corners.take_orphans()  # of meshes that are gone
     return _corners.put(mesh, [Point(x=x, y=y, z=z) for x, y, z in corners])
 
 

@@ -19,7 +19,6 @@ class LruCache(Generic[_Key, _Value]):
         max_bytes: Largest sum of ``nbytes``; if None, there is no limit.
         min_count: Number of values that are cached even if they exceed ``max_bytes``.
         nbytes: Returns the memory of a value; the memory may grow while the value is cached.
-        release: Called with each value that leaves the cache.
     """
 
     def __init__(
@@ -28,11 +27,10 @@ class LruCache(Generic[_Key, _Value]):
         max_bytes: int | None = None,
         min_count: int = 1,
         nbytes: Callable[[_Value], int] = lambda value: 0,
-        release: Callable[[_Value], None] = lambda value: None,
     ) -> None:
         self._values: dict[_Key, _Value] = {}
         self._max_count, self._max_bytes, self._min_count = max_count, max_bytes, min_count
-        self._nbytes, self._release = nbytes, release
+        self._nbytes = nbytes
         self._lock = threading.RLock()
 
     def __len__(self) -> int:
@@ -47,7 +45,7 @@ class LruCache(Generic[_Key, _Value]):
             return value
 
     def put(self, key: _Key, value: _Value) -> _Value:
-        """Cache a value and return it. The least recently used values beyond the limits are released."""
+        """Cache a value and return it. The least recently used values beyond the limits are dropped."""
         with self._lock:
             self._values.pop(key, None)
             self._values[key] = value
@@ -56,7 +54,7 @@ class LruCache(Generic[_Key, _Value]):
                 and len(self._values) > self._min_count
                 and sum(self._nbytes(one) for one in self._values.values()) > self._max_bytes
             ):
-                self._release(self._values.pop(next(iter(self._values))))
+                del self._values[next(iter(self._values))]
             return value
 
     def get_or_make(self, key: _Key, make: Callable[[], _Value]) -> _Value:
@@ -65,7 +63,7 @@ class LruCache(Generic[_Key, _Value]):
         return self.put(key, make()) if value is None else value
 
     def discard(self, key: _Key) -> None:
-        """Remove a value from the cache without calling ``release``."""
+        """Remove a value from the cache."""
         with self._lock:
             self._values.pop(key, None)
 
@@ -77,7 +75,6 @@ class WeakCache(Generic[_Value]):
 
     def __init__(self) -> None:
         self._entries: dict[int, tuple[weakref.ref[Any], _Value]] = {}
-        self._orphans: list[_Value] = []
 
     def __len__(self) -> int:
         return len(self._entries)
@@ -89,16 +86,12 @@ class WeakCache(Generic[_Value]):
 
     def put(self, owner: object, value: _Value) -> _Value:
         """Cache the value of an object, and return the value."""
-        key, entries, orphans = id(owner), self._entries, self._orphans
+        key, entries = id(owner), self._entries
 
         def drop(reference: weakref.ref[Any]) -> None:
             entry = entries.get(key)
             if entry is not None and entry[0] is reference:
-                orphans.append(entries.pop(key)[1])
+                del entries[key]
 
         entries[key] = weakref.ref(owner, drop), value
         return value
-
-    def take_orphans(self) -> list[_Value]:
-        """Remove and return the values of objects that were freed since the last call."""
-        return [self._orphans.pop() for _ in range(len(self._orphans))]

@@ -37,7 +37,8 @@ class OpenGLContext:
     """OpenGL 3.3 context through EGL, for the thread that makes it.
 
     :meth:`close` frees the context. Without a call, it is freed when the last reference to it is gone, in any
-    thread.
+    thread. An object on the device is freed after its last reference is gone, at the next :meth:`current`.
+    It must never be released by hand, since moderngl would then fail to free it again.
 
     ``device``: number of the device in the order of EGL, GPUs first. If None, the first one that works.
 
@@ -54,6 +55,7 @@ class OpenGLContext:
     def __init__(self, device: int | None = None) -> None:
         _process.check()
         self.gl = _create(device)
+        self.gl.gc_mode = "context_gc"
         self._pid, self._thread = os.getpid(), threading.get_ident()
         self._free = weakref.finalize(self, _free, self.gl, self._pid)
         self._free.atexit = False  # the end of the process frees everything
@@ -94,13 +96,14 @@ class OpenGLContext:
             try:
                 # without a context, OpenGL fails silently and reads arbitrary memory, so an allocation is
                 # tested
-                self.gl.buffer(reserve=4).release()
+                self.gl.buffer(reserve=4)
             except moderngl.Error:
                 raise RenderError(
                     "the OpenGL context was lost, for example because the GPU was reset or removed: create a "
                     "new renderer, or restart this node"
                 ) from None
             try:
+                self.gl.gc()
                 yield
             except moderngl.Error as reason:
                 text = f"OpenGL failed, possibly out of memory ({str(reason).splitlines()[0]})"

@@ -131,16 +131,10 @@ class MaterialBuffers:
             image.use(MAP_UNITS[name])
             set_uniform(program, name, MAP_UNITS[name])
 
-    def release(self) -> None:
-        """Free the memory on the device."""
-        for one in (self.texture, *self._maps.values()):
-            one.release()
-
 
 class TriangleBuffers:
-    """Triangles (N, 3) of vertices on the device. ``with`` releases them. Attributes are (V, 11). Those of
-    static meshes are (V, 12) with the layer of the texture, or (V, 14) with a place in the light map as
-    well."""
+    """Triangles (N, 3) of vertices on the device. Attributes are (V, 11). Those of static meshes are (V, 12)
+    with the layer of the texture, or (V, 14) with a place in the light map as well."""
 
     def __init__(self, ctx: moderngl.Context, attributes: NDArray[Any], triangles: NDArray[Any]) -> None:
         self._ctx = ctx
@@ -148,18 +142,6 @@ class TriangleBuffers:
         if not self._empty:
             self._vertices = ctx.buffer(attributes.astype("f4").tobytes())
             self._index = ctx.buffer(np.ascontiguousarray(triangles, dtype=np.int32).tobytes())
-
-    def __enter__(self) -> TriangleBuffers:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.release()
-
-    def release(self) -> None:
-        """Free the memory on the device."""
-        if not self._empty:
-            self._vertices.release()
-            self._index.release()
 
     def draw(
         self,
@@ -201,9 +183,6 @@ class TriangleBuffers:
             if first_id is not None:
                 set_uniform(program, "first_id", first_id + first)
             array.render(mode, vertices=3 * count, first=3 * first)
-        array.release()
-        if index is not self._index:
-            index.release()
 
     def _farthest_first(self, runs: Sequence[_Run], eye: Array) -> tuple[moderngl.Buffer, list[_Run]]:
         """Sort the triangles of some runs by distance, farthest first. Returns their indices and the new

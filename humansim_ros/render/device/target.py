@@ -162,7 +162,7 @@ class RenderTarget:
         try:
             yield sums
         finally:
-            sums.release()
+            self._ctx.depth_func = "<"
 
     def use_colour(self) -> None:
         """Draw into the colours only."""
@@ -202,16 +202,6 @@ class RenderTarget:
     def _read_of(self, name: str) -> Rectangle:
         """Rectangle of an attachment that is read."""
         return self.coloured if name == "rgba" else self.identified
-
-    def release(self) -> None:
-        """Free the memory on the device."""
-        for framebuffer in (*self._framebuffers.values(), self._colour):
-            framebuffer.release()
-        for attachment in self._textures:
-            attachment.release()
-        self._depth_buffer.release()
-        if self._to_read is not None:
-            self._to_read.release()
 
 
 def _image(name: str, pixels: bytes | memoryview, area: Rectangle) -> NDArray[Any]:
@@ -260,13 +250,6 @@ class SumOfImages:
             self._framebuffer.read_into(one, components=one.shape[2], attachment=number, dtype="f4")
         return sums
 
-    def release(self) -> None:
-        """Free the memory on the device."""
-        self._ctx.depth_func = "<"
-        self._framebuffer.release()
-        for one in self._textures:
-            one.release()
-
 
 #: Most targets in the cache.
 _MAX_TARGETS = 64
@@ -276,7 +259,7 @@ class RenderTargets(LruCache[ImageSize, RenderTarget]):
     """A cache of targets to draw into, for the most recently used image sizes."""
 
     def __init__(self, context: OpenGLContext) -> None:
-        super().__init__(_MAX_TARGETS, release=lambda target: target.release())
+        super().__init__(_MAX_TARGETS)
         self._context = context
 
     def of(self, size: ImageSize) -> RenderTarget:

@@ -35,27 +35,19 @@ _MAX_POSES = 12
 
 
 class BodyCache:
-    """A cache of the buffers of bodies on the device. Buffers are released some time after their mesh was
-    freed. ``lit``: program that draws bodies in colour. ``ids``: program that draws triangle ids only."""
+    """A cache of the buffers of bodies on the device. ``lit``: program that draws bodies in colour. ``ids``:
+    program that draws triangle ids only."""
 
     def __init__(self, ctx: moderngl.Context, lit: moderngl.Program, ids: moderngl.Program) -> None:
         self._ctx, self._programs = ctx, (lit, ids)
         self._meshes: WeakCache[MeshBuffers] = WeakCache()
-
-    def __len__(self) -> int:
-        return len(self._meshes)
 
     def pose(self, body: Body) -> PosedBody:
         """Return the body in its pose. The pose is uploaded when the body is drawn."""
         buffers = self._meshes.get(body.mesh)
         if buffers is None:
             buffers = self._meshes.put(body.mesh, MeshBuffers(self._ctx, body.mesh, self._programs))
-        return buffers.body(body.instance).pose(body)
-
-    def release_unused(self) -> None:
-        """Release the buffers of meshes that were freed. The OpenGL context must be current."""
-        for buffers in self._meshes.take_orphans():
-            buffers.release()
+        return buffers.pose(body)
 
 
 class MeshBuffers:
@@ -70,7 +62,6 @@ class MeshBuffers:
     ) -> None:
         self.ctx, self.programs = ctx, programs
         self.topology, self.expanded = Topology(mesh), ExpandedMesh(mesh)
-        self._owns_material = material is None
         self.material = material or MaterialBuffers(ctx, mesh)
         self.closed = mesh.closed
         self.has_skin_mask = mesh.texture is not None and mesh.skin is not None
@@ -104,23 +95,19 @@ class MeshBuffers:
             self._bodies[instance] = _BodyBuffers(self)
         return self._bodies[instance]
 
-    def release(self) -> None:
-        """Free the memory on the device."""
-        for body in self._bodies.values():
-            body.release()
-        for _, level in self._levels.values():
-            level.release()
-        if self._owns_material:
-            self.material.release()
-        self.uv_colors.release()
+    def pose(self, body: Body) -> PosedBody:
+        """Return a body with this mesh in its pose."""
+        buffers = self.body(body.instance)
+        return PosedBody(body, buffers.pose(body, self.topology), self, buffers)
 
 
 class _BodyBuffers:
-    """Positions, normals and visible triangles of a body on the device."""
+    """Positions, normals and visible triangles of a body on the device. Holds no reference to the buffers of
+    the mesh, which hold one to this."""
 
     def __init__(self, mesh: MeshBuffers) -> None:
         ctx, expanded, (lit, ids) = mesh.ctx, mesh.expanded, mesh.programs
-        self.mesh = mesh
+        self._ctx, self._expanded, self._material = ctx, expanded, mesh.material
         size = len(expanded.source) * 12
         self._vertices = positions, normals = tuple(ctx.buffer(reserve=size, dynamic=True) for _ in range(2))
         #: the poses with the positions and the normals that are on the device
@@ -135,32 +122,31 @@ class _BodyBuffers:
         )
         self._ids = ctx.vertex_array(ids, [(positions, "3f", "position")], index_buffer=self._index)
         self._depths: moderngl.VertexArray | None = None
-        self._all: moderngl.Buffer | None = None
         self._poses: LruCache[int, tuple[weakref.ref[Body], PosedMesh]] = LruCache(_MAX_POSES)
 
-    def pose(self, body: Body) -> PosedBody:
-        """Return the body in its pose, from the cache or made now."""
+    def pose(self, body: Body, topology: Topology) -> PosedMesh:
+        """Return the pose of the body, from the cache or made now."""
         key, poses = id(body), self._poses
         entry = poses.get(key)
         if entry is None or entry[0]() is not body:
             reference = weakref.ref(body, lambda _: poses.discard(key))
-            entry = poses.put(key, (reference, PosedMesh(self.mesh.topology, body.vertices)))
-        return PosedBody(body, entry[1], self)
+            entry = poses.put(key, (reference, PosedMesh(topology, body.vertices)))
+        return entry[1]
 
     def draw(self, posed: PosedMesh, lit: bool, triangles: NDArray[np.intp]) -> None:
         self._upload(posed, lit)
-        corners = self.mesh.expanded.corners.take(triangles, axis=0)
+        corners = self._expanded.corners.take(triangles, axis=0)
         self._index.orphan()
         self._index.write(corners)
-        self.mesh.material.texture.use(0)
+        self._material.texture.use(0)
         (self._lit if lit else self._ids).render(moderngl.TRIANGLES, vertices=corners.size)
 
     def draw_depths(self, posed: PosedMesh, program: moderngl.Program) -> None:
         self._upload(posed, False)
         if self._depths is None:
-            ctx, positions = self.mesh.ctx, [(self._vertices[0], "3f", "position")]
-            self._all = ctx.buffer(self.mesh.expanded.corners.tobytes())
-            self._depths = ctx.vertex_array(program, positions, index_buffer=self._all)
+            positions = [(self._vertices[0], "3f", "position")]
+            corners = self._ctx.buffer(self._expanded.corners.tobytes())
+            self._depths = self._ctx.vertex_array(program, positions, index_buffer=corners)
         self._depths.render(moderngl.TRIANGLES)
 
     def _upload(self, posed: PosedMesh, normals: bool) -> None:
@@ -169,13 +155,8 @@ class _BodyBuffers:
             if self._shown[number] is not posed:
                 values = posed.normals if number else posed.vertices
                 buffer.orphan()
-                buffer.write(values.take(self.mesh.expanded.source, axis=0))
+                buffer.write(values.take(self._expanded.source, axis=0))
                 self._shown[number] = posed
-
-    def release(self) -> None:
-        for one in (self._lit, self._ids, self._depths, self._all, self._index, *self._vertices):
-            if one is not None:
-                one.release()
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,12 +165,8 @@ class PosedBody:
 
     body: Body
     posed: PosedMesh
+    mesh: MeshBuffers
     _buffers: _BodyBuffers
-
-    @property
-    def mesh(self) -> MeshBuffers:
-        """Buffers of the mesh."""
-        return self._buffers.mesh
 
     def level(self, number: int) -> PosedBody:
         """The body at a level of detail."""
@@ -198,7 +175,7 @@ class PosedBody:
             return self
         kept, mesh = self.mesh.level(number, self.body.mesh, levels)
         posed = self.posed.level(number, mesh.topology, kept)
-        return PosedBody(self.body, posed, mesh.body(self.body.instance))
+        return PosedBody(self.body, posed, mesh, mesh.body(self.body.instance))
 
     @property
     def near_floor(self) -> bool:
@@ -258,8 +235,8 @@ class PosedBody:
     def draw_tessellated(self, program: moderngl.Program, tessellated: TessellatedMesh) -> None:
         """Draw tessellated triangles."""
         mesh = self.mesh
-        with TriangleBuffers(mesh.ctx, tessellated.attributes, tessellated.triangles) as pieces:
-            pieces.draw(program, [mesh.material], [len(tessellated.triangles)])
+        pieces = TriangleBuffers(mesh.ctx, tessellated.attributes, tessellated.triangles)
+        pieces.draw(program, [mesh.material], [len(tessellated.triangles)])
 
 
 #: Tolerance when testing whether a triangle covers a pixel center, pixels: projections have single precision,

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack
+from copy import copy
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -133,11 +133,6 @@ class GLRenderer(Renderer):
         """Name of the device, such as ``llvmpipe (LLVM 15.0.6, 256 bits)``."""
         return self._context.device
 
-    @property
-    def meshes_on_device(self) -> int:
-        """Number of meshes of bodies that have buffers on the device."""
-        return len(self._bodies)
-
     def close(self) -> None:
         self._context.close()
 
@@ -146,7 +141,6 @@ class GLRenderer(Renderer):
 
     def render_request(self, request: RenderRequest) -> View:
         with self._context.current():
-            self._bodies.release_unused()
             view, *others = (self._view(part, levels) for part, levels in self._parts(request))
             for other in others:
                 view = view.with_channels(**{name: getattr(other, name) for name in other.channels})
@@ -203,7 +197,6 @@ class GLRenderer(Renderer):
         """
         check_bodies([body])
         with self._context.current():
-            self._bodies.release_unused()
             posed = self._bodies.pose(body)
             rectangle = image_bounds([ProjectedPoints(posed.posed.points, camera)], camera)
             bent = None
@@ -294,7 +287,8 @@ class GLRenderer(Renderer):
             target = self._targets.of(camera.size)
             self._static.draw_unlabelled(target, camera, moving_camera)
             own = self._render(self._static_bodies, passes, StaticLayer(target, None), target, camera)
-            layer.labels = StaticLabels(replace(own, layer=layer), self._static_bodies)
+            # a copy, so that the layer is not in a circle of references, and is freed when nobody needs it
+            layer.labels = StaticLabels(replace(own, layer=copy(layer)), self._static_bodies)
         return layer.labels
 
     def _uncovered(
@@ -418,10 +412,10 @@ class CoveragePass:
         """
         pixels = np.zeros(len(mesh.triangles) + 1, np.intp)
         if not rectangle.empty and len(mesh.triangles):
-            with TriangleBuffers(self._ctx, mesh.attributes, mesh.triangles) as pieces:
-                for lowest, highest in self._layers(body, pieces, len(mesh.triangles), camera, rectangle):
-                    pixels += np.bincount(lowest, minlength=len(pixels))
-                    pixels += np.bincount(highest[highest != lowest], minlength=len(pixels))
+            pieces = TriangleBuffers(self._ctx, mesh.attributes, mesh.triangles)
+            for lowest, highest in self._layers(body, pieces, len(mesh.triangles), camera, rectangle):
+                pixels += np.bincount(lowest, minlength=len(pixels))
+                pixels += np.bincount(highest[highest != lowest], minlength=len(pixels))
         count = len(body.mesh.topology.corners[0])
         return np.bincount(mesh.parents, pixels[1:], count).astype(np.intp)
 
@@ -433,19 +427,17 @@ class CoveragePass:
         use_camera(self._ctx, self._program, camera)
         set_uniform(self._program, "none", _NONE)
         set_uniform(self._program, "found", _UNIT)
-        with ExitStack() as stack:
-            textures = [self._ctx.texture(camera.size, 4, dtype="f4") for _ in range(2)]
-            targets = [self._ctx.framebuffer([texture]) for texture in textures]
-            for texture, target in zip(textures, targets, strict=True):
-                stack.callback(texture.release)
-                stack.callback(target.release)
-                target.scissor = rectangle.xywh
-            before, after = 0, 1
-            targets[before].clear(0, -_NONE, 0, -_NONE)
-            self._ctx.enable_only(moderngl.BLEND)
-            self._ctx.blend_equation = moderngl.MIN, moderngl.MIN
-            stack.callback(setattr, self._ctx, "blend_equation", (moderngl.FUNC_ADD, moderngl.FUNC_ADD))
-            while True:
+        textures = [self._ctx.texture(camera.size, 4, dtype="f4") for _ in range(2)]
+        targets = [self._ctx.framebuffer([texture]) for texture in textures]
+        for target in targets:
+            target.scissor = rectangle.xywh
+        before, after = 0, 1
+        targets[before].clear(0, -_NONE, 0, -_NONE)
+        self._ctx.enable_only(moderngl.BLEND)
+        self._ctx.blend_equation = moderngl.MIN, moderngl.MIN
+        found = True
+        try:
+            while found:
                 targets[after].use()
                 targets[after].clear(_NONE, _NONE, _NONE, _NONE)
                 textures[before].use(_UNIT)
@@ -459,9 +451,9 @@ class CoveragePass:
                     if shown.any():
                         found = True
                         yield lowest[shown].astype(np.intp), -highest[shown].astype(np.intp)
-                if not found:
-                    return
                 before, after = after, before
+        finally:
+            self._ctx.blend_equation = moderngl.FUNC_ADD, moderngl.FUNC_ADD
 
 
 #: Most frames in the cache, most memory, and the number of frames that stay even if they need more memory.

@@ -102,7 +102,6 @@ class PyrenderRenderer(Renderer):
         if camera.distorted:
             text = "pyrender renders no lens distortion: use the renderer moderngl, or an ideal camera"
             raise RenderError(text)
-        self._shapes.take_orphans()
         moving = [self._posed(body) for body in request.bodies]
         shapes = [*self._static, *moving]
         view: dict[str, Any] = {}

@@ -121,16 +121,6 @@ class StaticLayer:
                 made[channel.name] = channel.empty_image(self.depth.shape)
         return made
 
-    def release(self) -> None:
-        """Free the memory on the device."""
-        self.labels = None  # the labels refer to this layer
-        if self.kept is not None:
-            for image in (*self.kept.color_attachments, self.kept.depth_attachment, self.kept):
-                image.release()
-            self.kept = None  # frames that were started before may draw once more
-        if self.shadow_inputs is not None:
-            self.shadow_inputs.release()
-
 
 @dataclass(eq=False)
 class RenderedFrame:

@@ -61,11 +61,6 @@ class ShadowInputs:
             _ray_texture(ctx, camera),
         )
 
-    def release(self) -> None:
-        """Free the memory on the device."""
-        for texture in self.textures:
-            texture.release()
-
 
 class SunShadows:
     """Soft shadows of the static scene and of bodies.
@@ -102,8 +97,8 @@ class SunShadows:
         self._ends: list[Float32Array] = []
         if self._box is not None:
             depths = depth_program(ctx, static.switches)
-            with static.facing(lighting.direction) as facing:
-                self._static_map.draw(self._box, lighting.direction, depths, lambda: facing.draw(depths))
+            facing = static.facing(lighting.direction)
+            self._static_map.draw(self._box, lighting.direction, depths, lambda: facing.draw(depths))
         for program in self._programs:
             self._static_map.use(program)
             self._moving_map.use(program)
@@ -151,8 +146,6 @@ class SunShadows:
         set_uniform(self._catch, "world_from_optical", columns(camera.world_from_optical))
         self._catch_image.render(moderngl.TRIANGLES)
         visibility = np.frombuffer(framebuffer.read(components=1, dtype="f4"), np.float32)
-        for one in (framebuffer, image, rays):
-            one.release()
         return visibility.reshape(camera.size[::-1])
 
     def apply(self, inputs: ShadowInputs, target: RenderTarget, camera: Camera) -> None:

@@ -7,7 +7,6 @@ these images up, tile by tile, so that the textures of a tile stay in the cache 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import ExitStack
 from dataclasses import replace
 from functools import cached_property
 from typing import NamedTuple
@@ -84,9 +83,7 @@ class StaticLayers:
         if bodies:
             labelled = (replace(body.mesh, vertices=body.vertices.astype(float)) for body in bodies)
             self._scene = StaticScene(ctx, (*meshes, *labelled))
-        self._layers: LruCache[tuple[bytes, int], StaticLayer] = LruCache(
-            _MAX_LAYERS, release=lambda layer: layer.release()
-        )
+        self._layers: LruCache[tuple[bytes, int], StaticLayer] = LruCache(_MAX_LAYERS)
         self._moving: StaticLayer | None = None
         soft = lighting.shadow == "soft"
         lit = lighting.ambient_occlusion and lighting.mode == "lit"
@@ -130,8 +127,8 @@ class StaticLayers:
             lit: Whether colours are rendered, not only depths.
         """
         if moving_camera:
-            if self._moving is not None:
-                self._moving.release()
+            if self._moving is not None:  # cached frames may still have it, and need no images on the device
+                self._moving.shadow_inputs = None
             self._moving = self._render(camera, backdrop, True, lit)
             return self._moving
         key = camera_key(camera), id(backdrop)
@@ -140,22 +137,18 @@ class StaticLayers:
             return layer
         made = self._render(camera, backdrop, False, lit)
         made.kept = self._targets.of(camera.size).keep(made.depth_buffer, made.rgba)
-        if layer is not None:
-            layer.release()
         return self._layers.put(key, made)
 
     def draw_unlabelled(self, target: RenderTarget, camera: Camera, moving_camera: bool) -> None:
         """Draw depths of the meshes without labels."""
-        with _exact(self._unlabelled, camera, moving_camera) as triangles:
-            self._draw_depths(target, triangles, camera)
+        self._draw_depths(target, _exact(self._unlabelled, camera, moving_camera), camera)
 
     def _render(
         self, camera: Camera, backdrop: Backdrop | None, moving_camera: bool, lit: bool
     ) -> StaticLayer:
         target = self._targets.of(camera.size)
         if not lit:
-            with _exact(self._scene, camera, moving_camera) as triangles:
-                self._draw_depths(target, triangles, camera)
+            self._draw_depths(target, _exact(self._scene, camera, moving_camera), camera)
             return StaticLayer(target, None, backdrop)
         behind = None if backdrop is None else backdrop.picture(camera)
         behind_without_sun, visibility = behind, None
@@ -168,18 +161,16 @@ class StaticLayers:
             )
         if self._light_map is not None:  # before the triangles, since the light map gives them their places
             self._light_map.use()
-        with ExitStack() as stack:
-            shifted = self._scene.tessellated(camera, VISIBLE if moving_camera else _SHIFTED)
-            triangles = stack.enter_context(shifted)
-            single = moving_camera and not self._scene.blends and max(camera.size) > _SMALL
-            view = _View(camera, moving_camera, single, triangles, target)
-            rgba = self._colour(self._lit, view, behind)
-            soft = self.sun_shadows is not None
-            shaded = self._colour(self._without_sun, view, behind_without_sun)[..., :3] if soft else None
-            if not view.single:
-                if camera.distorted and not moving_camera:
-                    triangles = stack.enter_context(_exact(self._scene, camera, moving_camera))
-                self._draw_depths(target, triangles, camera)
+        triangles = self._scene.tessellated(camera, VISIBLE if moving_camera else _SHIFTED)
+        single = moving_camera and not self._scene.blends and max(camera.size) > _SMALL
+        view = _View(camera, moving_camera, single, triangles, target)
+        rgba = self._colour(self._lit, view, behind)
+        soft = self.sun_shadows is not None
+        shaded = self._colour(self._without_sun, view, behind_without_sun)[..., :3] if soft else None
+        if not view.single:
+            if camera.distorted and not moving_camera:
+                triangles = _exact(self._scene, camera, moving_camera)
+            self._draw_depths(target, triangles, camera)
         if self.sun_shadows is None:
             rgba[..., 3] = 255
         if visibility is not None:

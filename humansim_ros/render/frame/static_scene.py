@@ -206,7 +206,6 @@ class StaticScene:
         places = charts.coordinates / np.array(charts.size, np.float32)
         self._attributes = np.concatenate([self._attributes[charts.source], places], axis=1)
         self._corners = charts.corners
-        self._buffers.release()
         self._buffers = TriangleBuffers(self._ctx, self._attributes, self._corners)
         return charts
 
@@ -234,7 +233,7 @@ class StaticScene:
     def whole(self) -> StaticTriangles:
         """All triangles, not tessellated."""
         parents = np.arange(len(self._corners))
-        return StaticTriangles(self._buffers, self._materials, self._counts, parents, shared=True)
+        return StaticTriangles(self._buffers, self._materials, self._counts, parents)
 
     @cached_property
     def edges(self) -> StaticEdges | None:
@@ -298,8 +297,7 @@ class StaticScene:
 
 
 class StaticTriangles:
-    """Triangles of a static scene on the device. ``with`` releases them, unless several users share them.
-    ``parents``: (N,) number of each triangle in the scene."""
+    """Triangles of a static scene on the device. ``parents``: (N,) number of each triangle in the scene."""
 
     def __init__(
         self,
@@ -307,20 +305,12 @@ class StaticTriangles:
         materials: Sequence[MaterialBuffers],
         counts: Sequence[int],
         parents: Indices,
-        shared: bool = False,
     ) -> None:
         self._buffers, self._materials, self._counts = buffers, materials, counts
-        self._parents, self._shared = parents, shared
+        self._parents = parents
         self._opaque, self._transparent = (
             [one.blends == blends for one in materials] for blends in (False, True)
         )
-
-    def __enter__(self) -> StaticTriangles:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if not self._shared:
-            self._buffers.release()
 
     def draw(self, program: moderngl.Program) -> None:
         """Draw all triangles with an opaque material."""
@@ -403,8 +393,6 @@ class LightMap:
         inputs = {"sky": light[0], "ground": light[1], "points": points}
         shares = self._image(charts.size, "light_shares.frag", inputs)
         self._texture = self._spread(shares, points, "f1")
-        for image in (maps, points, normals, *wide, *light, shares):
-            image.release()
 
     def use(self) -> None:
         """Bind the map to its texture unit."""
@@ -434,7 +422,6 @@ class LightMap:
             set_uniform(depths, "clip", columns(clip))
             whole.draw(depths)
         self._ctx.cull_face = "back"
-        framebuffer.release()
 
     def _surface(self, static: StaticScene, size: tuple[int, int]) -> list[moderngl.Texture]:
         """Draw two images with the surface point and the normal of each texel. The fourth component of a
@@ -451,7 +438,6 @@ class LightMap:
         static.whole.draw_all(program)
         self._ctx.wireframe = False
         static.whole.draw_all(program)
-        framebuffer.release()
         return images
 
     def _light(
@@ -484,7 +470,6 @@ class LightMap:
             set_uniform(program, "corners", corners[own].astype("i4").tobytes())
             framebuffer.viewport = column * width, row * height, width, height
             self._draw(framebuffer, program, {"points": points, "normals": normals, "maps": maps})
-        framebuffer.release()
         return images
 
     def _spread(
@@ -498,9 +483,7 @@ class LightMap:
     ) -> moderngl.Texture:
         """Draw a fragment shader with input images. Returns its output image."""
         image = self._ctx.texture(size, 4, dtype=dtype)
-        framebuffer = self._ctx.framebuffer([image])
-        self._draw(framebuffer, link(self._ctx, "fullscreen.vert", file), inputs)
-        framebuffer.release()
+        self._draw(self._ctx.framebuffer([image]), link(self._ctx, "fullscreen.vert", file), inputs)
         return image
 
     def _draw(

@@ -360,12 +360,6 @@ def _person_lines(facts: dict[str, Any]) -> Iterator[str]:
     yield f"  feet slide {facts['slide']:.0f} mm per stance, {facts['stances']} stances{where}"
     if facts["limits"]:
         yield f"  {len(facts['limits'])} joint limits are exceeded{where} (--json lists them)"
-    depth = facts["penetration"]
-    if depth["share"] > 0:
-        yield (
-            f"  {' and '.join(depth['pair'])} penetrate each other by {depth['depth_mm']:.0f} mm "
-            f"(frame {depth['frame']})"
-        )
 
 
 def _short(channels: str) -> str:

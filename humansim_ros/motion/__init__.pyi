@@ -13,8 +13,6 @@ from humansim_ros.motion.matching.joint_tables import JointMatch as JointMatch
 from humansim_ros.motion.matching.joint_tables import JointTable as JointTable
 from humansim_ros.motion.matching.person import match_motion as match_motion
 from humansim_ros.motion.pose.limits import load_limits as load_limits
-from humansim_ros.motion.pose.reports import fit_capsules as fit_capsules
-from humansim_ros.motion.pose.reports import report_penetration as report_penetration
 from humansim_ros.motion.pose.retarget import Retargeter as Retargeter
 from humansim_ros.motion.pose.world_motion import Placement as Placement
 from humansim_ros.motion.pose.world_motion import WorldMotion as WorldMotion

@@ -10,20 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from capsules import fit_capsules, report_penetration
 from conftest import ROOT
 from scipy.spatial.transform import Rotation
 from waiting import PATIENCE
 
 from humansim_ros import load_human, read_motion
-from humansim_ros.motion import (
-    Motion,
-    Retargeter,
-    fit_capsules,
-    load_limits,
-    read_bvh,
-    report_penetration,
-    to_world,
-)
+from humansim_ros.motion import Motion, Retargeter, load_limits, read_bvh, to_world
 
 FOLDER = ROOT / "assets" / "motions"
 LISTED = yaml.safe_load((FOLDER / "motions.yaml").read_text())

@@ -9,6 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 import trimesh
+from capsules import Capsules, fit_capsules, report_penetration, segment_distance, self_penetration
 from conftest import ROOT
 from hypothesis import given
 from hypothesis import strategies as st
@@ -20,13 +21,6 @@ from test_retarget import in_world, read
 from humansim_ros.errors import MeshError
 from humansim_ros.motion import Skeleton, hanim_skeleton
 from humansim_ros.motion.body.skinning import dominant_bones, without_details
-from humansim_ros.motion.pose.reports import (
-    Capsules,
-    fit_capsules,
-    report_penetration,
-    segment_distance,
-    self_penetration,
-)
 from humansim_ros.motion.pose.retarget import Retargeter
 from humansim_ros.people.humans.human import Human
 from humansim_ros.people.loading.loading import load_human

@@ -13,6 +13,7 @@ from collections.abc import Mapping
 import cv2
 import numpy as np
 import trimesh
+from capsules import Capsules, fit_capsules, self_penetration
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -20,7 +21,6 @@ from humansim_ros.cameras import Camera
 from humansim_ros.files.mesh.mesh import Mesh
 from humansim_ros.files.reading.assets import resource_path
 from humansim_ros.geometry import WORLD_FROM_BODY, transform
-from humansim_ros.motion.pose.reports import Capsules, fit_capsules, self_penetration
 from humansim_ros.people.humans.human import Human
 from humansim_ros.people.loading.loading import load_human
 from humansim_ros.render import Body, GLRenderer

@@ -15,13 +15,13 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from capsules import fit_capsules, report_penetration
 
 from humansim_ros.files.reading.assets import built_in_names
 from humansim_ros.motion.body.skeleton import sole_heights
 from humansim_ros.motion.files.files import read_motion
 from humansim_ros.motion.pose.contacts import find_stances, slide_distances
 from humansim_ros.motion.pose.limits import load_limits
-from humansim_ros.motion.pose.reports import fit_capsules, report_penetration
 from humansim_ros.motion.pose.retarget import Retargeter
 from humansim_ros.motion.pose.world_motion import to_world
 from humansim_ros.people.humans.human import Human

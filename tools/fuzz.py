@@ -68,8 +68,8 @@ from humansim_ros.files.mesh.mesh import MESH_SUFFIXES  # noqa: E402
 from humansim_ros.motion import read_bvh, read_motion  # noqa: E402
 from humansim_ros.motion.files.keyframes import read_keyframes  # noqa: E402
 from humansim_ros.motion.files.motion_formats import MOTION_FORMATS  # noqa: E402
+from humansim_ros.motion.matching.by_shape import match_motion  # noqa: E402
 from humansim_ros.motion.matching.joint_tables import load_table  # noqa: E402
-from humansim_ros.motion.matching.person import match_motion  # noqa: E402
 from humansim_ros.motion.pose.limits import load_limits  # noqa: E402
 from humansim_ros.people import keypoint_set  # noqa: E402
 from humansim_ros.people.humans.human import read_human  # noqa: E402

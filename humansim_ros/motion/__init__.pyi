@@ -9,9 +9,9 @@ from humansim_ros.motion.files.bvh import read_bvh as read_bvh
 from humansim_ros.motion.files.bvh import write_bvh as write_bvh
 from humansim_ros.motion.files.files import read_motion as read_motion
 from humansim_ros.motion.files.keyframes import read_keyframes as read_keyframes
+from humansim_ros.motion.matching.by_shape import match_motion as match_motion
 from humansim_ros.motion.matching.joint_tables import JointMatch as JointMatch
 from humansim_ros.motion.matching.joint_tables import JointTable as JointTable
-from humansim_ros.motion.matching.person import match_motion as match_motion
 from humansim_ros.motion.pose.limits import load_limits as load_limits
 from humansim_ros.motion.pose.retarget import Retargeter as Retargeter
 from humansim_ros.motion.pose.world_motion import Placement as Placement

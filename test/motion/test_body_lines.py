@@ -17,8 +17,8 @@ from scipy.spatial.transform import Rotation
 from humansim_ros.errors import HumansimWarning
 from humansim_ros.motion import Motion, Skeleton, hanim_skeleton, read_bvh
 from humansim_ros.motion.body.kinematics import JointPoses
+from humansim_ros.motion.matching.by_shape import match_motion
 from humansim_ros.motion.matching.file_frame import detect_file_frame
-from humansim_ros.motion.matching.person import match_motion
 from humansim_ros.motion.pose.retarget import Retargeter, RetargetMode, trunk_turns
 from humansim_ros.motion.pose.world_motion import WorldMotion
 from humansim_ros.types import Array

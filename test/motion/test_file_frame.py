@@ -16,8 +16,8 @@ from scipy.spatial.transform import Rotation
 
 from humansim_ros.motion import Motion, read_motion
 from humansim_ros.motion.body.kinematics import motion_of_rotations
+from humansim_ros.motion.matching.by_shape import match_motion
 from humansim_ros.motion.matching.file_frame import FileFrame, detect_file_frame
-from humansim_ros.motion.matching.person import match_motion
 from humansim_ros.motion.pose.reports import describe_motion
 from humansim_ros.types import Array
 

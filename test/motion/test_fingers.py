@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 from humansim_ros.motion import Motion, Retargeter, read_motion, to_world
 from humansim_ros.motion.body.skeleton import DETAIL_BONES, FINGERS, finger_bones
 from humansim_ros.motion.matching.by_name import detail_joints, match_names
+from humansim_ros.motion.matching.by_shape import match_motion
 from humansim_ros.motion.matching.joint_tables import opposite_joints
-from humansim_ros.motion.matching.person import match_motion
 from humansim_ros.people import load_human
 from humansim_ros.types import Array
 

@@ -20,7 +20,7 @@ from humansim_ros.files.reading.assets import built_in_names
 from humansim_ros.geometry import unit_vectors
 from humansim_ros.motion import Motion, read_motion, to_world, write_bvh
 from humansim_ros.motion.body.skeleton import hanim_skeleton
-from humansim_ros.motion.matching.person import match_motion
+from humansim_ros.motion.matching.by_shape import match_motion
 from humansim_ros.motion.pose.reports import describe_motion
 from humansim_ros.motion.pose.retarget import Retargeter
 from humansim_ros.motion.pose.world_motion import playing_warnings

@@ -14,9 +14,8 @@ from stand_ins import NO_PERSON, STAND_INS, motion_path
 
 from humansim_ros.errors import HumansimWarning, MotionError
 from humansim_ros.motion import Motion, read_bvh
-from humansim_ros.motion.matching.by_shape import JointTree, match_shape
+from humansim_ros.motion.matching.by_shape import JointTree, match_motion, match_shape
 from humansim_ros.motion.matching.joint_tables import load_table, write_table
-from humansim_ros.motion.matching.person import match_motion
 
 #: Files of people, and the roles that shape gets otherwise than names: makehuman's twist bones and thumbs.
 PEOPLE: dict[str, set[str]] = {

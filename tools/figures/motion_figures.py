@@ -25,8 +25,8 @@ from humansim_ros.errors import HumansimError
 from humansim_ros.geometry import WORLD_FROM_BODY, angle_between
 from humansim_ros.motion import hanim_skeleton, read_bvh
 from humansim_ros.motion.body.skeleton import sole_heights
+from humansim_ros.motion.matching.by_shape import match_motion
 from humansim_ros.motion.matching.file_frame import BodyLines, detect_file_frame
-from humansim_ros.motion.matching.person import match_motion
 from humansim_ros.motion.pose.contacts import FootContacts, find_stances, slide_distances
 from humansim_ros.motion.pose.retarget import Retargeter, RetargetMode
 from humansim_ros.motion.pose.world_motion import WorldMotion

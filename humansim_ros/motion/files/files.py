@@ -28,7 +28,7 @@ from humansim_ros.motion.files.motion_formats import (
     split_motion_name,
     unread_format,
 )
-from humansim_ros.motion.matching.person import is_person
+from humansim_ros.motion.matching.by_shape import is_person
 
 #: Largest archive and largest file in an archive (bytes), and most files of an archive.
 _MAX_ARCHIVE, _MAX_MEMBER, _MAX_MEMBERS = 1 << 30, 1 << 28, 10_000

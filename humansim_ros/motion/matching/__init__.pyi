@@ -1,5 +1,6 @@
 from humansim_ros.motion.matching.by_name import LIMBS as LIMBS
 from humansim_ros.motion.matching.by_name import match_names as match_names
+from humansim_ros.motion.matching.by_shape import match_motion as match_motion
 from humansim_ros.motion.matching.file_frame import axis_vector as axis_vector
 from humansim_ros.motion.matching.file_frame import detect_file_frame as detect_file_frame
 from humansim_ros.motion.matching.joint_tables import JointMatch as JointMatch
@@ -9,4 +10,3 @@ from humansim_ros.motion.matching.joint_tables import load_table as load_table
 from humansim_ros.motion.matching.joint_tables import match_roles as match_roles
 from humansim_ros.motion.matching.joint_tables import table_text as table_text
 from humansim_ros.motion.matching.joint_tables import write_table as write_table
-from humansim_ros.motion.matching.person import match_motion as match_motion

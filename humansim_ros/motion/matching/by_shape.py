@@ -1,21 +1,30 @@
-"""Match joints by the shape of the skeleton: tree, link lengths and symmetry, without names.
+"""Match the joints of a motion to bones, by names or else by the shape of the skeleton. Refuse animals.
 
-Lengths along the tree do not depend on the pose. A person has two equal legs at one joint, two equal arms at
-another joint, and a head near the arms. Only left and right need a pose, if names do not show the sides.
+The shape is tree, link lengths and symmetry. Lengths along the tree do not depend on the pose. A person has
+two equal legs at one joint, two equal arms at another joint, and a head near the arms. Only left and right
+need a pose, if names do not show the sides.
 """
 
 from __future__ import annotations
 
+import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, permutations
 
 import numpy as np
 
+from humansim_ros.errors import MotionError
 from humansim_ros.geometry import unit_vectors
 from humansim_ros.motion.body.kinematics import Motion
-from humansim_ros.motion.matching.by_name import ancestors, spread_frames
+from humansim_ros.motion.matching.by_name import (
+    LIMBS,
+    ancestors,
+    detail_joints,
+    match_names_in_motion,
+    spread_frames,
+)
 from humansim_ros.motion.matching.joint_tables import (
     LEFT,
     MIN_CONFIDENCE,
@@ -32,6 +41,26 @@ _PAIR_TOLERANCE = 0.12
 _MAX_BRANCHES, _MAX_PAIRS = 30, 60
 #: Standard deviation of the measured length of a bone, as a share of the length.
 _BONE_VARIATION = 0.01
+#: Most frames in which signs of an animal are looked for, spread over the motion.
+_ANIMAL_FRAMES = 100
+#: The trunk stands on the legs if the cosine of the angle between two directions (hips to shoulders, hips to
+#: ankles) is at most this value.
+_STANDING = -0.7
+#: A body is on all fours if the trunk is not opposite to the legs, and arms and legs point to the same side.
+#: These are limits of the cosines.
+_TRUNK_TO_LEGS, _ARMS_TO_LEGS = -0.6, 0.3
+#: Legs of an animal are shorter than the first value, as a multiple of the trunk. Its arms are longer than
+#: the second, as a multiple of the legs. People have 1.5 to 2.3 and 0.54 to 0.68; dogs, cats and horses have
+#: 0.7 and 0.9 to 1.0.
+_SHORT_LEGS, _LONG_ARMS = 1.0, 0.8
+#: A body with one sign is an animal if it is on all fours in this share of the frames. A body with two signs
+#: is an animal if the trunk is opposite to the legs in less than the second share.
+_FOURS, _UPRIGHT = 0.9, 0.5
+#: Factors of the confidence for an animal, and for a body that may be an animal.
+_ANIMAL, _DOUBTFUL = 0.05, 0.5
+#: Parts that a body must have on a side to be examined.
+_PARTS = ("Hip", "Knee", "Shoulder", "Elbow")
+_TAIL = re.compile(r"tail(?!or)", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -386,3 +415,123 @@ def _shoulders_above_hips(motion: Motion, roles: dict[str, int]) -> int:
     hips = points[:, roles["LeftHip"]] - points[:, roles["RightHip"]]
     shoulders = points[:, roles["LeftShoulder"]] - points[:, roles["RightShoulder"]]
     return 1 if (hips * shoulders).sum(-1).sum() >= 0 else -1
+
+
+def animal_signs(motion: Motion, roles: Mapping[str, int]) -> tuple[float, tuple[str, ...]]:
+    """Look for signs of an animal in a motion with joints ``roles``.
+
+    Because a person may crawl, several signs must come together. Returns the factor of the confidence that
+    this is a person (1 for a plausible body), and the signs in words. A body without shoulders or elbows has
+    no signs.
+    """
+    if not all(side + part in roles for side in ("Left", "Right") for part in _PARTS):
+        return 1.0, ()
+    points = motion.world_positions(spread_frames(motion, _ANIMAL_FRAMES))
+    trunk, legs, arms = _directions(points, roles)
+    leg, arm = (_length(points, roles, limb) for limb in LIMBS)
+    leg_by_trunk = leg / max(float(np.median(np.linalg.norm(trunk, axis=-1))), 1e-9)
+    arm_by_leg = arm / max(leg, 1e-9)
+    proportions = leg_by_trunk < _SHORT_LEGS and arm_by_leg > _LONG_ARMS
+    tail = _tail(motion, roles)
+    upright = _cosine(trunk, legs) < _TRUNK_TO_LEGS
+    fours = float((~upright & (_cosine(arms, legs) > _ARMS_TO_LEGS)).mean())
+    at_rest, legs_at_rest, _ = _directions(motion.rest_positions()[None], roles)
+    stands = bool(_cosine(at_rest, legs_at_rest)[0] < _STANDING)
+    signs = bool(tail) + proportions
+    moves = (signs == 1 and fours >= _FOURS) or (signs == 2 and upright.mean() < _UPRIGHT)
+    is_animal = moves and not stands
+    if not is_animal and not proportions and (fours < _FOURS or stands):
+        return 1.0, ()
+    reasons = []
+    if fours >= _UPRIGHT:
+        reasons.append(f"the body is on all fours in {fours:.0%} of the frames")
+    if proportions:
+        reasons += [
+            f"the legs are {leg_by_trunk:.1f} times as long as the trunk (a person's: 1.5 to 2.3)",
+            f"the arms {arm_by_leg:.1f} times as long as the legs (a person's: 0.5 to 0.7)",
+        ]
+    if tail:
+        reasons.append(f"it has a tail ({', '.join(tail[:2])})")
+    return _ANIMAL if is_animal else _DOUBTFUL, tuple(reasons)
+
+
+def _directions(points: Array, roles: Mapping[str, int]) -> tuple[Array, Array, Array]:
+    """Vectors (F, 3) of poses (F, J, 3): hips to shoulders, hips to ankles, shoulders to wrists. Knees and
+    elbows replace unknown ankles and wrists."""
+
+    def middle(part: str, instead: str = "") -> Array:
+        joints = (roles.get(side + part, roles.get(side + instead, -1)) for side in ("Left", "Right"))
+        return np.asarray(sum(points[:, joint] for joint in joints) / 2)
+
+    hips, shoulders = middle("Hip"), middle("Shoulder")
+    return shoulders - hips, middle("Ankle", "Knee") - hips, middle("Wrist", "Elbow") - shoulders
+
+
+def _length(points: Array, roles: Mapping[str, int], limb: tuple[str, str, str]) -> float:
+    """Mean length of a limb of both sides. The length of each side is the median over all poses."""
+    lengths = []
+    for side in ("Left", "Right"):
+        joints = [roles[side + part] for part in limb if side + part in roles]
+        links = np.linalg.norm(np.diff(points[:, joints], axis=1), axis=-1)
+        lengths.append(float(np.median(links.sum(1))))
+    return sum(lengths) / 2
+
+
+def _cosine(a: Array, b: Array) -> Array:
+    """Cosines (F,) of the angles between vectors (F, 3)."""
+    return np.asarray((unit_vectors(a) * unit_vectors(b)).sum(-1))
+
+
+def _tail(motion: Motion, roles: Mapping[str, int]) -> tuple[str, ...]:
+    """Names of joints of a tail. Hair (a ponytail) and coats above the shoulders do not count."""
+    upper = {roles[role] for role in ("Neck", "Head", "LeftShoulder", "RightShoulder") if role in roles}
+    tails = ((joint, name) for joint, name in enumerate(motion.joint_names) if _TAIL.search(name))
+    return tuple(n for joint, n in tails if upper.isdisjoint((joint, *ancestors(joint, motion.parents))))
+
+
+def match_motion(
+    motion: Motion, table: str | os.PathLike[str] | None = None, min_confidence: float | None = None
+) -> JointMatch:
+    """Match the joints of a motion to bones.
+
+    If ``table`` is given (name of a built-in table, or a YAML file), this table is used. Otherwise the
+    built-in table is used that best fits names and hierarchy. If none fits, the shape of the skeleton
+    decides. Signs of an animal lower the confidence.
+
+    Raises:
+        MotionError: The table does not fit, or the motion is not that of a person: the confidence is below
+            ``min_confidence`` (by default 0.12).
+    """
+    min_confidence = MIN_CONFIDENCE if min_confidence is None else min_confidence
+    try:
+        match = match_names_in_motion(motion, table)
+    except MotionError as by_names:
+        if table is not None:
+            raise
+        by_shape = match_shape(motion, min_confidence)
+        if by_shape is None:
+            message = f"{by_names.message}. Nor has the skeleton the shape of a person"
+            raise MotionError(message, path=motion.path) from None
+        match = replace(by_shape, details=detail_joints(motion.joint_names, by_shape.roles, motion.parents))
+    factor, reasons = animal_signs(motion, match.roles)
+    if factor < 1:
+        # a motion is not refused for reasons alone
+        least = 0.0 if factor == _ANIMAL else min(match.confidence, MIN_CONFIDENCE)
+        match = replace(match, confidence=max(match.confidence * factor, least), reasons=reasons)
+    if match.confidence < min_confidence:
+        animal = f" but rather an animal: {', '.join(match.reasons)}" if match.reasons else ""
+        raise MotionError(
+            f"this is not a person{animal} (confidence {match.confidence:.1%}, below {min_confidence:.0%}). "
+            "To play it nevertheless, set min_confidence to 0 (--min-confidence 0)",
+            path=motion.path,
+        )
+    return match
+
+
+def is_person(motion: Motion) -> bool:
+    """Whether the joints of a motion are those of a person."""
+    try:
+        match_motion(motion)
+    except MotionError:
+        return False
+    return True

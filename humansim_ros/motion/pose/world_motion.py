@@ -23,9 +23,9 @@ from humansim_ros.geometry import (
     unit_vectors,
 )
 from humansim_ros.motion.body.kinematics import JointPoses, Motion
+from humansim_ros.motion.matching.by_shape import match_motion
 from humansim_ros.motion.matching.file_frame import BodyLines, FileFrame, detect_file_frame
 from humansim_ros.motion.matching.joint_tables import JointMatch, opposite_joints
-from humansim_ros.motion.matching.person import match_motion
 from humansim_ros.types import Array, Indices
 
 #: A step is a jump if it is faster than the first value (m/s) and longer than the second (metres). The

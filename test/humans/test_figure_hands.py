@@ -15,9 +15,8 @@ from humansim_ros import load_human, read_motion
 from humansim_ros.files.mesh.load import read_mesh_or_figure
 from humansim_ros.files.mesh.mesh import SkinnedMesh
 from humansim_ros.files.reading.assets import built_in_names
-from humansim_ros.motion.body.hands import FINGER_BONES, HandAnatomy, finger_hinges
 from humansim_ros.motion.body.skeleton import DETAIL_BONES, FINGERS, Skeleton, finger_bones, hanim_skeleton
-from humansim_ros.motion.pose.hand_poses import hand_angles
+from humansim_ros.motion.pose.hand_poses import FINGER_BONES, HandAnatomy, finger_hinges, hand_angles
 from humansim_ros.motion.pose.retarget import Retargeter
 from humansim_ros.motion.pose.world_motion import to_world
 from humansim_ros.people import KeypointLocator, keypoint_set

@@ -13,10 +13,15 @@ from scipy.spatial.transform import Rotation
 from test_fingers import fingered
 
 from humansim_ros import Scene
-from humansim_ros.errors import HumansimError, HumansimWarning, MotionError
+from humansim_ros.errors import HumansimError, HumansimWarning
 from humansim_ros.files.reading.assets import built_in_names
-from humansim_ros.motion.body.hands import FINGER_BONES, HandAnatomy
-from humansim_ros.motion.pose.hand_poses import BUILT_IN_HANDS, HAND_POSES, hand_angles
+from humansim_ros.motion.pose.hand_poses import (
+    BUILT_IN_HANDS,
+    FINGER_BONES,
+    HAND_POSES,
+    HandAnatomy,
+    hand_angles,
+)
 from humansim_ros.motion.pose.limits import load_limits
 from humansim_ros.people import Human, load_human
 from humansim_ros.scene.core.actor import HumanState
@@ -260,12 +265,3 @@ def test_keys_leave_fingers_that_the_motion_moves_unless_a_key_says_so(tmp_path:
 def test_wrong_keys_are_refused_with_what_is_known(hands: object, message: str) -> None:
     with pytest.raises(HumansimError, match=rf"(?s)hands.*{message}|{message}.*hands|{message}"):
         scene({"file": "walk", "hands": hands})
-
-
-def test_an_unknown_pose_is_refused_with_the_known_ones() -> None:
-    anatomy = HandAnatomy.of(load_human("adult_man").skeleton)
-    assert anatomy is not None
-    with pytest.raises(
-        MotionError, match=r"no hand pose 'fisst'; did you mean 'fist'\? There are relaxed, fist"
-    ):
-        hand_angles("fisst", anatomy)

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.cameras import Camera
 from humansim_ros.geometry import WORLD_FROM_BODY, transform
-from humansim_ros.motion.body.hands import HandAnatomy
-from humansim_ros.motion.pose.hand_poses import HAND_POSES, hand_angles
+from humansim_ros.motion.pose.hand_poses import HAND_POSES, HandAnatomy, hand_angles
 from humansim_ros.people import Human, load_human
 from humansim_ros.render import Body, GLRenderer, Lighting
 from humansim_ros.scene.pictures.people import row

@@ -14,7 +14,6 @@ from humansim_ros.motion.body.face import gaze_angles as gaze_angles
 from humansim_ros.motion.body.face import looked_angles as looked_angles
 from humansim_ros.motion.body.face import with_looks as with_looks
 from humansim_ros.motion.body.face import within_limits as within_limits
-from humansim_ros.motion.body.hands import finger_hinges as finger_hinges
 from humansim_ros.motion.body.kinematics import JointPoses as JointPoses
 from humansim_ros.motion.body.kinematics import Motion as Motion
 from humansim_ros.motion.body.kinematics import Rated as Rated

@@ -12,6 +12,7 @@ from humansim_ros.motion.pose.hand_poses import HandKeys as HandKeys
 from humansim_ros.motion.pose.hand_poses import HandPoseName as HandPoseName
 from humansim_ros.motion.pose.hand_poses import HandSide as HandSide
 from humansim_ros.motion.pose.hand_poses import ReachingHand as ReachingHand
+from humansim_ros.motion.pose.hand_poses import finger_hinges as finger_hinges
 from humansim_ros.motion.pose.limits import JointLimits as JointLimits
 from humansim_ros.motion.pose.limits import load_limits as load_limits
 from humansim_ros.motion.pose.path_motion import Gait as Gait

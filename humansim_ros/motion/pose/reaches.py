@@ -23,12 +23,11 @@ from humansim_ros.geometry import (
     rotation_vector_to_matrix,
     unit_vectors,
 )
-from humansim_ros.motion.body.hands import HandAnatomy
 from humansim_ros.motion.body.kinematics import JointPoses, Motion
 from humansim_ros.motion.body.skeleton import Skeleton
 from humansim_ros.motion.files.keyframes import KeyframeSpace
 from humansim_ros.motion.pose.contacts import Leg, two_bone
-from humansim_ros.motion.pose.hand_poses import ReachingHand
+from humansim_ros.motion.pose.hand_poses import HandAnatomy, ReachingHand
 from humansim_ros.motion.pose.retarget import Retargeter
 from humansim_ros.types import Array
 

@@ -22,7 +22,6 @@ from humansim_ros.geometry import (
     transform,
     unit_vectors,
 )
-from humansim_ros.motion.body.hands import FINGER_BONES
 from humansim_ros.motion.body.kinematics import JointPoses
 from humansim_ros.motion.body.skeleton import Skeleton, sole_heights
 from humansim_ros.motion.matching.file_frame import BodyLines
@@ -37,7 +36,7 @@ from humansim_ros.motion.pose.bone_drivers import (
     loose_bones,
     swing_onto,
 )
-from humansim_ros.motion.pose.hand_poses import FreeFingers
+from humansim_ros.motion.pose.hand_poses import FINGER_BONES, FreeFingers
 from humansim_ros.motion.pose.limits import JointLimits, load_limits
 from humansim_ros.motion.pose.world_motion import WorldMotion, floor_height
 from humansim_ros.types import Array, Indices

@@ -25,11 +25,11 @@ from humansim_ros.motion.body import (
     Skeleton,
     dominant_bones,
     finger_bones,
-    finger_hinges,
     hanim_skeleton,
     limit_bones,
 )
 from humansim_ros.motion.matching import LIMBS, JointMatch, detect_file_frame, match_motion
+from humansim_ros.motion.pose import finger_hinges
 from humansim_ros.people.makehuman.skeleton import Bones
 from humansim_ros.types import Array
 

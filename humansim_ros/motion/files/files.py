@@ -138,21 +138,25 @@ def _read_archive(path: Path, member: str | None, positions: PositionChannels) -
             try:
                 with zipfile.ZipFile(stream) as archive:
                     chosen = _choose(path, archive, member)
-                    unpacked = _unpack(path, archive, chosen, folder / "motion")
-                    for skeleton in _skeletons(archive, chosen):
-                        _unpack(path, archive, skeleton, folder / "motion")
+                    shown = f"{path}/{chosen.filename}"
+                    for entry in (*_skeletons(archive, chosen), chosen):
+                        if entry.file_size > _MAX_MEMBER:
+                            too_large = f"unpacks to more than {size_text(_MAX_MEMBER)}"
+                            raise MotionError(f"{entry.filename!r} {too_large}", path=path)
+                        # without its folders, no name leads elsewhere; no more than the stated size is read
+                        entry.filename = PurePosixPath(entry.filename).name
+                        unpacked = Path(archive.extract(entry, folder))
             except ARCHIVE_ERRORS as reason:
                 raise MotionError(f"not a ZIP archive that can be read: {reason}", path=path) from None
-        shown = f"{path}/{chosen.filename}"
         try:
             with warnings.catch_warnings(record=True) as caught:
                 warnings.simplefilter("always")
                 motion = read_motion(unpacked, positions)
         except HumansimError as error:
-            message = error.message.replace(f"{folder}/motion/", "")
+            message = error.message.replace(f"{folder}/", "")
             raise MotionError(message, path=shown, line=error.line, key=error.key) from None
     for warning in caught:
-        text = str(warning.message).replace(str(unpacked), shown).replace(f"{folder}/motion/", "")
+        text = str(warning.message).replace(str(unpacked), shown).replace(f"{folder}/", "")
         warnings.warn(text, warning.category, stacklevel=3)
     return replace(motion, path=shown)
 
@@ -189,16 +193,3 @@ def _skeletons(archive: zipfile.ZipFile, motion: zipfile.ZipInfo) -> list[zipfil
         return []
     entries = [(entry, PurePosixPath(entry.filename)) for entry in archive.infolist()]
     return [e for e, name in entries if name.suffix.lower() == ".asf" and name.parent == own.parent][:100]
-
-
-def _unpack(path: Path, archive: zipfile.ZipFile, entry: zipfile.ZipInfo, folder: Path) -> Path:
-    """Unpack a file into ``folder`` under the last part of its name, so that no name leads elsewhere."""
-    with archive.open(entry) as member:
-        content = member.read(_MAX_MEMBER + 1)
-    if len(content) > _MAX_MEMBER:
-        raise MotionError(f"{entry.filename!r} unpacks to more than {size_text(_MAX_MEMBER)}", path=path)
-    folder.mkdir(exist_ok=True)
-    name = PurePosixPath(entry.filename.replace("\\", "/")).name
-    target = folder / (name if len(name.encode()) < 200 else f"motion{PurePosixPath(name).suffix}")
-    target.write_bytes(content)
-    return target

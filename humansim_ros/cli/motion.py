@@ -25,7 +25,7 @@ from humansim_ros.cli.options import (
 from humansim_ros.cli.options import built_in_motions as completed_motions
 from humansim_ros.cli.output import check_output, print_text, print_warning, progress_bar, to_json
 from humansim_ros.errors import HumansimError, MotionError, some_of
-from humansim_ros.files.reading import resource_path
+from humansim_ros.files.reading import atomic_path, resource_path
 from humansim_ros.motion.files import MOTION_TITLES
 
 if TYPE_CHECKING:
@@ -184,14 +184,15 @@ def table(
     min_confidence: MinConfidenceOption = None,
 ) -> None:
     """Print or write the joint match: the joint that drives each bone, and the confidence."""
-    from humansim_ros.motion.matching import match_motion, table_text, write_table
+    from humansim_ros.motion.matching import match_motion, table_text
 
     motion = _read(file, positions)
-    match = match_motion(motion, joint_names, min_confidence)
+    text = table_text(match_motion(motion, joint_names, min_confidence), motion)
     if output is None:
-        print_text(table_text(match, motion).rstrip())
+        print_text(text.rstrip())
         return
-    write_table(match, motion, output)
+    with atomic_path(output) as temporary:
+        temporary.write_text(text, encoding="utf-8")
     print_text(f"wrote {output}; use it with --joint-names {output}")
 
 

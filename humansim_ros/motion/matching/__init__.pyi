@@ -9,4 +9,3 @@ from humansim_ros.motion.matching.joint_tables import built_in_tables as built_i
 from humansim_ros.motion.matching.joint_tables import load_table as load_table
 from humansim_ros.motion.matching.joint_tables import match_roles as match_roles
 from humansim_ros.motion.matching.joint_tables import table_text as table_text
-from humansim_ros.motion.matching.joint_tables import write_table as write_table

@@ -17,7 +17,7 @@ import yaml
 from pydantic import model_validator
 
 from humansim_ros.errors import MotionError, unknown
-from humansim_ros.files.reading import atomic_path, read_bytes, read_table, resource_path
+from humansim_ros.files.reading import read_bytes, read_table, resource_path
 from humansim_ros.files.yaml import MAX_BYTES, Section, read_yaml, validated
 from humansim_ros.motion.body.kinematics import Motion
 from humansim_ros.motion.body.skeleton import hanim_skeleton
@@ -288,12 +288,6 @@ def table_text(match: JointMatch, motion: Motion) -> str:
     head += _hierarchy_lines(motion, match)
     body = yaml.safe_dump(data, sort_keys=False, allow_unicode=True)
     return "".join(f"# {line}\n" for line in head) + body
-
-
-def write_table(match: JointMatch, motion: Motion, path: str | os.PathLike[str]) -> None:
-    """Write :func:`table_text` to a file."""
-    with atomic_path(path) as temporary:
-        temporary.write_text(table_text(match, motion), encoding="utf-8")
 
 
 def _hierarchy_lines(motion: Motion, match: JointMatch) -> Iterator[str]:

@@ -116,9 +116,7 @@ class Gait:
     def at(self, phases: Array, shares: Array) -> tuple[Array, Array]:
         """Positions (N, J, 3) and rotations (N, J, 4) at phases (N,), with steps of shares (N,) of the
         stride."""
-        place = (phases % 1.0) * _PHASES
-        before = np.minimum(place.astype(int), _PHASES - 1)
-        part = (place - before)[:, None]
+        before, part = self._between(phases)
         positions = self.positions[before] + part[..., None] * (
             self.positions[before + 1] - self.positions[before]
         )

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from humansim_ros.errors import HumansimWarning, MotionError
 from humansim_ros.geometry import quaternion_to_matrix
@@ -17,6 +16,7 @@ from humansim_ros.motion.body.kinematics import JointPoses, Motion
 from humansim_ros.motion.body.skeleton import Skeleton, hanim_skeleton
 from humansim_ros.motion.files.bvh import PositionChannels
 from humansim_ros.motion.files.files import read_motion
+from humansim_ros.motion.matching.by_name import spread_frames
 from humansim_ros.motion.matching.file_frame import axis_vector
 from humansim_ros.motion.matching.joint_tables import JointMatch
 from humansim_ros.motion.pose.contacts import find_stances, slide_distances
@@ -96,8 +96,8 @@ def describe_motion(
     try:
         world = to_world(motion, table, unit, up, facing, min_confidence)
     except MotionError as error:
-        if table is not None or _is_person(motion):
-            raise  # a given value is the cause
+        if any(given is not None for given in (table, unit, up, facing, min_confidence)):
+            raise  # a given value may be the cause
         unknown = error.message
     else:
         summary, checks = _person_summary(world, hanim_skeleton())
@@ -118,21 +118,8 @@ def mean_heading(match: JointMatch, poses: JointPoses) -> float | None:
     return float(np.arctan2(y, x)) if np.hypot(x, y) > _MIN_MEAN_HEADING else None
 
 
-def _is_person(motion: Motion) -> bool:
-    try:
-        to_world(motion)
-    except MotionError:
-        return False
-    return True
-
-
-def _sample_frames(frames: int) -> NDArray[np.intp]:
-    """Frame numbers spread over a motion."""
-    return np.unique(np.linspace(0, frames - 1, _MAX_SAMPLES).astype(np.intp))
-
-
 def _file_summary(motion: Motion) -> dict[str, Any]:
-    points = motion.world_positions(_sample_frames(motion.n_frames))
+    points = motion.world_positions(spread_frames(motion, _MAX_SAMPLES))
     joints = list(zip(motion.joint_names, motion.channels, strict=True))
     layouts = [" ".join(channels) for name, channels in joints if channels or not name.endswith("_end")]
     return {
@@ -156,7 +143,7 @@ def _person_summary(world: WorldMotion, skeleton: Skeleton) -> tuple[dict[str, A
     """Return the keys of a summary about the person, and warnings."""
     motion, match, frame = world.motion, world.match, world.frame
     retargeter = Retargeter.fit(world, skeleton)
-    samples = _sample_frames(motion.n_frames)
+    samples = spread_frames(motion, _MAX_SAMPLES)
     poses = world.sample(samples * motion.frame_time)
     hips = poses.positions[:, match.roles["Hips"], :2]
     steps = np.linalg.norm(np.diff(hips, axis=0), axis=-1)
@@ -205,5 +192,6 @@ def _floor(world: WorldMotion) -> float:
     """Height of the floor on the up axis of the file, file units."""
     upward = axis_vector(world.frame.up)
     steady = world.steady_frames
-    points = world.motion.world_positions(steady[_sample_frames(len(steady))])
+    spread = np.unique(np.linspace(0, len(steady) - 1, _MAX_SAMPLES).astype(np.intp))
+    points = world.motion.world_positions(steady[spread])
     return floor_height((points @ upward).min(-1)) * float(upward.sum())

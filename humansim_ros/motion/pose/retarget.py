@@ -367,8 +367,8 @@ class Retargeter:
             links = collar_links(skeleton, poses, match, loose)
             fitted = replace(fitted, rest=rest, loose=loose, rest_links=links)
             rest = align_trunk(fitted._drivers, rest, poses, fitted.pose(poses))
-            fitted = fitted._with(rest=rest)
-        return fitted._with(lift=-floor_height(sole_heights(skeleton, fitted.pose(poses)).min(-1)))
+            fitted = replace(fitted, rest=rest)
+        return replace(fitted, lift=-floor_height(sole_heights(skeleton, fitted.pose(poses)).min(-1)))
 
     @classmethod
     def fit_live(cls, poses: JointPoses, match: JointMatch, skeleton: Skeleton) -> Retargeter:
@@ -398,19 +398,11 @@ class Retargeter:
         lowest = sole_heights(skeleton, fitted.pose(poses)).min(-1)
         # a person who jumps in the first pose is in the air, not on the floor
         above = np.maximum(poses.positions[..., 2].min(-1) - _LOWEST_JOINT, 0.0)
-        return fitted._with(lift=-floor_height(lowest - scale * above))
+        return replace(fitted, lift=-floor_height(lowest - scale * above))
 
     def placed_about(self, x: float, y: float) -> Retargeter:
         """Return a copy that scales the movement of the root about another point of the floor."""
-        return self._with(origin=(float(x), float(y)))
-
-    def _with(self, **changes: Any) -> Retargeter:
-        """Return a copy with changes. They must not concern the drivers, which are taken over unchanged."""
-        changed = replace(self, **changes)
-        for name in ("_drivers", "_limits", "_free_fingers"):
-            if name in self.__dict__:
-                changed.__dict__[name] = self.__dict__[name]
-        return changed
+        return replace(self, origin=(float(x), float(y)))
 
     def to_dict(self) -> dict[str, Any]:
         """Return all constants except the skeleton, as JSON types for :meth:`from_dict`."""

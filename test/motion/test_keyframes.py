@@ -213,6 +213,8 @@ def test_the_example_of_the_documentation_is_correct(tmp_path: Path) -> None:
 BOMB = "<!DOCTYPE a [<!ENTITY a 'ha'>" + "".join(
     f"<!ENTITY {b} '{f'&{a};' * 10}'>" for a, b in zip("abcdefgh", "bcdefghi", strict=True)
 )
+#: Many elements, one in the other, to the end of an animation with an open object.
+DEEP = "<object>" * 10**5 + "</object>" * (10**5 + 1) + "</animation>"
 WRONG: list[tuple[str, str | bytes, int | None, str]] = [
     ("empty", " \n", None, "empty"),
     ("no XML", "HIERARCHY\nROOT Hips", 1, "not valid XML"),
@@ -259,7 +261,7 @@ WRONG: list[tuple[str, str | bytes, int | None, str]] = [
     ("not UTF-8", GOOD.replace("anna", "jürgen").encode("latin-1"), 3, "not valid XML"),
     ("zeros", b"\0\0\0\0", 1, "not valid XML"),
     ("no such encoding", GOOD.replace('"1.0"?', '"1.0" encoding="klingon"?'), None, "cannot be decoded"),
-    ("a long way down", GOOD[: GOOD.index("    <frame")] + "<object>" * 10**5, 4, "<object> in <object>"),
+    ("a long way down", GOOD[: GOOD.index("    <frame")] + DEEP, 4, "<object> in <object>"),
 ]  # fmt: skip
 
 

@@ -7,13 +7,16 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
 from typing import Literal, cast, get_args
-from xml.parsers.expat import ErrorString, ExpatError, ParserCreate
+from xml.etree.ElementTree import Element, ParseError, TreeBuilder
+from xml.parsers.expat import ErrorString
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
+from defusedxml.common import DefusedXmlException
+from defusedxml.ElementTree import DefusedXMLParser
 from numpy.typing import ArrayLike
 
 from humansim_ros.errors import MAX_COORDINATE, MotionError, located, unknown
@@ -213,18 +216,13 @@ _NO_XML = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
 
 #: Values of a key, and their defaults before the first key.
 _PARTS = {"position": 0.0, "rotation": 0.0, "size": 1.0}
-#: Path of an element from the root -> its attributes and child elements.
-_SCHEMA: dict[tuple[str, ...], tuple[tuple[str, ...], tuple[str, ...]]] = {
-    ("animation",): (("startframe", "endframe", "rate", "loop"), ("object", "frame")),
-    ("animation", "object"): (("name",), ("frame",)),
-    ("animation", "object", "frame"): (("number",), tuple(_PARTS)),
-    ("animation", "frame"): (("number",), ("object",)),
-    ("animation", "frame", "object"): (("name",), tuple(_PARTS)),
-    **{("animation", *between, part): (("x", "y", "z"), ()) for part in _PARTS
-       for between in (("object", "frame"), ("frame", "object"))},
-}  # fmt: skip
-#: Values of a key: part -> x, y, z.
-_KeyValues = dict[str, list[float]]
+#: Element -> its values. Each is an attribute, or a child element with a text.
+_VALUES: Mapping[str, tuple[str, ...]] = {
+    "animation": ("startframe", "endframe", "rate", "loop"),
+    "object": ("name",),
+    "frame": ("number",),
+    **dict.fromkeys(_PARTS, ("x", "y", "z")),
+}
 
 
 @dataclass(frozen=True)
@@ -254,7 +252,7 @@ def read_keyframes(path: str | os.PathLike[str]) -> Keyframes:
     """
     data = read_bytes(path, MotionError, "keyframe", _MAX_BYTES)
     with located(MotionError, path):
-        return _Reader().read(data, os.fspath(path))
+        return _Document(data).keyframes(os.fspath(path))
 
 
 def write_keyframes(path: str | os.PathLike[str], keyframes: Keyframes) -> None:
@@ -281,186 +279,154 @@ def write_keyframes(path: str | os.PathLike[str], keyframes: Keyframes) -> None:
         temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-@dataclass
-class _Element:
-    """An open element: its names from the root on, its line, attributes and text so far. ``parts``: values,
-    if the element is a key. ``keys``: for an object, its keys by frame number; for a frame, its keys by
-    object name. Each key has the number of its line."""
+class _Document(TreeBuilder):
+    """Elements of a file, with their lines. An element outside the format gives an error with its line."""
 
-    where: tuple[str, ...]
-    line: int
-    values: dict[str, str]
-    text: list[str] = field(default_factory=list)
-    parts: _KeyValues = field(default_factory=dict)
-    keys: list[tuple[str, int, _KeyValues]] = field(default_factory=list)
-
-    @property
-    def name(self) -> str:
-        return self.where[-1]
-
-    def value(self, key: str) -> str:
-        if not self.values.get(key):
-            raise MotionError(f"<{self.name}> needs {key}=")
-        return self.values[key]
-
-    def whole_number(self, key: str) -> int:
-        word = self.value(key)
-        if not re.fullmatch("[+-]?[0-9]{1,10}", word) or abs(int(word)) > _MAX_FRAMES:
-            raise MotionError(f"{key} is {word[:40]!r}: a whole number is needed")
-        return int(word)
-
-    def label(self) -> str:
-        """Name of an object, or number of a frame."""
-        return self.value("name") if self.name == "object" else str(self.whole_number("number"))
-
-    def vector(self) -> list[float]:
-        text = "".join(self.text).split()
-        if text and self.values:
-            raise MotionError(f"<{self.name}> has both x, y, z and text")
-        if text and len(text) != 3:
-            raise MotionError(f"<{self.name}> needs 3 numbers, not {len(text)}")
-        words = zip("xyz", text or [self.value(axis) for axis in "xyz"], strict=True)
-        vector = [_number(word, f"{axis} of <{self.name}>") for axis, word in words]
-        if self.name == "size" and min(vector) < SMALLEST_SIZE:
-            raise MotionError(f"a size must be above 0, not {min(vector):g}")
-        return vector
-
-    def timeline(self) -> KeyframeTimeline:
-        start, end = (self.whole_number(key) for key in ("startframe", "endframe"))
-        if end < start:
-            raise MotionError(f"endframe {end} comes before startframe {start}")
-        rate = _number(self.values["rate"], "rate") if "rate" in self.values else DEFAULT_RATE
-        if not 1e-3 <= rate <= 1e4:
-            raise MotionError(f"rate is {rate:g}: frames per second are 0.001 to 10000")
-        loop = self.values.get("loop", "none")
-        if loop not in get_args(KeyframeLoop):
-            raise MotionError(f"loop is {loop[:40]!r}: none or repeat")
-        return KeyframeTimeline(start, end, rate, cast(KeyframeLoop, loop))
-
-
-def _number(word: str, key: str) -> float:
-    word = word.strip()
-    if not _NUMBER.fullmatch(word):
-        raise MotionError(f"{key} is {word[:40]!r}: a finite number is needed")
-    if not abs(float(word)) <= MAX_COORDINATE:
-        raise MotionError(f"{key} is {word[:40]}: more than {MAX_COORDINATE:g} is a mistake")
-    return float(word)
-
-
-class _Reader:
-    """Reads elements one by one. An element outside the schema gives an error that names its line."""
-
-    def __init__(self) -> None:
-        self._parser = ParserCreate()
-        self._parser.StartDoctypeDeclHandler = self._refuse_doctype
-        self._parser.StartElementHandler = self._start
-        self._parser.CharacterDataHandler = self._characters
-        self._parser.EndElementHandler = self._end
-        self._open: list[_Element] = []
-        self._root = _Element(("animation",), 1, {})
-        # object -> its keys: frame number, line, values
-        self._keys: dict[str, list[tuple[int, int, _KeyValues]]] = {}
-        self._closed_objects: set[str] = set()
-
-    def read(self, data: bytes, path: str) -> Keyframes:
-        """Read a file. Keys outside startframe and endframe, or out of order, are errors."""
+    def __init__(self, data: bytes) -> None:
+        super().__init__()
+        self._parser = DefusedXMLParser(target=self, forbid_dtd=True)
+        #: In the order of the elements. As attributes, lines would take three times the memory.
+        self._lines: list[int] = []
         try:
-            self._parser.Parse(data, True)
-        except ExpatError as reason:
-            raise MotionError(f"not valid XML: {ErrorString(reason.code)}", line=reason.lineno) from None
+            self._parser.feed(data)
+            self.root: Element = self._parser.close()
+        except ParseError as reason:
+            line = reason.position[0]
+            raise MotionError(f"not valid XML: {ErrorString(reason.code)}", line=line) from None
+        except DefusedXmlException:
+            # without a DOCTYPE, a file cannot define entities, so that none can grow or read other files
+            problem = "a keyframe file has no DOCTYPE and no entities: remove them"
+            raise MotionError(problem, line=self._parser.parser.CurrentLineNumber) from None
         except (ValueError, LookupError) as reason:  # the parser does not know the encoding
             raise MotionError(f"the XML cannot be decoded: {reason}") from None
-        with located(MotionError, line=self._root.line):
-            timeline = self._root.timeline()
-            if not self._keys:
-                raise MotionError("the animation has no <object> with a <frame>")
-        for name, keys in self._keys.items():
-            last = None
-            for number, line, _ in keys:
-                problem = ""
-                if not timeline.start <= number <= timeline.end:
-                    problem = f"lies outside startframe {timeline.start} to endframe {timeline.end}"
-                elif last is not None and number <= last:
-                    problem = "is here a second time" if number == last else f"comes after frame {last}"
-                if problem:
-                    raise MotionError(f"frame {number} of {name[:40]!r} {problem}", line=line)
-                last = number
-        return Keyframes(timeline, {name: _track(timeline, keys) for name, keys in self._keys.items()}, path)
 
-    def _error(self, message: str) -> MotionError:
-        return MotionError(message, line=self._parser.CurrentLineNumber)
+    def start(self, tag: str, attrs: dict[str, str]) -> Element:
+        self._lines.append(self._parser.parser.CurrentLineNumber)
+        return super().start(tag, attrs)
 
-    def _refuse_doctype(self, *_: object) -> None:
-        """Without a DOCTYPE, a file cannot define entities, so that none can grow or read other files."""
-        raise self._error("a keyframe file has no DOCTYPE and no entities: remove them")
+    def keyframes(self, path: str) -> Keyframes:
+        """Read all tracks. Keys outside startframe and endframe, or out of order, are errors."""
+        if self.root.tag != "animation":
+            raise self._error(self.root, f"a keyframe file is an <animation>, not a <{self.root.tag[:40]}>")
+        timeline = self._timeline(self._values(self.root, ("object", "frame")))
+        tracks: dict[str, list[tuple[int, Element]]] = {}
+        for name, number, element in self._keys():
+            keys, problem = tracks.setdefault(name, []), ""
+            if not timeline.start <= number <= timeline.end:
+                problem = f"lies outside startframe {timeline.start} to endframe {timeline.end}"
+            elif keys and number <= keys[-1][0]:
+                last, _ = keys[-1]
+                problem = "is here a second time" if number == last else f"comes after frame {last}"
+            if problem:
+                raise self._error(element, f"frame {number} of {name[:40]!r} {problem}")
+            keys.append((number, element))
+        if not tracks:
+            raise self._error(self.root, "the animation has no <object> with a <frame>")
+        return Keyframes(timeline, {name: self._track(timeline, keys) for name, keys in tracks.items()}, path)
 
-    def _start(self, name: str, attributes: dict[str, str]) -> None:
-        parent = self._open[-1] if self._open else None
-        where = (name,) if parent is None else (*parent.where, name)
-        known, _ = _SCHEMA.get(where, ((), ()))
-        if where not in _SCHEMA:
-            if parent is None:
-                raise self._error(f"a keyframe file is an <animation>, not a <{name[:40]}>")
-            values, children = _SCHEMA.get(parent.where, ((), ()))
-            if name not in values:
-                names = ", ".join(f"<{child}>" for child in children) or ", ".join(values) or "nothing"
-                raise self._error(f"unknown element <{name[:40]}> in <{parent.name}>; known here: {names}")
-            if name in parent.values:
-                raise self._error(f"{name} of <{parent.name}> is here a second time")
-        for attribute in attributes:
-            if attribute not in known:
-                names = f"known here: {', '.join(known)}" if known else "none is known here"
-                raise self._error(f"<{name}> has the unknown attribute {attribute[:40]!r}; {names}")
-        self._open.append(_Element(where, self._parser.CurrentLineNumber, attributes))
+    def _timeline(self, values: dict[str, str]) -> KeyframeTimeline:
+        start, end = (self._whole_number(self.root, values, key) for key in ("startframe", "endframe"))
+        rate = self._number(self.root, {"rate": str(DEFAULT_RATE), **values}, "rate")
+        loop = values.get("loop", "none")
+        if end < start:
+            raise self._error(self.root, f"endframe {end} comes before startframe {start}")
+        if not 1e-3 <= rate <= 1e4:
+            raise self._error(self.root, f"rate is {rate:g}: frames per second are 0.001 to 10000")
+        if loop not in get_args(KeyframeLoop):
+            raise self._error(self.root, f"loop is {loop[:40]!r}: none or repeat")
+        return KeyframeTimeline(start, end, rate, cast(KeyframeLoop, loop))
 
-    def _characters(self, content: str) -> None:
-        element = self._open[-1]
-        if element.name in _PARTS or element.where not in _SCHEMA:
-            element.text.append(" " if content.isspace() else content)
-        elif not content.isspace():
-            raise self._error(f"there is text in <{element.name}>: {content.strip()[:40]!r}")
+    def _keys(self) -> Iterator[tuple[str, int, Element]]:
+        """Yield name, frame number and element of all keys: frames of objects, and objects of frames."""
+        objects = set()
+        for outer in self.root:
+            if outer.tag == "object":
+                name = self._value(outer, self._values(outer, ("frame",)), "name")
+                frames = outer.findall("frame")
+                if name in objects or not frames:
+                    problem = "is here a second time" if name in objects else "has no <frame>"
+                    raise self._error(outer, f"the object {name[:40]!r} {problem}")
+                objects.add(name)
+                for key in frames:
+                    yield name, self._whole_number(key, self._values(key, _PARTS), "number"), key
+            elif outer.tag == "frame":
+                number = self._whole_number(outer, self._values(outer, ("object",)), "number")
+                for key in outer.findall("object"):
+                    yield self._value(key, self._values(key, _PARTS), "name"), number, key
 
-    def _end(self, name: str) -> None:
-        element = self._open.pop()
-        if not self._open:
-            self._root = element
-            return
-        parent = self._open[-1]
-        with located(MotionError, line=element.line):
-            if name in _PARTS:
-                if name in parent.parts:
-                    raise MotionError(f"<{name}> is here a second time")
-                parent.parts[name] = element.vector()
-            elif name not in ("object", "frame"):
-                parent.values[name] = "".join(element.text).strip()
-            elif parent.name != "animation":
-                parent.keys.append((element.label(), element.line, element.parts))
-            else:
-                self._add_keys(element)
+    def _track(self, timeline: KeyframeTimeline, keys: list[tuple[int, Element]]) -> KeyframeTrack:
+        """Make the track of an object. If a key omits a value, the value of the key before stays."""
+        last = {part: [default] * 3 for part, default in _PARTS.items()}
+        rows = []
+        for _, key in keys:
+            last |= {part.tag: self._vector(part) for part in key if part.tag in _PARTS}
+            rows.append([last[part] for part in _PARTS])
+        frames = np.array([number for number, _ in keys], dtype=float)
+        return KeyframeTrack(timeline, frames, *np.array(rows, dtype=float).swapaxes(0, 1))
 
-    def _add_keys(self, element: _Element) -> None:
-        """Add the keys of an element: the keys of an object by frame, or the keys of a frame by object."""
-        label = element.label()
-        if element.name == "frame":
-            for name, line, parts in element.keys:
-                self._keys.setdefault(name, []).append((int(label), line, parts))
-            return
-        if label in self._closed_objects:
-            raise MotionError(f"the object {label[:40]!r} is here a second time")
-        if not element.keys:
-            raise MotionError(f"the object {label[:40]!r} has no <frame>")
-        self._closed_objects.add(label)
-        self._keys.setdefault(label, []).extend(
-            (int(number), line, parts) for number, line, parts in element.keys
-        )
+    def _vector(self, element: Element) -> list[float]:
+        values, tag = self._values(element, ()), element.tag
+        if text := _own_text(element).split():
+            if values:
+                raise self._error(element, f"<{tag}> has both x, y, z and text")
+            if len(text) != 3:
+                raise self._error(element, f"<{tag}> needs 3 numbers, not {len(text)}")
+            values = dict(zip("xyz", text, strict=True))
+        vector = [self._number(element, values, axis) for axis in "xyz"]
+        if tag == "size" and min(vector) < SMALLEST_SIZE:
+            raise self._error(element, f"a size must be above 0, not {min(vector):g}")
+        return vector
+
+    def _values(self, element: Element, children: Collection[str]) -> dict[str, str]:
+        """Values of an element by name. ``children``: other elements that it may contain."""
+        tag, known, values = element.tag, _VALUES[element.tag], dict(element.items())
+        if unknown_names := [name for name in values if name not in known]:
+            problem = f"has the unknown attribute {unknown_names[0][:40]!r}; known here: {', '.join(known)}"
+            raise self._error(element, f"<{tag}> {problem}")
+        seen = set(values)
+        for child in element:
+            name = child.tag
+            if name not in known and name not in children:
+                names = ", ".join(f"<{each}>" for each in children) or ", ".join(known)
+                raise self._error(child, f"unknown element <{name[:40]}> in <{tag}>; known here: {names}")
+            if name in seen and name not in ("object", "frame"):
+                raise self._error(child, f"{name} of <{tag}> is here a second time")
+            seen.add(name)
+            if name in known:
+                if child.attrib or len(child):
+                    raise self._error(child, f"<{name}> has an attribute or an element; none is known here")
+                values[name] = _own_text(child)
+        if tag not in _PARTS and (text := _own_text(element)):
+            raise self._error(element, f"there is text in <{tag}>: {text[:40]!r}")
+        return values
+
+    def _value(self, element: Element, values: dict[str, str], key: str) -> str:
+        if not values.get(key):
+            raise self._error(element, f"<{element.tag}> needs {key}=")
+        return values[key]
+
+    def _whole_number(self, element: Element, values: dict[str, str], key: str) -> int:
+        word = self._value(element, values, key)
+        if not re.fullmatch("[+-]?[0-9]{1,10}", word) or abs(int(word)) > _MAX_FRAMES:
+            raise self._error(element, f"{key} is {word[:40]!r}: a whole number is needed")
+        return int(word)
+
+    def _number(self, element: Element, values: dict[str, str], key: str) -> float:
+        word = self._value(element, values, key).strip()
+        if not _NUMBER.fullmatch(word):
+            raise self._error(
+                element, f"{key} of <{element.tag}> is {word[:40]!r}: a finite number is needed"
+            )
+        if not abs(float(word)) <= MAX_COORDINATE:
+            problem = f"is {word[:40]}: more than {MAX_COORDINATE:g} is a mistake"
+            raise self._error(element, f"{key} of <{element.tag}> {problem}")
+        return float(word)
+
+    def _error(self, element: Element, message: str) -> MotionError:
+        lines = zip(self.root.iter(), self._lines, strict=True)
+        return MotionError(message, line=next(line for each, line in lines if each is element))
 
 
-def _track(timeline: KeyframeTimeline, keys: list[tuple[int, int, _KeyValues]]) -> KeyframeTrack:
-    """Make the track of an object. If a key omits a value, the value of the key before stays."""
-    last = {part: [default] * 3 for part, default in _PARTS.items()}
-    rows = []
-    for _, _, parts in keys:
-        last |= parts
-        rows.append([last[part] for part in _PARTS])
-    frames = np.array([number for number, _, _ in keys], dtype=float)
-    return KeyframeTrack(timeline, frames, *np.array(rows, dtype=float).swapaxes(0, 1))
+def _own_text(element: Element) -> str:
+    """Text of an element and between its child elements."""
+    return " ".join([element.text or "", *(child.tail or "" for child in element)]).strip()

@@ -395,7 +395,7 @@ def test_a_frame_time_that_is_missing_is_that_of_30_frames_per_second(tmp_path: 
 def test_words_are_missing_in_a_real_file(shared_data: Path) -> None:
     with pytest.warns(HumansimWarning, match="adakri_run.bvh:185: the word MOTION is missing"):
         assert read_bvh(shared_data / "bvh" / "adakri_run.bvh").n_frames == 59
-    with pytest.warns(HumansimWarning, match="walkSit.bvh:26: 'End l_toes_End_dup' is read .* so are 4 more"):
+    with pytest.warns(HumansimWarning, match="walkSit.bvh:26: 'End l_toes_End_dup' is read"):
         assert read_bvh(shared_data / "bvh" / "tomboudard_walkSit.bvh").n_frames == 122
 
 
@@ -457,6 +457,7 @@ BROKEN: list[tuple[str, str | bytes, int | None, str]] = [
     ("truncated in a row", GOOD.rstrip()[:-8], 20, "truncated"),
     ("brace without a joint", GOOD.replace("ROOT Hips\n{", "{"), 2, "without a joint"),
     ("joint without a brace", GOOD.replace("Hips\n{", "Hips"), 3, "cannot understand"),
+    ("text after a name", GOOD.replace("JOINT Chest", "JOINT Chest\nfoo"), 6, "understand 'foo' after"),
     ("joint without a name", GOOD.replace("JOINT Chest", "JOINT"), 6, "without a name"),
     ("endless name", GOOD.replace("Chest", "C" * 1001), 6, "more than 1000 characters"),
     ("JOINT outside a ROOT", GOOD.replace("ROOT", "JOINT"), 2, "does not belong"),

@@ -34,19 +34,15 @@ from humansim_ros.types import Array
 
 #: Channels of files by their name in lower case. Channels of scales are read, but not kept.
 _CANONICAL = {name.lower(): name for name in (*CHANNEL_NAMES, "Xscale", "Yscale", "Zscale")}
-#: Keyword -> pattern of the words after it. The words may continue on the next line.
-_GOES_ON = {
-    "OFFSET": re.compile(r"[-+.,\d\seE]+"),
-    "CHANNELS": re.compile(r"[\d\s,]*([xyz](rotation|position|scale)[\s,]*)*", re.IGNORECASE),
-    "ROOT": re.compile(r"(?!offset\b|channels\b|joint\b|end\b)[^{}]+", re.IGNORECASE),
-}
-_GOES_ON |= {"JOINT": _GOES_ON["ROOT"], "END": re.compile("site", re.IGNORECASE)}
 #: Most characters of the name of a joint, since every end site repeats the name of its joint.
 LONGEST_NAME = 1000
 #: Most joints, end sites included. A person with face, fingers and hair has some hundreds.
 _MAX_JOINTS = 20_000
 #: Words that start an end site. After the first of them comes the word "Site".
 _ENDS = ("END", "ENDSITE", "END_SITE")
+#: Words that start a statement, and those after which a statement may go on in the next lines.
+_KEYWORDS = ("HIERARCHY", "MOTION", "ROOT", "JOINT", *_ENDS, "OFFSET", "CHANNELS")
+_GOING_ON = ("ROOT", "JOINT", "END", "OFFSET", "CHANNELS")
 
 
 @dataclass
@@ -75,7 +71,6 @@ class Parser:
     def parse(self) -> Motion:
         """Read the motion of the file. Position channels replace the OFFSET."""
         has_motion = self._hierarchy()
-        self.text.warn_of_notes()
         self._make_names_unique()
         values, frame_time = self._motion(has_motion)
         channels = ((name for name in j.channels or () if not name.endswith("scale")) for j in self.joints)
@@ -89,25 +84,26 @@ class Parser:
             path=self.text.path,
         )
 
-    def _parts(self) -> Iterator[str]:
-        """Split the lines of the hierarchy at braces. Each brace is a part of its own."""
-        while text := self.text.next_line():
-            for part in BRACE.split(text):
-                if statement := part.strip():
-                    yield statement
-
     def _statements(self) -> Iterator[str]:
-        """Statements of the hierarchy. A statement that lacks words continues on the next line."""
-        parts, ahead = self._parts(), ""
-        while statement := ahead or next(parts, ""):
-            ahead, line = "", self.text.line
-            while _lacks_words(statement) and (ahead := next(parts, "")):
-                if not _GOES_ON[statement.split()[0].upper()].fullmatch(ahead):
-                    break
-                statement, ahead, line = f"{statement} {ahead}", "", self.text.line
-            last, self.text.line = self.text.line, line
+        """Statements of the hierarchy. They end at a brace, and before a line that begins with a keyword."""
+        text, statement, place = self.text, "", (0, 0)
+        while line := text.next_line():
+            for part in filter(None, map(str.strip, BRACE.split(line))):
+                keyword = part.split()[0].rstrip(":").upper()
+                if 0 < len(statement) < LONGEST_NAME and part not in "{}" and keyword not in _KEYWORDS:
+                    statement = f"{statement}\n{part}"
+                    continue
+                here = text.line, text.indent
+                if statement:
+                    text.line, text.indent = place
+                    yield statement
+                    text.line, text.indent = here
+                statement, place = part, here
+                if keyword not in _GOING_ON:
+                    yield statement
+                    statement = ""
+        if statement:
             yield statement
-            self.text.line = last
 
     def _hierarchy(self) -> bool:
         """Read the joints. Returns True if a MOTION section follows."""
@@ -212,6 +208,8 @@ class Parser:
             name = name or "Site"
         if not name:
             raise text.error(f"{keyword} without a name")
+        if "\n" in name:
+            raise text.error(f"cannot understand {name.splitlines()[1][:40]!r} after this line")
         if len(name) > LONGEST_NAME:
             raise text.error(f"a name of more than {LONGEST_NAME} characters: {name[:40]!r}")
         if (keyword == "ROOT") != (parent < 0):
@@ -302,14 +300,6 @@ class Parser:
         channels = [(joint, name) for joint in self.joints for name in joint.channels or ()]
         values = [j.offset[AXES[name[0]]] if name.endswith("position") else 0.0 for j, name in channels]
         return np.array(values).reshape(1, -1)
-
-
-def _lacks_words(statement: str) -> bool:
-    """Whether a statement has a keyword, but not all words that it needs."""
-    keyword, *words = statement.split()
-    count = words[0] if words and words[0].isascii() and words[0].isdigit() else "0"
-    needed = {"OFFSET": 3, "ROOT": 1, "JOINT": 1, "END": 1, "CHANNELS": 1 + int(count[:4])}
-    return len(words) < needed.get(keyword.upper(), 0)
 
 
 #: Whether position channels replace the OFFSET or are added to it; ``auto`` detects it.

@@ -52,7 +52,7 @@ class BvhText:
         self._unread = ""
         self._encoding = encoding
         self._is_foreign = False
-        self._odd: dict[str, tuple[int, str, int]] = {}
+        self._noted: set[str] = set()
 
     def error(self, message: str, line: int | None = None) -> MotionError:
         """Make an error for a line. If ``line`` is not given, for the last line that was read."""
@@ -67,16 +67,10 @@ class BvhText:
         warn_about(self.path, message)
 
     def note(self, kind: str, message: str) -> None:
-        """Remember something odd in the last line. :meth:`warn_of_notes` later warns about the first case of
-        each kind."""
-        line, first, count = self._odd.get(kind, (self.line, message, 0))
-        self._odd[kind] = line, first, count + 1
-
-    def warn_of_notes(self) -> None:
-        """Warn of everything odd that was noted, once for each kind."""
-        for line, message, count in self._odd.values():
-            self.warn(message + (f"; so are {count - 1} more" if count > 1 else ""), line)
-        self._odd = {}
+        """Warn about something odd in the last line, unless it is the second of its kind."""
+        if kind not in self._noted:
+            self.warn(message)
+        self._noted.add(kind)
 
     def next_line(self) -> str:
         """Return the next line with its line end, without comments. After the last line, return ""."""
@@ -259,7 +253,6 @@ def _header_number(text: BvhText, key: str, line: int, value: str) -> float:
         numbers = []
     if len(numbers) != 1 or not np.isfinite(numbers[0]):
         raise text.error(f"'{key}:' needs a number, not {value[:40]!r}{comma_hint(value)}", line)
-    text.warn_of_notes()
     return numbers[0]
 
 

@@ -307,7 +307,8 @@ def _scalar(entries: Mapping[str, Entry], role: str, otherwise: float | None = N
 def _intrinsics(file: CalibrationFile, entries: Mapping[str, Entry]) -> RawCamera:
     """K, size and lens of a camera. If they come from P, also its pose."""
     size = size_of(entries)
-    roles = {"K": ("K", "fx", "focal")} | {part: (part,) for part in ("distortion", "size", *_RECTIFIED)}
+    roles = {"K": ("K", "fx", "focal"), "size": ("width", "size")}
+    roles |= {part: (part,) for part in ("distortion", *_RECTIFIED)}
     locations = {
         part: entries[role].location for part, all_ in roles.items() for role in all_ if role in entries
     }

@@ -15,28 +15,21 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
-from humansim_ros.cameras.camera.camera import Camera, pinhole
-from humansim_ros.cameras.formats.base import (
-    CalibrationFile,
-    Key,
-    Keys,
-    Place,
-    RawCamera,
-    camera_at,
-    opencv_model,
-    vector_of,
-)
-from humansim_ros.cameras.formats.conventions import find_model, model_of_four
-from humansim_ros.cameras.formats.spellings import CAMERA_KEYS, Entry, size_of
+from humansim_ros.cameras.camera.camera import Camera
+from humansim_ros.cameras.formats.base import CalibrationFile, RawCamera, vector_of
+from humansim_ros.cameras.formats.conventions import find_model
+from humansim_ros.cameras.formats.spellings import POSE, Found, find_parameters, plain
 from humansim_ros.cameras.formats.syntax import Matrix, name_of_half, other_half, read_document
-from humansim_ros.cameras.formats.table import Values, calibration_format, json_file, nested, row
+from humansim_ros.cameras.formats.table import ROWS, Cameras, Values, calibration_format, nested, reader, row
 from humansim_ros.errors import CameraError, warn_about
 from humansim_ros.geometry import invert_rigid, nearest_rotations, transform
 from humansim_ros.types import Array
@@ -44,23 +37,8 @@ from humansim_ros.types import Array
 _PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_/-]*")
 #: Words that YAML does not read as text, such as yes.
 _WORDS = {"yes", "no", "on", "off", "true", "false", "null", "y", "n"}
-#: Places of the values of a camera in a file, and their keys in a message.
-_IN_FILE: dict[str, Place] = {
-    "size": "image_width image_height",
-    "K": ("camera_matrix", "data"),
-    "distortion": ("distortion_coefficients", "data"),
-    "model": "distortion_model",
-    "rectification": ("rectification_matrix", "data"),
-    "rectified": ("projection_matrix", "data"),
-}
-_IN_MESSAGE = {
-    "size": "width height",
-    "K": "k",
-    "distortion": "d",
-    "model": "distortion_model",
-    "rectification": "r",
-    "rectified": "p",
-}
+#: Keys of K, distortion and the matrices of the rectified image in a file.
+_MATRICES = ("camera_matrix", "distortion_coefficients", "rectification_matrix", "projection_matrix")
 
 
 def _is_camera_info(file: CalibrationFile) -> bool:
@@ -74,49 +52,34 @@ def _is_message(file: CalibrationFile) -> bool:
     return {"height", "width", "distortion_model", "k", "p"} <= {str(key).lower() for key in keys}
 
 
-def _read_camera_info(file: CalibrationFile) -> dict[str, RawCamera]:
-    if _is_message(file):
-        return _read_message(file)
-    places = dict(_IN_FILE)
-    if not file.has("distortion_coefficients", "data"):
-        # a truncated file must not become a camera without distortion
-        raise file.error("is missing; a camera without distortion has zeros", "distortion_coefficients")
-    bent = str(file.get("camera_model")).lower().startswith(("fisheye", "equi", "kannala"))
-    if bent and not file.has("distortion_model"):
-        places["model"] = "camera_model"
-    name = str(file.get("camera_name") or "").strip()
-    return {name or Path(file.path).stem: _camera(file, places)}
-
-
-def _read_message(file: CalibrationFile) -> dict[str, RawCamera]:
-    """Read a message that ``ros2 topic echo`` has printed. In ROS 1, names of matrices are capital
-    letters."""
+def _camera_info(file: CalibrationFile) -> Cameras:
+    """Keys of a file, or of a message that ``ros2 topic echo`` has printed. In ROS 1, names of matrices in
+    messages are capital letters."""
+    message = _is_message(file)
     spelling = {str(key).lower(): key for key in file.document}
-    camera = _camera(
-        file, {part: " ".join(spelling.get(k, k) for k in keys.split()) for part, keys in _IN_MESSAGE.items()}
-    )
-    parts = ("x_offset", "y_offset", "height", "width")
-    binned = any(file.get(key) not in (None, 0, 1) for key in ("binning_x", "binning_y"))
-    if binned or any(file.get("roi", part) for part in parts):
-        warn_about(file.path, "binning and region of interest are ignored: the camera has the full image")
-    frame = str(file.get("header", "frame_id") or "").strip()
-    return {frame.removesuffix("_optical_frame") or Path(file.path).stem: camera}
-
-
-def _camera(file: CalibrationFile, places: Mapping[str, Place]) -> RawCamera:
-    paths = {part: (place,) if isinstance(place, str) else place for part, place in places.items()}
-    lens = file.optional_numbers(*paths["distortion"])
-    model = find_model(file, file.get(*paths["model"]), lens, paths["model"], paths["distortion"])
-    camera = camera_at(file, (), places, distortion=lens, model=model)
-    if not camera.K.any():
-        raise file.error("is all zeros, which means 'not calibrated' in ROS", *paths["K"])
+    parts = ("k", "d", "r", "p") if message else _MATRICES
+    k, d, *rectified = ((spelling.get(part, part), *(() if message else ("data",))) for part in parts)
+    if not message and not file.has(*d):
+        # a truncated file must not become a camera without distortion
+        raise file.error("is missing; a camera without distortion has zeros", *d[:1])
+    if not file.numbers((3, 3), *k).any():
+        raise file.error("is all zeros, which means 'not calibrated' in ROS", *k)
+    width, height = ("width", "height") if message else ("image_width", "image_height")
+    file.size((width,), (height,))
+    bent = str(file.get("camera_model")).lower().startswith(("fisheye", "equi", "kannala"))
+    model = "camera_model" if bent and not file.has("distortion_model") else "distortion_model"
+    lens = find_model(file, file.get(model), file.optional_numbers(*d), (model,), d)
     # drivers that do not rectify write zeros
-    absent: dict[str, Any] = {
-        part: None
-        for part in ("rectification", "rectified")
-        if (matrix := getattr(camera, part)) is not None and not matrix.any()
-    }
-    return replace(camera, **absent)
+    used = [matrix[0] for matrix in rectified if file.has(*matrix) and file.some_numbers(*matrix).any()]
+    kept = {key: file.get(key) for key in (width, height, k[0], d[0], *used)}
+    name = file.get("header", "frame_id") if message else file.get("camera_name")
+    name = str(name or "").strip()
+    if message:
+        name = name.removesuffix("_optical_frame")
+        region = any(file.get("roi", part) for part in ("x_offset", "y_offset", "height", "width"))
+        if region or any(file.get(key) not in (None, 0, 1) for key in ("binning_x", "binning_y")):
+            warn_about(file.path, "binning and region of interest are ignored: the camera has the full image")
+    return {**kept, model: lens or "none", "camera_name": name}
 
 
 def _info_values(own: Values, camera: Camera) -> Values:
@@ -127,13 +90,8 @@ def _info_values(own: Values, camera: Camera) -> Values:
 
 # -- INI files of the Videre software: a line with a key, then lines with its numbers
 
-#: Places of the values of a camera in its section.
-_IN_SECTION = {
-    "K": "camera_matrix",
-    "distortion": "distortion",
-    "rectification": "rectification",
-    "rectified": "projection",
-}
+#: Shapes of the matrices of each camera.
+_IN_SECTION = {"camera_matrix": (3, 3), "rectification": (3, 3), "projection": (3, 4)}
 #: Sections that are not cameras. ROS ignores the second one.
 _IMAGE, _EXTERNALS = "image", "externals"
 _MAX_NUMBERS = 50
@@ -148,27 +106,20 @@ def _is_ini(file: CalibrationFile) -> bool:
 
 def _read_ini(file: CalibrationFile) -> dict[str, RawCamera]:
     file = _sections(file)
-    size = file.size((_IMAGE, "width"), (_IMAGE, "height"))
-    cameras: dict[str, RawCamera] = {}
-    for name in [name for name in file.document if name not in (_IMAGE, _EXTERNALS)]:
-        at: Keys = (name,)
-        for key in _IN_SECTION.values():
-            file.need(name, key)
-        lens = file.some_numbers(name, "distortion")
-        if len(lens) not in (4, 5, 8):
-            message = f"needs 5 coefficients (plumb_bob) or 8 (rational_polynomial), not {len(lens)}"
-            raise file.error(message, name, "distortion")
-        model = "rational_polynomial" if len(lens) == 8 else "plumb_bob"
-        camera = camera_at(file, at, _IN_SECTION, size=size, distortion=lens, model=model)
-        file.add(cameras, name or Path(file.path).stem, camera, *at)
-    if not cameras:
-        raise file.error("the file has no section of a camera, such as [narrow_stereo]")
-    return cameras
+    file.size((_IMAGE, "width"), (_IMAGE, "height"))
+    for name, section in file.document.items():
+        if name != _IMAGE:
+            for key, shape in _IN_SECTION.items():
+                file.numbers(shape, name, key)
+            count = len(file.some_numbers(name, "distortion"))
+            model = "rational_polynomial" if count == 8 else "plumb_bob"
+            section |= {"name": name, "distortion_model": model}
+    return reader(ROWS["ini"])(file)
 
 
 def _sections(file: CalibrationFile) -> CalibrationFile:
     """The file with its sections parsed as ``document``: lists of numbers by section and key."""
-    document: dict[str, dict[str, list[float]]] = {}
+    document: dict[str, dict[str, Any]] = {}
     lines: dict[tuple[str, ...], int] = {}
     section: dict[str, list[float]] = {}
     name, values = "", None
@@ -184,14 +135,15 @@ def _sections(file: CalibrationFile) -> CalibrationFile:
             if key in section:
                 raise file.error("this key is duplicate", line, line=number)
             values = section[key] = []
-            lines[name, line] = number
+            lines[name, key] = number
         elif values is None:
             raise file.error("numbers without a key above them", line=number)
         else:
             values += file.row(line.split(), number)
             if len(values) > _MAX_NUMBERS:
                 raise file.error(f"more than {_MAX_NUMBERS} numbers for a key", line=number)
-    return replace(file, document=document, key_lines=lines, renamed={"camera_matrix": "camera matrix"})
+    document.pop(_EXTERNALS, None)
+    return replace(file, document=document, key_lines=lines)
 
 
 def _ini_values(own: Values, camera: Camera) -> Values:
@@ -201,7 +153,7 @@ def _ini_values(own: Values, camera: Camera) -> Values:
     return {}
 
 
-CAMERA_INFO = calibration_format("camera_info", _is_camera_info, _read_camera_info, values=_info_values)
+CAMERA_INFO = calibration_format("camera_info", _is_camera_info, arrange=_camera_info, values=_info_values)
 INI = calibration_format("ini", _is_ini, _read_ini, values=_ini_values)
 
 
@@ -210,7 +162,7 @@ _ROUNDING = 1e-3
 _CAMERA = re.compile(r"cam[0-9]+")
 #: Keys of the transforms from the IMU to the camera, and from the camera to the IMU.
 _IMU = ("T_cam_imu", "T_imu_cam")
-_MODELS = {"radtan": "plumb_bob", "equidistant": "equidistant", "equi": "equidistant", "none": None}
+_MODELS = ("radtan", "equidistant", "equi", "none")
 
 
 def _kalibr_names(file: CalibrationFile) -> list[str]:
@@ -218,8 +170,8 @@ def _kalibr_names(file: CalibrationFile) -> list[str]:
     return [key for key in keys if isinstance(key, str) and _CAMERA.fullmatch(key)]
 
 
-def _read_kalibr(file: CalibrationFile) -> dict[str, RawCamera]:
-    cameras: dict[str, RawCamera] = {}
+def _kalibr(file: CalibrationFile) -> Cameras:
+    cameras: dict[str, Any] = {}
     names = _kalibr_names(file)
     pose: Array | None = None
     for name in names:
@@ -231,7 +183,16 @@ def _read_kalibr(file: CalibrationFile) -> dict[str, RawCamera]:
         else:
             key = "T_cn_cnm1"
             pose = np.eye(4) if pose is None else file.pose_matrix(name, key, rows=4) @ pose
-        file.add(cameras, name, _camera_kalibr(file, name, pose, key), name)
+        if file.need(name, "camera_model") != "pinhole":
+            message = f"{file.get(name, 'camera_model')!r} is not a supported camera model; only pinhole is"
+            raise file.error(message, name, "camera_model")
+        word = str(file.get(name, "distortion_model") or "none").lower()
+        if word not in _MODELS:
+            message = f"unknown distortion model {word!r}; known are {', '.join(_MODELS)}"
+            raise file.error(message, name, "distortion_model")
+        counts = {"intrinsics": 4, "resolution": 2, **({} if word == "none" else {"distortion_coeffs": 4})}
+        numbers = {part: nested(file.numbers((count,), name, part)) for part, count in counts.items()}
+        cameras[name] = {**numbers, "distortion_model": word, key: nested(pose)}
     return cameras
 
 
@@ -241,25 +202,6 @@ def _rigid(matrix: Array) -> Array:
     if np.abs(rotation @ rotation.T - np.eye(3)).max() > _ROUNDING:
         return matrix
     return transform(nearest_rotations(rotation), matrix[:3, 3])
-
-
-def _camera_kalibr(file: CalibrationFile, name: str, pose: Array, pose_key: str) -> RawCamera:
-    if file.need(name, "camera_model") != "pinhole":
-        message = f"{file.get(name, 'camera_model')!r} is not a supported camera model; only pinhole is"
-        raise file.error(message, name, "camera_model")
-    k = pinhole(*file.numbers((4,), name, "intrinsics"))
-    word = str(file.get(name, "distortion_model") or "none").lower()
-    if word not in _MODELS:
-        message = f"unknown distortion model {word!r}; known are {', '.join(_MODELS)}"
-        raise file.error(message, name, "distortion_model")
-    model = _MODELS[word]
-    lens = np.zeros(0) if model is None else file.numbers((4,), name, "distortion_coeffs")
-    file.numbers((2,), name, "resolution")
-    places = {"K": "intrinsics", "distortion": "distortion_coeffs", "size": "resolution"}
-    places |= {"R": pose_key, "t": pose_key}
-    size = file.size((name, "resolution", 0), (name, "resolution", 1))
-    r, t = pose[:3, :3], pose[:3, 3]
-    return camera_at(file, (name,), places, K=k, R=r, t=t, size=size, distortion=lens, model=model)
 
 
 def _write_kalibr(cameras: Mapping[str, Camera]) -> dict[str, str]:
@@ -292,127 +234,68 @@ def _matrix_lines_kalibr(key: str, matrix: Array) -> list[str]:
 KALIBR = calibration_format(
     "kalibr",
     lambda file: any(isinstance(file.get(name, "camera_model"), str) for name in _kalibr_names(file)),
-    _read_kalibr,
-    _write_kalibr,
+    write=_write_kalibr,
+    arrange=_kalibr,
 )
 
 
 # -- OpenCV
 
-#: Names of the camera parameters, in order of precedence. Case and underscores are ignored.
-_OPENCV_NAMES: dict[str, list[str]] = {part: names.split() for part, names in CAMERA_KEYS["opencv"].items()}
-_PARTS = ("K", "distortion", "R", "t", "rectification", "rectified")
-#: Parameters that all cameras may share.
-_SHARED = ("width", "height", "size", "model", "fisheye")
-_SUFFIX = r"(?:_?([0-9]+)|_([A-Za-z0-9_-]+))?"
 _STORED_NAME = re.compile(r"[A-Za-z0-9_-]+")
-
-
-def _pattern(names: Sequence[str]) -> re.Pattern[str]:
-    longest = sorted(names, key=len, reverse=True)
-    return re.compile(f"({'|'.join(n.replace('_', '_?') for n in longest)}){_SUFFIX}", re.IGNORECASE)
-
-
-_PATTERNS = {part: _pattern(names) for part, names in _OPENCV_NAMES.items()}
-
-
-_Table = dict[str, dict[str, Entry]]
+#: Keys of K, R and T, which may end with the name of a camera.
+_K, _R, _T = (
+    re.compile(rf"(?:{names})(?:_?[0-9]+|_[\w-]+)?", re.IGNORECASE)
+    for names in (
+        "camera_?matrix|intrinsic_?matrix|intrinsics?|mtx|K|M",
+        "rotation_?matrix|rotation|rot|rvec|R",
+        "translation_?vector|translation|tvec|T",
+    )
+)
 
 
 def _is_storage(file: CalibrationFile) -> bool:
-    table = _table([file])
-    if file.syntax == "json" and not _is_opencv_json(file, table):
-        return False  # plain lists are read by the format of matrices, which knows all their spellings
-    return bool(table["K"]) or (bool(table["R"]) and bool(table["t"]))
+    items = file.document.items() if isinstance(file.document, dict) else ()
+    values = {str(key): value for key, value in items if isinstance(value, list) or _is_matrix(value)}
+    # plain lists in JSON are read by the format of matrices, which knows all their spellings
+    stored = file.syntax != "json" or any(isinstance(value, Matrix) for value in values.values())
+    if not stored and not _is_pair(find_parameters(plain(file))):
+        return False
+    k, r, t = (any(map(pattern.fullmatch, values)) for pattern in (_K, _R, _T))
+    return k or (r and t)
 
 
-def _is_opencv_json(file: CalibrationFile, table: _Table) -> bool:
-    stereo = {"1", "2"} <= table["K"].keys() and "" in table["R"]
-    values = file.document.values() if isinstance(file.document, dict) else ()
-    return stereo or any(isinstance(value, Matrix) for value in values)
+def _is_matrix(value: Any) -> bool:
+    return isinstance(value, dict) and "data" in value
 
 
-def _table(files: Sequence[CalibrationFile]) -> _Table:
-    """Entries of files by parameter, then by the end of the key, which names the camera."""
-    ranked: dict[str, dict[str, tuple[int, Entry]]] = {part: {} for part in _OPENCV_NAMES}
-    for file in files:
-        for key in file.document if isinstance(file.document, dict) else ():
-            for part, pattern in _PATTERNS.items():
-                matched = pattern.fullmatch(str(key))
-                value = file.document[key]
-                if matched is None or (part in _PARTS and not isinstance(value, (dict, list))):
-                    continue
-                keys: tuple[Key, ...] = (key, "data") if isinstance(value, dict) else (key,)
-                if isinstance(value, dict) and "data" not in value:
-                    continue
-                name = matched[1].replace("_", "").lower()
-                rank = [n.replace("_", "").lower() for n in _OPENCV_NAMES[part]].index(name)
-                suffix = matched[2] or matched[3] or ""
-                known = ranked[part].get(suffix)
-                if known is None or rank < known[0]:
-                    ranked[part][suffix] = rank, Entry(file, keys)
-    return {part: {s: entry for s, (_, entry) in entries.items()} for part, entries in ranked.items()}
+def _is_pair(found: Found) -> bool:
+    """Whether a file has K of two cameras, and the pose from the first one to the second one."""
+    own = [identity for identity, entries in found.cameras.items() if "K" in entries]
+    shared = found.cameras.get((), {}).keys()
+    return own == [("1",), ("2",)] and "t" in shared and bool({"R", "rvec"} & shared)
 
 
 def _read_opencv(file: CalibrationFile) -> dict[str, RawCamera]:
-    table, stem = _table([file]), Path(file.path).stem
-    if not table["K"] or not (table["R"] or table["t"] or table["rectified"]):
-        half = other_half(Path(file.path))
-        if half is not None:
-            stem = name_of_half(stem)
-            table = _table([file, read_document(half, 8 << 20)])
-    if not table["K"]:
-        message = f"the file has no camera matrix; its known names are {', '.join(_OPENCV_NAMES['K'])}"
-        raise CameraError(message, path=file.path)
-    cameras: dict[str, RawCamera] = {}
-    stereo = list(table["K"]) == ["1", "2"] and "" in table["R"] and "" in table["t"]
-    for suffix in table["K"]:
-        name = suffix or str(file.get("camera_name") or "").strip() or stem
-        entries = {part: by_suffix[suffix] for part, by_suffix in table.items() if suffix in by_suffix}
-        shared = {part: table[part][""] for part in _SHARED if "" in table[part]}
-        file.add(cameras, name, _opencv_camera(shared | entries, suffix, stereo, table))
-    return cameras
-
-
-def _opencv_camera(entries: Mapping[str, Entry], suffix: str, stereo: bool, table: _Table) -> RawCamera:
-    k, rotation, t = entries["K"].numbers(3, 3), entries.get("R"), entries.get("t")
-    rectification, rectified = entries.get("rectification"), entries.get("rectified")
-    if stereo:
-        rectification = rotation or rectification
-        rotation, t = (None, None) if suffix == "1" else (table["R"][""], table["t"][""])
-    elif rotation is not None and t is None and rectified is not None:
-        rotation, rectification = None, rotation  # R is the rectification, as in CameraInfo
-    if rotation is None and t is not None:
-        raise t.error("needs R as well")
-    if rotation is not None and t is None:
-        raise rotation.error("needs T as well")
-    distortion = entries["distortion"].numbers() if "distortion" in entries else np.zeros(0)
-    r = np.eye(3) if stereo else None  # the first camera of a stereo pair is the world
-    return RawCamera(
-        k,
-        r if rotation is None else rotation.file.rotation(*rotation.keys),
-        np.zeros(3) if t is None else t.numbers(3),
-        size=size_of(entries),
-        distortion=tuple(distortion),
-        model=_opencv_model(entries, distortion, k),
-        rectification=None if rectification is None else rectification.numbers(3, 3),
-        rectified=None if rectified is None else rectified.numbers(3, 4),
-        locations={part: entries[part].location for part in _PARTS if part in entries},
-    )
-
-
-def _opencv_model(entries: Mapping[str, Entry], distortion: Array, k: Array) -> str | None:
-    """Distortion model. OpenCV decides by the number of coefficients, except for fisheyes."""
-    lens, name, fisheye = (entries.get(part) for part in ("distortion", "model", "fisheye"))
-    word = "" if name is None else name.word
-    if word in ("", "pinhole", "perspective", "opencv"):
-        bent = None if fisheye is None else fisheye.word not in ("0", "false", "no")
-        word = "equidistant" if bent else opencv_model(distortion)
-        if lens is not None and len(distortion) == 4:
-            word = model_of_four(lens.file, lens.keys, distortion, k, bent)
-    if lens is None:
-        return None if word != "equidistant" else word
-    return find_model(lens.file, word, distortion, (name or fisheye or lens).keys, lens.keys)
+    for key, value in file.document.items():
+        if isinstance(value, Matrix) and _K.fullmatch(key):
+            file.numbers((3, 3), key, "data")
+    found = find_parameters(plain(file))
+    whole = "K" in found.roles
+    half = None if whole and POSE & found.roles else other_half(Path(file.path))
+    files = [file]
+    if half is not None:
+        own = {**file.document, "camera_name": name_of_half(Path(file.path).stem)}
+        files = [replace(file, document=own), read_document(half, 8 << 20)]
+        files = files if whole else files[::-1]
+        found = find_parameters(*map(plain, files))
+    renamed = dict(ROWS["opencv"]["renamed"])
+    if any(str(key).startswith("Rot_") for one in files for key in one.document):
+        renamed["R_.*"] = ""  # the same rotation as a vector
+    elif _is_pair(found):
+        renamed["R([12])"] = r"rectification_\1"
+    elif "P" in found.roles and "t" not in found.roles:
+        renamed["R(_.*)?"] = r"rectification\1"  # as in CameraInfo
+    return reader({"renamed": renamed}, others=True)(*files)
 
 
 # -- writing
@@ -424,6 +307,8 @@ def _entries(cameras: Mapping[str, Camera]) -> dict[str, _Value]:
     """Names and values of all entries of a file to write. Matrices are arrays (rows, cols)."""
     if len(cameras) == 1:
         ((name, camera),) = cameras.items()
+        if not name.isprintable() or '"' in name or name.lower() in _WORDS:
+            raise CameraError("this format cannot store a camera of this name", key=name)
         return {
             "camera_name": name,
             "image_width": camera.size[0],
@@ -448,18 +333,13 @@ def _entries(cameras: Mapping[str, Camera]) -> dict[str, _Value]:
             f"R_{name}": vector_of(camera.R)[:, None],
             f"Rot_{name}": camera.R,
             f"T_{name}": camera.t[:, None],
-            **_stereo_entries(camera, f"_{name}"),
         }
-        if any(_is_single_camera_key(key) for key in own):
+        plain_values = {key: nested(v) if isinstance(v, np.ndarray) else v for key, v in own.items()}
+        # a reader would take dist_coeffs for a parameter of an only camera
+        if [*find_parameters(CalibrationFile("", "", plain_values)).cameras] != [(name,)]:
             raise CameraError("this format cannot store a camera of this name", key=name)
-        entries |= own
+        entries |= own | _stereo_entries(camera, f"_{name}")
     return entries
-
-
-def _is_single_camera_key(key: str) -> bool:
-    """Whether readers would take a key, such as dist_coeffs, for a parameter of an only camera."""
-    matches = (pattern.fullmatch(key) for pattern in _PATTERNS.values())
-    return any(matched and not (matched[2] or matched[3]) for matched in matches)
 
 
 def _stereo_entries(camera: Camera, suffix: str) -> dict[str, _Value]:
@@ -471,57 +351,22 @@ def _stereo_entries(camera: Camera, suffix: str) -> dict[str, _Value]:
     return entries
 
 
-def _write_yaml(cameras: Mapping[str, Camera]) -> dict[str, str]:
-    lines = ["%YAML:1.0", "---"]
+def _write_storage(suffix: str, cameras: Mapping[str, Camera]) -> dict[str, str]:
+    storage = cv2.FileStorage(suffix, cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
     for key, value in _entries(cameras).items():
-        if isinstance(value, np.ndarray):
-            rows, columns = value.shape
-            lines += [f"{key}: !!opencv-matrix", f"   rows: {rows}", f"   cols: {columns}", "   dt: d"]
-            lines += [f"   data: [ {row(value.ravel(), ', ')} ]"]
-        elif isinstance(value, list):
-            lines += [f"{key}:", *(f'   - "{item}"' for item in value)]
+        if isinstance(value, list):
+            storage.startWriteStruct(key, cv2.FileNode_SEQ)
+            for item in value:
+                storage.write("", item)
+            storage.endWriteStruct()
         else:
-            lines.append(f"{key}: {value if isinstance(value, int) else json.dumps(value)}")
-    return {"": "\n".join(lines) + "\n"}
+            storage.write(key, value)
+    return {"": storage.releaseAndGetString()}
 
 
-def _write_xml(cameras: Mapping[str, Camera]) -> dict[str, str]:
-    lines = ['<?xml version="1.0"?>', "<opencv_storage>"]
-    for key, value in _entries(cameras).items():
-        if isinstance(value, np.ndarray):
-            rows, columns = value.shape
-            lines += [
-                f'<{key} type_id="opencv-matrix">',
-                f"  <rows>{rows}</rows>",
-                f"  <cols>{columns}</cols>",
-            ]
-            lines += ["  <dt>d</dt>", "  <data>", f"    {row(value.ravel())}</data></{key}>"]
-        elif isinstance(value, list):
-            lines += [f"<{key}>", "  " + " ".join(f'"{item}"' for item in value) + f"</{key}>"]
-        else:
-            lines.append(f"<{key}>{value if isinstance(value, int) else _quoted(value)}</{key}>")
-    return {"": "\n".join([*lines, "</opencv_storage>"]) + "\n"}
-
-
-def _quoted(text: str) -> str:
-    if any(c in '<>&"' or not c.isprintable() for c in text):
-        raise CameraError("this format cannot store a camera of this name", key=text)
-    return f'"{text}"'
-
-
-def _write_json(cameras: Mapping[str, Camera]) -> dict[str, str]:
-    def item(value: _Value) -> Any:
-        if not isinstance(value, np.ndarray):
-            return value
-        rows, columns = value.shape
-        data = nested(value.ravel())
-        return {"type_id": "opencv-matrix", "rows": rows, "cols": columns, "dt": "d", "data": data}
-
-    return json_file({key: item(value) for key, value in _entries(cameras).items()})
-
-
-OPENCV = calibration_format("opencv", _is_storage, _read_opencv, _write_yaml)
-OPENCV_XML = calibration_format("opencv_xml", _is_storage, _read_opencv, _write_xml)
-OPENCV_JSON = calibration_format("opencv_json", _is_storage, _read_opencv, _write_json)
+OPENCV, OPENCV_XML, OPENCV_JSON = (
+    calibration_format(name, _is_storage, _read_opencv, partial(_write_storage, ROWS[name]["suffix"]))
+    for name in ("opencv", "opencv_xml", "opencv_json")
+)
 
 FORMATS = (CAMERA_INFO, INI, KALIBR, OPENCV, OPENCV_JSON, OPENCV_XML)

@@ -183,6 +183,11 @@ class Found:
     names: list[str] = field(default_factory=list)
     views: bool = False
 
+    @property
+    def roles(self) -> set[str]:
+        """Parameters of which at least one camera has a value."""
+        return {role for entries in self.cameras.values() for role in entries}
+
     def having(self, roles: frozenset[str]) -> list[Identity]:
         """Cameras that have at least one of these parameters, not counting shared parameters."""
         return [identity for identity, entries in self.cameras.items() if roles & entries.keys()]
@@ -491,21 +496,22 @@ def _numbered(key: str) -> tuple[str, Identity] | None:
     """Parameter and camera of a key that ends with a number, such as ``K1``."""
     match = re.fullmatch(r"([A-Za-z_]+?)_?([0-9]+)", key) if len(key) < 80 else None
     role = _ROLES.get(_word(match[1])) if match else None
-    known = ("K", "R", "t", "rvec", "pose", "distortion", "P")
+    known = ("K", "R", "t", "rvec", "pose", "distortion", "P", "rectified", "rectification")
     return (str(role), (match[2],)) if match and role in known else None
 
 
 def _split(key: str) -> tuple[str, Identity] | None:
     """Parameter and camera of a key with words of both, such as ``K_left`` and ``left_K``."""
-    words = [word for word in re.split(r"[_. -]+", key) if word]
-    if len(words) > 8 or len(key) > 80:
+    ends = [match.span() for match in re.finditer(r"[^_. -]+", key)]
+    if len(ends) > 8 or len(key) > 80:
         return None
-    for length in range(len(words) - 1, 0, -1):
-        for own, rest in ((words[-length:], words[:-length]), (words[:length], words[length:])):
-            role = _ROLES.get("".join(own).lower())
-            named = role not in _TEXTS or (role == "model" and len(own) > 1)
-            if role is not None and named and not _NO_CAMERA.intersection(map(str.lower, rest)):
-                return role, ("_".join(rest),)
+    for length in range(len(ends) - 1, 0, -1):
+        last, first = ends[-length][0], ends[length - 1][1]
+        for own, rest in ((key[last:], key[:last]), (key[:first], key[first:])):
+            role, rest = _ROLES.get(_word(own)), rest.strip("_. -")
+            named = role not in _TEXTS or (role == "model" and _word(own) != own.lower())
+            if role is not None and named and not _NO_CAMERA.intersection(re.split("[_. -]+", rest.lower())):
+                return role, (rest,)
     return None
 
 
@@ -568,12 +574,11 @@ def numbers_found(file: CalibrationFile, most: int = 4, least: int = 1) -> list[
 def parts_found(found: Found) -> tuple[list[str], list[str]]:
     """Which of intrinsics, image size, rotation and translation a file has, and which ones are missing: two
     lists of words for messages."""
-    roles = {role for entries in found.cameras.values() for role in entries}
     needed = {
         "K or focal length": INTRINSIC,
         "image size": SIZE,
         "rotation": ROTATION,
         "translation": TRANSLATION,
     }
-    has = [name for name, words in needed.items() if words & roles]
+    has = [name for name, words in needed.items() if words & found.roles]
     return has, [name for name in needed if name not in has]

@@ -128,7 +128,7 @@ def calibration_format(
     """
     row = ROWS[name]
     if read is None:
-        read = _reader(row, arrange)
+        read = reader(row, arrange)
         find_unit = find_unit or (None if "unit" in row else unit_of_file)
     return CalibrationFormat(
         name,
@@ -162,11 +162,16 @@ def _matcher(row: Mapping[str, Any]) -> _Matches:
     return matches
 
 
-def _reader(row: Mapping[str, Any], arrange: Callable[[CalibrationFile], Cameras] | None) -> _Read:
-    """Make the function ``read`` of a row."""
+def reader(
+    row: Mapping[str, Any],
+    arrange: Callable[[CalibrationFile], Cameras] | None = None,
+    others: bool = False,
+) -> Callable[..., dict[str, RawCamera]]:
+    """Make the function ``read`` of a row. It reads a file, or one with intrinsics and one with extrinsics.
+    ``others``: whether keys of parameters may have values of something else."""
     renamed: Mapping[str, str] = row.get("renamed", {})
 
-    def read(file: CalibrationFile) -> dict[str, RawCamera]:
+    def document_of(file: CalibrationFile) -> CalibrationFile:
         back: dict[str, str] = {}
 
         def rewrite(items: dict[Any, Any]) -> dict[Any, Any]:
@@ -186,12 +191,18 @@ def _reader(row: Mapping[str, Any], arrange: Callable[[CalibrationFile], Cameras
         cameras = document if isinstance(document, dict) else {"cameras": document}
         stated = {"convention": row.get("direction", "w2c"), **row.get("shared", {}), **cameras}
         file = replace(file, document=stated, renamed=back)
-        check_counts(file)
-        read = read_matrices(file, needs=row.get("needs", ()))
-        if stated.get("origin") == "corner":
-            read = {name: replace(c, K=c.K - _HALF_PIXEL) for name, c in read.items()}
+        if not others:
+            check_counts(file)
+        return file
+
+    def read(file: CalibrationFile, other: CalibrationFile | None = None) -> dict[str, RawCamera]:
+        document = document_of(file)
+        posed = None if other is None else document_of(other)
+        cameras = read_matrices(document, posed, row.get("needs", ()))
+        if document.get("origin") == "corner":
+            cameras = {name: replace(c, K=c.K - _HALF_PIXEL) for name, c in cameras.items()}
         path = Path(file.path)
-        return {path.parent.name: read[path.stem]} if [*read] == [path.stem] == ["sensor"] else read
+        return {path.parent.name: cameras[path.stem]} if [*cameras] == [path.stem] == ["sensor"] else cameras
 
     return read
 

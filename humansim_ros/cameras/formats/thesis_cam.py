@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.cameras.camera.camera import Camera, look_at_pose, pinhole_of_fov
-from humansim_ros.cameras.formats.base import LARGEST, CalibrationFile, Keys, RawCamera, camera_at
+from humansim_ros.cameras.formats.base import LARGEST, CalibrationFile, Keys, RawCamera
 from humansim_ros.cameras.formats.conventions import find_model
 from humansim_ros.cameras.formats.table import calibration_format, row
 from humansim_ros.errors import CameraError, warn_about
@@ -270,10 +270,7 @@ def _camera(file: CalibrationFile, name: str) -> RawCamera:
     if ignored:
         what = f"{' and '.join(ignored)} ignored: this camera is the whole sensor"
         warn_about(file.path, f"cameras.{name}: {what}")
-    size = _SIZE
-    if file.has(*at, "size"):
-        file.numbers((2,), *at, "size")
-        size = file.size((*at, "size", 0), (*at, "size", 1))
+    size = file.pair_size(*at, "size") or _SIZE
     distortion = file.optional_numbers(*at, "distortion")
     word, model_keys = file.get(*at, "distortion_model"), (*at, "distortion_model")
     # if None, Camera decides by the number of coefficients, as in scenes
@@ -281,8 +278,13 @@ def _camera(file: CalibrationFile, name: str) -> RawCamera:
     if word is not None:
         model = find_model(file, word, distortion, model_keys, (*at, "distortion"))
     k, r, t = _matrices(file, at, size)
-    own = {"K": k, "R": r, "t": t, "size": size, "distortion": distortion, "model": model}
-    return camera_at(file, at, {part: part for part in _PARTS} | {"model": "distortion_model"}, **own)
+    rectified: dict[str, Any] = {
+        key: file.numbers(shape, *at, key)
+        for key, shape in (("rectification", (3, 3)), ("rectified", (3, 4)))
+        if file.has(*at, key)
+    }
+    locations = file.locations(at, **{part: part for part in _PARTS}, model="distortion_model")
+    return RawCamera(k, r, t, None, size, tuple(distortion), model, **rectified, locations=locations)
 
 
 def _matrices(file: CalibrationFile, at: Keys, size: ImageSize) -> tuple[Array, Array, Array]:

@@ -211,15 +211,15 @@ class Reading:
         from humansim_ros.cameras.formats import SCENE, Calibration
         from humansim_ros.scene.config import load_config
         from humansim_ros.scene.core import SceneSource, build_cameras
-        from humansim_ros.scene.features import Robot
+        from humansim_ros.scene.features import read_robot
 
         if any(option is not None for option in vars(self).values()):
             message = "a scene has size, unit and up axis in its section 'rig': leave these options out"
             raise CameraError(message, path=file)
         config, source = load_config(file), SceneSource.of_file(file)
         with source.locating_errors():
-            robot = Robot.of_scene(config, source)
-            cameras = {name: camera.camera for name, camera in build_cameras(config, source, robot).items()}
+            built = build_cameras(config, source, read_robot(config, source))
+            cameras = {name: camera.camera for name, camera in built.items()}
         sizes = {name: camera.size for name, camera in cameras.items()}
         return Calibration(cameras, SCENE, 1.0, "z", sizes, frozenset(cameras))
 

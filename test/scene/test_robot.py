@@ -14,8 +14,8 @@ from humansim_ros.data.messages.types import Twist, Vector3
 from humansim_ros.errors import HumansimError, RosError, SceneError
 from humansim_ros.geometry import ObjectPose
 from humansim_ros.scene import Scene
+from humansim_ros.scene.core.objects import Robot
 from humansim_ros.scene.core.playback import Playback
-from humansim_ros.scene.features.robot.feature import Robot
 
 #: A camera in base_link: 0.1 m forward, 0.9 m up, looking forward; 0.2 m to the left.
 MOUNT = {"mount": "robot", "position": [0.1, 0.2, 0.9], "look_at": [1.1, 0.2, 0.9], "size": [64, 48]}

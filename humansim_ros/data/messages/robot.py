@@ -12,11 +12,11 @@ from humansim_ros.data.messages.headers import header, to_nanoseconds
 from humansim_ros.data.messages.types import Odometry, Point, Pose, Quaternion, Twist, Vector3
 from humansim_ros.errors import RosError, printable, within_bounds
 from humansim_ros.geometry import ObjectPose, Velocity, multiply_quaternions, quaternion_to_matrix
-from humansim_ros.scene.core import Carrier
+from humansim_ros.scene.core import Robot
 from humansim_ros.types import Array
 
 
-def odometry_message(robot: Carrier, base: ObjectPose, stamp: int) -> Odometry:
+def odometry_message(robot: Robot, base: ObjectPose, stamp: int) -> Odometry:
     """Build ``odom``: pose of ``base_link`` relative to the start of the robot, and its velocity in these
     axes.
 
@@ -40,7 +40,7 @@ def odometry_message(robot: Carrier, base: ObjectPose, stamp: int) -> Odometry:
     return message
 
 
-def in_odometry(robot: Carrier, base: ObjectPose) -> ObjectPose:
+def in_odometry(robot: Robot, base: ObjectPose) -> ObjectPose:
     """Convert the pose of ``base_link`` from ``map`` (``base``) to the frame of the odometry."""
     start = robot.start
     back = start.rotation * (-1, -1, -1, 1)
@@ -48,7 +48,7 @@ def in_odometry(robot: Carrier, base: ObjectPose) -> ObjectPose:
     return ObjectPose(position, multiply_quaternions(back, base.rotation))
 
 
-def read_odometry(message: Odometry, robot: Carrier) -> tuple[int, ObjectPose]:
+def read_odometry(message: Odometry, robot: Robot) -> tuple[int, ObjectPose]:
     """Read odometry from another node. Returns the stamp, and pose and velocity of ``base_link`` in ``map``.
 
     Raises:

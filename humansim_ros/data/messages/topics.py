@@ -58,12 +58,12 @@ from humansim_ros.scene.config import LIVE
 from humansim_ros.scene.core import (
     Actor,
     CameraPose,
-    Carrier,
     DepthCapture,
     Frame,
     FrameFaults,
     HumanState,
     JointSource,
+    Robot,
     Scene,
     SceneCamera,
     SceneObject,
@@ -257,7 +257,7 @@ class RobotTopics:
         base: Transform from the frame of the odometry to ``base_link``, with the same content as ``odom``.
     """
 
-    def __init__(self, robot: Carrier) -> None:
+    def __init__(self, robot: Robot) -> None:
         self.odom: Topic[ObjectPose] = Topic(
             "odom",
             Odometry,

@@ -16,7 +16,7 @@ from humansim_ros.geometry import ObjectPose
 from humansim_ros.ros.graph.qos import NEWEST
 from humansim_ros.ros.playing.playing import FramePlayer
 from humansim_ros.ros.processes.transforms import TransformSender
-from humansim_ros.scene.core import Carrier, Playback, SceneState, Tick
+from humansim_ros.scene.core import Playback, Robot, SceneState, Tick
 
 #: After its newest odometry, a robot goes on with the same velocity for at most this time, seconds.
 _MOST_AHEAD = 0.3
@@ -34,7 +34,7 @@ class RobotPort:
         robot: The robot.
     """
 
-    def __init__(self, node: FramePlayer, playback: Playback, robot: Carrier) -> None:
+    def __init__(self, node: FramePlayer, playback: Playback, robot: Robot) -> None:
         self._node, self._playback, self._robot = node, playback, robot
         self._odom: Any = None
         #: Stamp and pose of the newest odometry of another node, and of the previous one.

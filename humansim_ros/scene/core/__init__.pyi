@@ -29,7 +29,7 @@ from humansim_ros.scene.core.names import skinner_node as skinner_node
 from humansim_ros.scene.core.objects import BUILT_IN_MESHES as BUILT_IN_MESHES
 from humansim_ros.scene.core.objects import FURNITURE as FURNITURE
 from humansim_ros.scene.core.objects import SHAPES as SHAPES
-from humansim_ros.scene.core.objects import Carrier as Carrier
+from humansim_ros.scene.core.objects import Robot as Robot
 from humansim_ros.scene.core.objects import SceneObject as SceneObject
 from humansim_ros.scene.core.playback import Change as Change
 from humansim_ros.scene.core.playback import Entity as Entity

@@ -34,7 +34,7 @@ from humansim_ros.scene.config.config import SceneConfig, load_config
 from humansim_ros.scene.config.timing import CameraTiming
 from humansim_ros.scene.core.environment import load_backdrop
 from humansim_ros.scene.core.faults import CalibrationError, FaultSchedule, FrameFaults
-from humansim_ros.scene.core.objects import Carrier, Route, robot_of_mount
+from humansim_ros.scene.core.objects import Robot, Route, robot_of_mount
 from humansim_ros.scene.core.source import SceneSource
 from humansim_ros.scene.core.stereo import right_camera
 from humansim_ros.types import Array, Float32Array
@@ -137,7 +137,7 @@ class SceneCamera:
     region: Region
     sensor: Sensor
     route: Route | None = None
-    mount: tuple[ObjectPose, Carrier] | None = None
+    mount: tuple[ObjectPose, Robot] | None = None
     backdrop: Backdrop | None = None
     faults: FaultSchedule | None = None
     depth_sensor: DepthSensor | None = None
@@ -187,7 +187,7 @@ class SceneCamera:
         """The same right camera next to the left camera at its initial pose."""
         return replace(self, whole=replace(self.whole, R=left.whole.R, t=left.whole.t - self.beside_left))
 
-    def mounted_on(self, robot: Carrier) -> SceneCamera:
+    def mounted_on(self, robot: Robot) -> SceneCamera:
         """The same camera on a robot: its pose in ``map`` becomes its pose in ``base_link``."""
         pose = CameraPose.of(self.whole)
         place = ObjectPose(pose.position, pose.rotation)
@@ -426,7 +426,7 @@ _DEFAULT_SIZE = (640, 480)
 
 
 def build_cameras(
-    config: SceneConfig, source: SceneSource, robot: Carrier | None = None
+    config: SceneConfig, source: SceneSource, robot: Robot | None = None
 ) -> dict[str, SceneCamera]:
     """Cameras of a scene by name, cameras of its rig first. ``robot``: carries the cameras that are mounted
     on it. Raises HumansimError, which names the key of the scene file."""
@@ -457,7 +457,7 @@ def in_step(cameras: Mapping[str, SceneCamera]) -> list[str]:
     return [name for name, camera in cameras.items() if camera.timing == fastest]
 
 
-def _completed(camera: SceneCamera, config: SceneConfig, robot: Carrier | None) -> SceneCamera:
+def _completed(camera: SceneCamera, config: SceneConfig, robot: Robot | None) -> SceneCamera:
     """Camera with its mount and its faults."""
     section = config.cameras.get(camera.left or camera.name, config.rig)
     if section is None:

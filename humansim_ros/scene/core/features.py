@@ -29,7 +29,7 @@ from humansim_ros.scene.core.camera import SceneCamera, build_cameras
 from humansim_ros.scene.core.environment import Environment, Furnishing
 from humansim_ros.scene.core.looks import random_numbers
 from humansim_ros.scene.core.names import human_names
-from humansim_ros.scene.core.objects import Carrier, SceneObject
+from humansim_ros.scene.core.objects import Robot, SceneObject
 from humansim_ros.scene.core.source import SceneSource
 from humansim_ros.scene.core.world import World
 from humansim_ros.types import Color
@@ -61,7 +61,7 @@ class Draft:
     names: Sequence[str]
     tracks: Mapping[tuple[str, str], KeyframeTrack] = field(default_factory=dict)
     furnishing: Furnishing = field(default_factory=Furnishing)
-    robot: Carrier | None = None
+    robot: Robot | None = None
     robot_body: SceneObject | None = None
     actors: dict[str, Actor] = field(default_factory=dict)
     objects: dict[str, SceneObject] = field(default_factory=dict)

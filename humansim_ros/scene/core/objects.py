@@ -7,10 +7,12 @@ sharp in shading. The colour of a scene replaces the main colour.
 
 from __future__ import annotations
 
+import math
+from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -27,17 +29,24 @@ from humansim_ros.geometry import (
     from_degrees,
     multiply_quaternions,
     normalised,
+    quaternion_to_matrix,
+    rotation_vector_to_quaternion,
 )
 from humansim_ros.motion.files import KeyframeTrack
 from humansim_ros.render.interface import Body
 from humansim_ros.scene.config.camera_config import TrajectoryConfig
 from humansim_ros.scene.config.config import ObjectConfig
+from humansim_ros.scene.core.looks import random_numbers
 from humansim_ros.scene.core.source import SceneSource
-from humansim_ros.scene.features.robot import RobotConfig
+from humansim_ros.scene.features.robot import RobotConfig, VibrationConfig
 from humansim_ros.types import Array, Color
 
 #: Segments around a sphere or a cylinder.
 _SEGMENTS = 48
+#: Sines of each axis of a vibration, and the share of its middle frequency by which theirs differ from it.
+_SINES, _SPREAD = 4, 0.4
+#: Commands that a drive remembers, for jumps back in time.
+_MOST_COMMANDS = 20_000
 
 
 @dataclass(frozen=True)
@@ -327,14 +336,128 @@ class Route:
         return ObjectPose(*self.path.in_map(time), velocity=velocity.scaled(self.speed))
 
 
-class Drive(Protocol):
-    """What moves a carrier that follows commands. The same commands give the same way."""
+@dataclass(frozen=True, eq=False)
+class Vibration:
+    """Sum of sines along and about each axis of a robot.
+
+    ``config``: its settings. Its phases and frequencies follow from the seed.
+    """
+
+    config: VibrationConfig
+
+    @cached_property
+    def _sines(self) -> Array:
+        """Amplitude, angular frequency and phase (3, 6, 4) of the sines of each axis."""
+        uniform = random_numbers(self.config.seed, "vibration")
+        draws = np.array([uniform() for _ in range(2 * 6 * _SINES)]).reshape(2, 6, _SINES)
+        middle = 2 * np.pi * self.config.frequency
+        deviations = np.repeat([self.config.position, math.radians(self.config.rotation_deg)], 3)
+        amplitude = np.repeat(deviations[:, None] * math.sqrt(2 / _SINES), _SINES, axis=1)
+        return np.stack([amplitude, middle * (1 + _SPREAD * (2 * draws[0] - 1)), 2 * np.pi * draws[1]])
 
     def at(self, seconds: float) -> ObjectPose:
-        """Pose and velocity of ``base_link`` at a scene time in seconds."""
+        """Pose and velocity in the axes of the robot at a scene time in seconds."""
+        amplitude, frequency, phase = self._sines
+        angle = frequency * seconds + phase
+        offset = (amplitude * np.sin(angle)).sum(axis=1)
+        rate = (amplitude * frequency * np.cos(angle)).sum(axis=1)
+        turn, turn_rate = offset[3:], rate[3:]
+        # angular velocity of a rotation vector, to the second order of its small angle
+        angular = turn_rate + np.cross(turn, turn_rate) / 2
+        velocity = Velocity(rate[:3], angular)
+        return ObjectPose(offset[:3], rotation_vector_to_quaternion(turn), velocity=velocity)
+
+
+@dataclass(frozen=True, eq=False)
+class Robot:
+    """What moves the robot of a scene.
+
+    Attributes:
+        config: Its settings.
+        route: Its way, if it is the same in each run.
+    """
+
+    config: RobotConfig
+    route: Route | None = None
+
+    @property
+    def base_frame(self) -> str:
+        """Name of the frame ``base_link`` in messages."""
+        return self.config.base_frame
+
+    @property
+    def takes_commands(self) -> bool:
+        """Whether it follows ``cmd_vel``."""
+        return self.route is None and self.config.odometry is None
+
+    def drive(self) -> CommandedDrive | None:
+        """What moves the robot by commands; None if another thing moves the robot."""
+        return CommandedDrive(self) if self.takes_commands else None
+
+    @cached_property
+    def start(self) -> ObjectPose:
+        """Pose of ``base_link`` at the start of the scene, where its odometry begins."""
+        return self.base_at(0.0)
+
+    def base_at(self, seconds: float) -> ObjectPose:
+        """Pose and velocity of ``base_link`` at a scene time; of a robot without route at its start."""
+        if self.route is not None:
+            return self.route.at(seconds)
+        return ObjectPose.on_floor(*self.config.position, math.radians(self.config.yaw_deg))
+
+    def body_at(self, seconds: float, base: ObjectPose | None = None) -> ObjectPose:
+        """Pose and velocity of its body at a scene time, with vibration. ``base``: where ``base_link`` is
+        then; as :meth:`base_at` says if None."""
+        base = self.base_at(seconds) if base is None else base
+        return base if self._vibration is None else base.carry(self._vibration.at(seconds))
+
+    def base_of(self, body: ObjectPose, seconds: float) -> ObjectPose:
+        """Pose of ``base_link`` at a scene time from the pose of its body, without velocity."""
+        if self._vibration is None:
+            return replace(body, velocity=None)
+        shaken = self._vibration.at(seconds)
+        rotation = multiply_quaternions(body.rotation, shaken.rotation * (-1, -1, -1, 1))
+        position = body.position - quaternion_to_matrix(rotation) @ shaken.position
+        return ObjectPose(position, rotation)
+
+    @cached_property
+    def _vibration(self) -> Vibration | None:
+        return None if self.config.vibration is None else Vibration(self.config.vibration)
+
+
+class _Command(NamedTuple):
+    """Place of a drive at a scene time in seconds, and its velocities from then on."""
+
+    seconds: float
+    x: float
+    y: float
+    yaw: float
+    speed: float
+    turn: float
+
+
+class CommandedDrive:
+    """Differential drive that follows commands; the same commands give the same way.
+
+    Between two commands it drives an arc, which is computed exactly. Limits and timeout come from the
+    settings of the robot.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        self._config = robot.config
+        self._commands: list[_Command] = []
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all commands: it stands at its start."""
+        x, y = self._config.position
+        self._commands = [_Command(-math.inf, x, y, math.radians(self._config.yaw_deg), 0.0, 0.0)]
 
     def command(self, seconds: float, speed: float, turn: float) -> None:
         """Drive from a scene time on: metres per second, and radians per second to the left."""
+        limit, turn_limit = self._config.max_speed, math.radians(self._config.max_turn_deg)
+        speed, turn = min(max(speed, -limit), limit), min(max(turn, -turn_limit), turn_limit)
+        self._add(_Command(seconds, *self._place(seconds), speed, turn))
 
     def place(self, seconds: float, x: float, y: float, yaw: float) -> None:
         """Stand somewhere else from a scene time on.
@@ -345,48 +468,40 @@ class Drive(Protocol):
             y: Metres in ``map``.
             yaw: Heading in radians from +x to the left.
         """
+        self._add(_Command(seconds, x, y, yaw, 0.0, 0.0))
 
-    def reset(self) -> None:
-        """Forget all commands: it stands at its start."""
+    def at(self, seconds: float) -> ObjectPose:
+        """Pose and velocity of ``base_link`` at a scene time in seconds."""
+        x, y, yaw = self._place(seconds)
+        command = self._command_at(seconds)
+        drives = seconds - command.seconds < self._config.timeout
+        speed, turn = (command.speed, command.turn) if drives else (0.0, 0.0)
+        linear = np.array([speed * math.cos(yaw), speed * math.sin(yaw), 0.0])
+        return ObjectPose.on_floor(x, y, yaw, Velocity(linear, np.array([0.0, 0.0, turn])))
 
+    def _add(self, command: _Command) -> None:
+        later = bisect_right(self._commands, command.seconds, key=lambda each: each.seconds)
+        self._commands[later:] = [command]
+        if len(self._commands) > _MOST_COMMANDS:
+            del self._commands[1 : _MOST_COMMANDS // 2]
 
-class Carrier(Protocol):
-    """A thing that carries cameras and scanners: the robot."""
+    def _command_at(self, seconds: float) -> _Command:
+        later = bisect_right(self._commands, seconds, key=lambda each: each.seconds)
+        return self._commands[later - 1]
 
-    @property
-    def config(self) -> RobotConfig:
-        """Its settings."""
-
-    @property
-    def route(self) -> Route | None:
-        """Its way, if the way is the same in each run."""
-
-    @property
-    def base_frame(self) -> str:
-        """Name of the frame ``base_link`` in messages."""
-
-    @property
-    def takes_commands(self) -> bool:
-        """Whether it follows ``cmd_vel``."""
-
-    @property
-    def start(self) -> ObjectPose:
-        """Pose of ``base_link`` at the start of the scene."""
-
-    def base_at(self, seconds: float) -> ObjectPose:
-        """Pose and velocity of ``base_link`` at a scene time."""
-
-    def body_at(self, seconds: float, base: ObjectPose | None = None) -> ObjectPose:
-        """Pose and velocity of its body at a scene time. ``base``: where ``base_link`` is, if it is known."""
-
-    def base_of(self, body: ObjectPose, seconds: float) -> ObjectPose:
-        """Pose of ``base_link`` at a scene time from the pose of its body, without velocity."""
-
-    def drive(self) -> Drive | None:
-        """What moves the robot by commands; None if another thing moves the robot."""
+    def _place(self, seconds: float) -> tuple[float, float, float]:
+        """Position x, y and heading."""
+        command = self._command_at(seconds)
+        time = min(seconds - command.seconds, self._config.timeout)
+        half = command.turn * time / 2
+        # chord of the arc
+        chord = command.speed * time * (math.sin(half) / half if abs(half) > 1e-9 else 1.0)
+        x = command.x + chord * math.cos(command.yaw + half)
+        y = command.y + chord * math.sin(command.yaw + half)
+        return x, y, command.yaw + 2 * half
 
 
-def robot_of_mount(mount: str | None, robot: Carrier | None) -> Carrier | None:
+def robot_of_mount(mount: str | None, robot: Robot | None) -> Robot | None:
     """The robot that carries a thing with a key ``mount``; None without the key. ``robot``: the robot of the
     scene. Raises SceneError of this key if it has none."""
     if mount is None:

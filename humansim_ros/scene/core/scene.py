@@ -30,7 +30,7 @@ from humansim_ros.scene.core.environment import Environment
 from humansim_ros.scene.core.features import begin_draft, features_of
 from humansim_ros.scene.core.looks import random_looks
 from humansim_ros.scene.core.names import check_node_names
-from humansim_ros.scene.core.objects import Carrier, SceneObject
+from humansim_ros.scene.core.objects import Robot, SceneObject
 from humansim_ros.scene.core.source import SceneSource, name_objects
 from humansim_ros.scene.core.world import World
 
@@ -90,7 +90,7 @@ class Scene(Pictured):
     environment: Environment = field(default_factory=Environment)
     random_humans: frozenset[str] = frozenset()
     scanners: dict[str, Any] = field(default_factory=dict)
-    robot: Carrier | None = None
+    robot: Robot | None = None
 
     @classmethod
     def load(cls, path: str | os.PathLike[str] | None = None) -> Scene:

@@ -1,5 +1,5 @@
 from humansim_ros.scene.features.robot import ROBOT as ROBOT
-from humansim_ros.scene.features.robot.feature import Robot as Robot
+from humansim_ros.scene.features.robot.feature import read_robot as read_robot
 from humansim_ros.scene.features.scanners.feature import LiveScanning as LiveScanning
 from humansim_ros.scene.features.scanners.feature import SceneScanner as SceneScanner
 from humansim_ros.scene.features.scanners.feature import Sweep as Sweep

@@ -40,7 +40,7 @@ from humansim_ros.render.interface import Body, check_bodies
 from humansim_ros.scene.config.config import SceneConfig
 from humansim_ros.scene.core.features import Draft
 from humansim_ros.scene.core.findings import CheckedFeature, Finding, SceneSamples, misplaced
-from humansim_ros.scene.core.objects import Carrier, Route, robot_of_mount
+from humansim_ros.scene.core.objects import Robot, Route, robot_of_mount
 from humansim_ros.scene.core.scene import Scene
 from humansim_ros.scene.core.simulation import MeasuringFeature
 from humansim_ros.scene.core.source import SceneSource
@@ -71,12 +71,12 @@ class SceneScanner:
     layout: Layout
     stamp: StampOf
     route: Route
-    mount: Carrier | None = None
+    mount: Robot | None = None
     seed: int = 0
 
     @classmethod
     def build(
-        cls, name: str, config: ScannerConfig, source: SceneSource, robot: Carrier | None = None
+        cls, name: str, config: ScannerConfig, source: SceneSource, robot: Robot | None = None
     ) -> SceneScanner:
         """Create a scanner from its section.
 
@@ -195,7 +195,7 @@ def _route(config: ScannerConfig, source: SceneSource) -> Route:
 
 
 def build_scanners(
-    config: SceneConfig, source: SceneSource, robot: Carrier | None = None
+    config: SceneConfig, source: SceneSource, robot: Robot | None = None
 ) -> dict[str, SceneScanner]:
     """Scanners of a scene by name. ``robot``: carries the scanners that are mounted on it. Raises
     HumansimError, which names the key."""

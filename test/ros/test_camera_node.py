@@ -657,7 +657,7 @@ def test_a_pose_of_another_clock_moves_a_camera_and_does_not_fix_it(
             scene=scene,
             actors={},
         )
-        pose = publisher.exposure(state).pose_at(0.0)
+        pose = publisher.shot(state).pose_at(0.0)
         return float((-pose.R.T @ pose.t)[0])
 
     period = 50_000_000

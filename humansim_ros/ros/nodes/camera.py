@@ -39,17 +39,11 @@ from humansim_ros.ros.processes.runtime import run_node
 from humansim_ros.ros.processes.transforms import TransformSender
 from humansim_ros.scene.config import PictureTimer
 from humansim_ros.scene.core import (
-    NO_FAULTS,
     CameraPose,
     CameraShot,
-    Exposure,
-    FrameFaults,
     Scene,
     SceneCamera,
     SceneState,
-    capture_depth,
-    capture_rectified_depth,
-    observe,
 )
 from humansim_ros.scene.truth import CameraTruth
 from humansim_ros.types import Image
@@ -95,10 +89,10 @@ class CameraPosePublisher:
         if not camera.moves:
             node.create_subscription(topics.pose.type, topics.pose.name, self._on_pose, NEWEST)
 
-    def exposure(self, state: SceneState) -> Exposure:
-        """Exposure of the camera at a scene state. Publishes the camera's pose with the stamp of the
-        state."""
-        exposure, pose = state.exposure(self._camera), state.calibrated_pose(self._camera)
+    def shot(self, state: SceneState) -> CameraShot:
+        """Shot of the camera at a scene state, without channels. Publishes the camera's pose with the stamp
+        of the state."""
+        shot, pose = state.shot(self._camera), state.calibrated_pose(self._camera)
         if self._poses and state.stamp < self._last_stamp:
             self._follow_clock(self._last_stamp, state.stamp)
         self._last_stamp = state.stamp
@@ -106,8 +100,8 @@ class CameraPosePublisher:
             self._restamp_poses_ahead(state.stamp)
             if self._pose_at(state.stamp) is not self._last:  # a resting camera has the same object
                 self._last_motion = state.stamp
-            exposure = replace(
-                exposure,
+            shot = replace(
+                shot,
                 pose_at=lambda seconds: self._camera.true_pose(
                     self._pose_at(state.stamp + round(1e9 * seconds)), state.scene_time * 1e-9 + seconds
                 ),
@@ -121,8 +115,8 @@ class CameraPosePublisher:
             if self._topics.extrinsics in self._topics.transforms:
                 self._transforms.send(transform)
         if self._camera.moves or self._poses or self._camera.drifts:
-            self._publish_true(exposure.pose_at(0.0), state.stamp)
-        return exposure
+            self._publish_true(shot.pose_at(0.0), state.stamp)
+        return shot
 
     def _publish_true(self, pose: CameraPose, stamp: int) -> None:
         """Publish the true pose of a camera with a wrong calibration."""
@@ -208,9 +202,9 @@ class CameraNode(SceneNode):
         self._driver = CameraDriver(self)
         self._images = ImagePublishers(self, self._topics, self._driver)
         self._timer = PictureTimer(self._camera.timing)
-        #: States and exposures of the last two frames, if flow has subscribers.
-        self._last: tuple[SceneState, Exposure] | None = None
-        self._previous: tuple[SceneState, Exposure] | None = None
+        #: Shots of the last two frames, if flow has subscribers.
+        self._last: CameraShot | None = None
+        self._previous: CameraShot | None = None
         self._infos = InfoPublishers(self, self._topics, self._driver)
         self._truth = TruthPublishers(self, self._topics)
         self._faults = FaultsPublisher(self, self._topics)
@@ -284,42 +278,35 @@ class CameraNode(SceneNode):
         self.report_time(1e3 * (time.monotonic() - start), "render")
 
     def _publish_frame(self, state: SceneState) -> None:
-        exposure = self._pose.exposure(state)
+        shot = self._pose.shot(state)
         channels = self._images.subscribed()
-        if self._last is not None and self._last[0].is_preview != state.is_preview:
+        if self._last is not None and self._last.state.is_preview != state.is_preview:
             self._last = self._previous = None  # flow does not lead from one to the other
-        if self._last is not None and self._last[0].stamp != state.stamp:  # else the same frame again
+        if self._last is not None and self._last.state.stamp != state.stamp:  # else the same frame again
             self._previous = self._last
         previous = self._previous
-        self._last = (state, exposure) if channels & (_FORWARD | _BACKWARD) else None
+        self._last = shot if channels & (_FORWARD | _BACKWARD) else None
         if self._last is None:
             self._previous = None
         if previous is None:
-            self._publish_view(state, exposure, channels - _FORWARD - _BACKWARD)
+            self._publish_view(shot, channels - _FORWARD - _BACKWARD)
             return
-        frame, previous_frame = (
-            exposure.adjacent_frame(self._camera),
-            previous[1].adjacent_frame(self._camera),
-        )
-        self._publish_view(state, replace(exposure, previous_frame=previous_frame), channels - _FORWARD)
+        self._publish_view(replace(shot, previous_frame=previous.adjacent_frame), channels - _FORWARD)
         if channels & _FORWARD:
-            before, previous_exposure = previous
-            complete = replace(previous_exposure, next_frame=frame)
-            shot = CameraShot(self._camera, complete, channels & _FORWARD)
-            view = shot.take(self._renderer, before.scene_time)
-            self._images.publish(view, channels & _FORWARD, before.stamp)
+            forward = channels & _FORWARD
+            complete = replace(previous, next_frame=shot.adjacent_frame, channels=forward)
+            self._images.publish(complete.take(self._renderer), forward, previous.state.stamp)
 
-    def _publish_view(self, state: SceneState, exposure: Exposure, channels: set[str]) -> None:
-        schedule = None if state.is_preview else self._camera.faults
-        faults = NO_FAULTS if schedule is None else schedule.at_time(state.scene_time)
-        self._faults.publish(faults, state.stamp)
-        with self._driver.frame(state.stamp, faults):
-            self._publish_images(state, exposure, channels, faults)
+    def _publish_view(self, shot: CameraShot, channels: set[str]) -> None:
+        state, schedule = shot.state, self._camera.faults
+        if schedule is not None and not state.is_preview:
+            shot = replace(shot, faults=schedule.at_time(state.scene_time))
+        self._faults.publish(shot.faults, state.stamp)
+        with self._driver.frame(state.stamp, shot.faults):
+            self._publish_images(shot, channels)
 
-    def _publish_images(
-        self, state: SceneState, exposure: Exposure, channels: set[str], faults: FrameFaults
-    ) -> None:
-        stamp = state.stamp
+    def _publish_images(self, shot: CameraShot, channels: set[str]) -> None:
+        stamp = shot.state.stamp
         truth_topics = self._truth.subscribed()
         rectified = self._images.rectified_subscribed()
         depth_topics = [] if self._depth is None else self._depth.subscribed()
@@ -328,30 +315,26 @@ class CameraNode(SceneNode):
         self._infos.publish(self._calibration, stamp)
         if not rendered and not rectified and not depth_topics:
             return
-        captured = self._captured(state, exposure, rendered, faults)
+        captured = self._captured(shot, rendered)
         view = captured.view
         self._images.publish(view, channels, stamp)
         if "rgb" in rectified:
             self._images.publish_rectified("rgb", self._camera.rectify(view.rgb), stamp)
         if "depth" in rectified:
-            depth = capture_rectified_depth(self._renderer, self._camera, exposure)
-            self._images.publish_rectified("depth", depth, stamp)
+            self._images.publish_rectified("depth", shot.rectified_depth(self._renderer), stamp)
         sensor = self._camera.depth_sensor
         if self._depth is not None and sensor is not None and depth_topics:
-            measured = capture_depth(self._renderer, self._camera, sensor, exposure, state.scene_time)
+            measured = shot.measured_depth(self._renderer, sensor)
             self._depth.publish(depth_topics, (measured, view), stamp)
         self._truth.publish(truth_topics, captured, stamp)
         self.count("frames")
         self.report_lateness(stamp)
 
-    def _captured(
-        self, state: SceneState, exposure: Exposure, channels: set[str], faults: FrameFaults
-    ) -> CameraTruth:
-        """Images and truth of a state. While the camera is frozen, the colours are those of an earlier
+    def _captured(self, shot: CameraShot, channels: set[str]) -> CameraTruth:
+        """Images and truth of a shot. While the camera is frozen, the colours are those of an earlier
         frame."""
-        frozen = self._last_colours if faults.picture and "rgb" in channels else None
-        shot = CameraShot(self._camera, exposure, channels, faults, frozen)
-        captured = observe(state, self._renderer, shot)
+        frozen = self._last_colours if shot.faults.picture and "rgb" in channels else None
+        captured = replace(shot, channels=channels, frozen=frozen).truth(self._renderer)
         if self._freezes and "rgb" in channels:
             self._last_colours = captured.view.rgb
         return captured

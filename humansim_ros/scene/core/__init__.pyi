@@ -47,9 +47,5 @@ from humansim_ros.scene.core.source import SceneSource as SceneSource
 from humansim_ros.scene.core.source import found_name as found_name
 from humansim_ros.scene.core.state import CameraShot as CameraShot
 from humansim_ros.scene.core.state import DepthCapture as DepthCapture
-from humansim_ros.scene.core.state import Exposure as Exposure
 from humansim_ros.scene.core.state import OnAccess as OnAccess
 from humansim_ros.scene.core.state import SceneState as SceneState
-from humansim_ros.scene.core.state import capture_depth as capture_depth
-from humansim_ros.scene.core.state import capture_rectified_depth as capture_rectified_depth
-from humansim_ros.scene.core.state import observe as observe

@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import count
-from typing import TYPE_CHECKING, Any, NoReturn, Protocol
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,20 +34,10 @@ from humansim_ros.render.interface import (
 from humansim_ros.scene.config.config import frame_at
 from humansim_ros.scene.core.camera import CameraPose, SceneCamera
 from humansim_ros.scene.core.faults import NO_FAULTS, FrameFaults
-from humansim_ros.scene.core.features import Feature, features_of
 from humansim_ros.scene.core.human_state import HumanState
 from humansim_ros.scene.core.playback import Playback
 from humansim_ros.scene.core.scene import Scene, short_list
-from humansim_ros.scene.core.state import (
-    CameraShot,
-    DepthCapture,
-    Exposure,
-    OnAccess,
-    SceneState,
-    capture_depth,
-    capture_rectified_depth,
-    observe,
-)
+from humansim_ros.scene.core.state import CameraShot, DepthCapture, OnAccess, SceneState
 from humansim_ros.scene.truth.camera_truth import BodyBox, CameraTruth, JointView, KeypointView
 from humansim_ros.types import Array, Float32Array, Image
 
@@ -56,31 +46,6 @@ if TYPE_CHECKING:
 
 #: Pictures of a camera from the present one to each of the adjacent ones.
 _DIRECTIONS = dict(zip(ADJACENT_NAMES, (1, -1), strict=True))
-
-
-class SweepMaker(Protocol):
-    """A laser scanner: it measures a scene in sweeps, which do not begin with frames."""
-
-    @property
-    def period(self) -> float:
-        """Nanoseconds from the begin of a sweep to the next."""
-
-    def begin(self, number: int) -> int:
-        """Scene time at which a sweep begins, nanoseconds."""
-
-    def due(self, after: int, until: int) -> range:
-        """Numbers of the sweeps that end after one scene time, and not after another, nanoseconds."""
-
-    def sweep(self, number: int, states: Sequence[SceneState], origin: int) -> Any:
-        """Make a sweep from the states around it. ``origin``: stamp of the begin of sweep 0."""
-
-
-class MeasuringFeature(Feature):
-    """A feature with devices that measure the scene."""
-
-    def scanning(self, scene: Scene) -> Mapping[str, SweepMaker]:
-        """What measures a scene, by name."""
-        return {}
 
 
 class SceneStates:
@@ -99,14 +64,9 @@ class SceneStates:
         self.playback = Playback(scene)
         self._scene, self._start = scene, start
         self._directions = {name: _DIRECTIONS[name] for name in compared}
-        #: What measures at times of its own, by name.
-        self.scanning: Mapping[str, SweepMaker] = {
-            name: scanning
-            for feature in features_of(scene.config)
-            if isinstance(feature, MeasuringFeature)
-            for name, scanning in feature.scanning(scene).items()
-        }
-        longest = max((scanning.period for scanning in self.scanning.values()), default=0.0)
+        #: Makers of sweeps by scanner.
+        self._scanning = {name: scanner.scanning(scene) for name, scanner in scene.scanners.items()}
+        longest = max((scanner.pattern.period for scanner in scene.scanners.values()), default=0.0)
         #: Frames before the present one that sweeps need.
         self._sweep_frames = 1 + math.ceil(longest * 1e-9 / scene.period)
         #: States that are needed again, by scene time and version of the motions.
@@ -123,7 +83,7 @@ class SceneStates:
         state = self.playback.show(elapsed)
         humans = {name: actor.state(state.motions[name]) for name, actor in state.actors.items()}
         state = replace(state, stamp=self._start + elapsed, humans=humans)
-        if self.scanning or self._directions:
+        if self._scanning or self._directions:
             self._kept[key] = state
         return state
 
@@ -141,10 +101,10 @@ class SceneStates:
         if index == 0:
             return []
         self._forget(index)
-        scanning, frame_time = self.scanning[scanner], self._scene.frame_time
+        scanning, frame_time = self._scanning[scanner], self._scene.frame_time
         sweeps = []
         for number in scanning.due(frame_time(index - 1), frame_time(index)):
-            begin = scanning.begin(number)
+            begin = scanning.scanner.pattern.start(number)
             first = frame_at(begin, self._scene.config.rate)
             first -= frame_time(first) > begin
             states = [self.at(each) for each in range(first, index + 1)]
@@ -155,7 +115,7 @@ class SceneStates:
         """Forget the states that frames from frame ``index`` on do not need, if they follow each other."""
         if not self._kept:
             return
-        frames = set(range(index - self._sweep_frames, index + 1)) if self.scanning else set()
+        frames = set(range(index - self._sweep_frames, index + 1)) if self._scanning else set()
         for timing in {camera.timing for camera in self._scene.scene_cameras.values()}:
             number = timing.number(index)
             frames |= {timing.frame(number + each) for each in (0, *self._directions.values())}
@@ -379,17 +339,18 @@ class Simulation:
         }
         sweeps = {name: self._states.sweeps(name, index) for name in self._chosen_scanners(scanners)}
         state = self._states.at(index)
-        shots = {
-            name: CameraShot(
-                camera,
-                _exposure(camera, state, adjacent[camera.timing.step]),
-                self.channels,
-                faults.get(name, NO_FAULTS),
-                frozen.get(name),
+        shots = {}
+        for name, camera in chosen.items():
+            others = adjacent[camera.timing.step].items()
+            around = {frame: other.shot(camera).adjacent_frame for frame, other in others}
+            shots[name] = replace(
+                state.shot(camera, self.channels),
+                faults=faults.get(name, NO_FAULTS),
+                frozen=frozen.get(name),
+                next_frame=around.get("next_frame"),
+                previous_frame=around.get("previous_frame"),
             )
-            for name, camera in chosen.items()
-        }
-        captured = {name: observe(state, self.renderer, shot) for name, shot in shots.items()}
+        captured = {name: shot.truth(self.renderer) for name, shot in shots.items()}
         return Frame(
             index=index,
             stamp=state.stamp,
@@ -406,9 +367,7 @@ class Simulation:
             robot=state.robot,
             models={name: actor.human for name, actor in state.actors.items()},
             rectified_depth={
-                name: capture_rectified_depth(self.renderer, chosen[name], state.exposure(chosen[name]))
-                for name in rectified_depth
-                if name in chosen
+                name: shots[name].rectified_depth(self.renderer) for name in rectified_depth if name in shots
             },
             faults=faults,
             encodings={name: camera.encoding for name, camera in chosen.items()},
@@ -417,7 +376,7 @@ class Simulation:
             },
             depth_sensors=_DepthCaptures(
                 {
-                    name: partial(self._measured, camera, camera.depth_sensor, state)
+                    name: partial(self._measured, state.shot(camera), camera.depth_sensor)
                     for name, camera in chosen.items()
                     if camera.depth_sensor is not None
                 }
@@ -425,9 +384,9 @@ class Simulation:
             sweeps=sweeps,
         )
 
-    def _measured(self, camera: SceneCamera, sensor: DepthSensor, state: SceneState) -> DepthCapture:
+    def _measured(self, shot: CameraShot, sensor: DepthSensor) -> DepthCapture:
         self.renderer.check_usable()
-        return capture_depth(self.renderer, camera, sensor, state.exposure(camera), state.scene_time)
+        return shot.measured_depth(self.renderer, sensor)
 
     def _chosen_scanners(self, names: Collection[str] | None) -> list[str]:
         known = self.scene.scanners
@@ -449,8 +408,7 @@ class Simulation:
         """Image of an earlier frame, at which a camera has frozen."""
         state = self._states.at(index)
         faults = NO_FAULTS if camera.faults is None else camera.faults.at(index)
-        shot = CameraShot(camera, state.exposure(camera), ("rgb",), faults)
-        return shot.take(self.renderer, state.scene_time).rgb
+        return replace(state.shot(camera, ("rgb",)), faults=faults).take(self.renderer).rgb
 
 
 class _DepthCaptures(OnAccess[DepthCapture]):
@@ -468,14 +426,3 @@ def _not_rendered() -> NoReturn:
         "this depth was not rendered before the frame was pickled: access frame.depth_sensors before, in the "
         "thread of the simulation"
     )
-
-
-def _exposure(
-    camera: SceneCamera, state: SceneState, adjacent: Mapping[AdjacentName, SceneState]
-) -> Exposure:
-    """Bodies and pose of a camera around the stamp. ``adjacent``: states of adjacent frames."""
-    next_frame, previous_frame = (
-        other.exposure(camera).adjacent_frame(camera) if (other := adjacent.get(name)) else None
-        for name in ADJACENT_NAMES
-    )
-    return replace(state.exposure(camera), next_frame=next_frame, previous_frame=previous_frame)

@@ -53,29 +53,6 @@ class OnAccess(Mapping[str, Content]):
         return len(self._compute)
 
 
-@dataclass(frozen=True)
-class Exposure:
-    """Bodies and camera pose around one stamp.
-
-    Attributes:
-        bodies_at: Returns the bodies at a time in seconds after the stamp.
-        pose_at: Returns the camera pose at that time.
-        moving: Whether the camera may have another pose in the next frame.
-        next_frame: The next frame, if a channel needs it.
-        previous_frame: The previous frame, if a channel needs it.
-    """
-
-    bodies_at: Callable[[float], Sequence[Body]]
-    pose_at: Callable[[float], CameraPose]
-    moving: bool = False
-    next_frame: AdjacentFrame | None = None
-    previous_frame: AdjacentFrame | None = None
-
-    def adjacent_frame(self, camera: SceneCamera) -> AdjacentFrame:
-        """Bodies and camera of this exposure, for use as the next or previous frame of another rendering."""
-        return AdjacentFrame(self.bodies_at(0.0), camera.camera_at(self.pose_at(0.0)))
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SceneState:
     """All bodies, objects and cameras of a scene at one stamp.
@@ -125,16 +102,16 @@ class SceneState:
         bodies += [item.body(self.objects[name]) for name, item in self.scene.moving_objects.items()]
         return bodies + self.scene.static_bodies
 
-    def exposure(self, camera: SceneCamera) -> Exposure:
-        """Bodies and camera pose around the stamp."""
+    def shot(self, camera: SceneCamera, channels: Collection[str] = ()) -> CameraShot:
+        """What a camera is to take at the stamp: the named channels, without faults."""
         moving = camera.moves or camera.drifts
-        return Exposure(self._bodies_at, lambda seconds: self._pose_at(camera, seconds), moving)
+        return CameraShot(self, camera, partial(self._pose_at, camera), moving, channels)
 
     def calibrated_pose(self, camera: SceneCamera) -> CameraPose:
         """Pose at the stamp that the scene gives a camera. A camera that drifts has another pose."""
         return self.cameras.get(camera.name, CameraPose.of(camera.camera))
 
-    def _bodies_at(self, seconds: float) -> Sequence[Body]:
+    def bodies_at(self, seconds: float) -> Sequence[Body]:
         """Bodies ``seconds`` after the stamp, cached for cameras with the same exposure."""
         if seconds == 0:
             return self.bodies
@@ -151,78 +128,6 @@ class SceneState:
     def _pose_at(self, camera: SceneCamera, seconds: float) -> CameraPose:
         pose = self.calibrated_pose(camera).moved(seconds)
         return camera.true_pose(pose, self.scene_time * 1e-9 + seconds)
-
-
-@dataclass(frozen=True, eq=False)
-class CameraShot:
-    """What a camera is to take at a stamp.
-
-    Attributes:
-        camera: The camera with its sensor.
-        exposure: Bodies and camera pose around the stamp, which is the middle of the exposure time.
-        channels: Names of the channels. All but rgb show the scene at the stamp.
-        faults: Faults of the picture. Channels other than rgb have none.
-        frozen: Colours of an earlier frame that the camera shows in place of its own.
-    """
-
-    camera: SceneCamera
-    exposure: Exposure
-    channels: Collection[str]
-    faults: FrameFaults = NO_FAULTS
-    frozen: Image | None = None
-
-    @cached_property
-    def posed(self) -> Camera:
-        """The camera at its pose at the stamp."""
-        return self.camera.camera_at(self.exposure.pose_at(0.0))
-
-    @cached_property
-    def request(self) -> RenderRequest | None:
-        """The view at the stamp. None if only views of other times are rendered."""
-        coloured = self.frozen is None and not self._times.any()
-        rendered = [channel for channel in self.channels if coloured or channel != "rgb"]
-        if not rendered:
-            return None
-        taken = self.exposure
-        around = taken.next_frame, taken.previous_frame
-        backdrop = self.camera.backdrop
-        return RenderRequest(taken.bodies_at(0.0), self.posed, rendered, taken.moving, *around, backdrop)
-
-    def take(self, renderer: Renderer, scene_time: int) -> View:
-        """Render what the camera sees during its exposure, and apply its sensor to rgb. ``renderer``:
-        renderer of the scene. ``scene_time``: nanoseconds; the sensor's noise depends on it."""
-        view = View() if self.request is None else renderer.render(self.request)
-        if self.frozen is not None:
-            return view.with_channels(rgb=self.frozen)
-        if "rgb" not in self.channels:
-            return view
-        camera, times = self.camera, self._times
-        light = None if self.faults is NO_FAULTS else camera.light(scene_time, self.faults)
-        if not times.any() and not camera.sensor.active and light is None:
-            return view
-        images = self._colours(renderer, times.tolist()) if times.any() else [view.rgb]
-        return view.with_channels(rgb=camera.sensor.expose(images, scene_time, light))
-
-    @cached_property
-    def _times(self) -> Array:
-        """Times (N,) of the images that rgb is the mean of, seconds after the stamp."""
-        return self.camera.sensor.times() + self.faults.trigger_delay
-
-    def _colours(self, renderer: Renderer, times: Sequence[float]) -> Iterator[Image]:
-        taken, camera = self.exposure, self.camera
-        for time in times:
-            posed = camera.camera_at(taken.pose_at(time))
-            bodies, backdrop = taken.bodies_at(time), camera.backdrop
-            yield renderer.render(RenderRequest(bodies, posed, ("rgb",), taken.moving, backdrop=backdrop)).rgb
-
-
-def capture_rectified_depth(renderer: Renderer, camera: SceneCamera, exposure: Exposure) -> Float32Array:
-    """Depth (H, W) in metres along the axis of ``image_rect`` at the stamp; NaN where ``image_raw`` has no
-    pixel. It is rendered, since interpolated depth would be wrong at edges."""
-    pose = exposure.pose_at(0.0)
-    seen = camera.rectified_at(pose)
-    depth = renderer.render(exposure.bodies_at(0.0), seen, ("depth",), exposure.moving).depth
-    return depth if camera.rectified is None else camera.rectified.without_border(depth)
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,48 +167,114 @@ class DepthCapture:
         return points_of(metres(self.aligned), pixel_rays(self.color))
 
 
-def capture_depth(
-    renderer: Renderer, camera: SceneCamera, sensor: DepthSensor, exposure: Exposure, scene_time: int
-) -> DepthCapture:
-    """Render what the depth sensor of a camera sees at the stamp, and measure it.
+@dataclass(frozen=True, eq=False)
+class CameraShot:
+    """What a camera is to take at a stamp, which is the middle of the exposure time.
 
-    Args:
-        renderer: Renderer of the scene.
-        camera: The camera.
-        sensor: Its depth sensor.
-        exposure: Bodies and camera pose around the stamp.
-        scene_time: Nanoseconds; the errors depend on it.
+    Attributes:
+        state: The scene at the stamp.
+        camera: The camera with its sensor.
+        pose_at: Returns the camera pose at a time in seconds after the stamp.
+        moving: Whether the camera may have another pose in the next frame.
+        channels: Names of the channels. All but rgb show the scene at the stamp.
+        faults: Faults of the picture. Channels other than rgb have none.
+        frozen: Colours of an earlier frame that the camera shows in place of its own.
+        next_frame: The next frame, if a channel needs it.
+        previous_frame: The previous frame, if a channel needs it.
     """
-    bodies, pose = exposure.bodies_at(0.0), exposure.pose_at(0.0)
-    own = sensor.camera_at(pose.R, pose.t)
-    channels = ("rgb", "depth") if sensor.needs_light else ("depth",)
-    view = renderer.render(bodies, own, channels, exposure.moving)
-    other = sensor.second_camera(own)
-    second = None if other is None else renderer.render(bodies, other, ("depth",), exposure.moving).depth
-    colours = view.rgb if sensor.needs_light else None
-    measured = sensor.measure(view.depth, scene_time, second, colours)
-    return DepthCapture(own, view.depth, measured, camera.camera_at(pose))
 
+    state: SceneState
+    camera: SceneCamera
+    pose_at: Callable[[float], CameraPose]
+    moving: bool
+    channels: Collection[str] = ()
+    faults: FrameFaults = NO_FAULTS
+    frozen: Image | None = None
+    next_frame: AdjacentFrame | None = None
+    previous_frame: AdjacentFrame | None = None
 
-def observe(state: SceneState, renderer: Renderer, shot: CameraShot) -> CameraTruth:
-    """Render a camera of a state. The result has the posed camera, its images, and their ground truth.
+    @cached_property
+    def posed(self) -> Camera:
+        """The camera at its pose at the stamp."""
+        return self.camera.camera_at(self.pose_at(0.0))
 
-    Args:
-        state: The scene at a stamp.
-        renderer: Renderer of the scene.
-        shot: The camera with its exposure, which has the adjacent frames that channels need.
-    """
-    scene = state.scene
-    return CameraTruth(
-        shot.posed,
-        shot.take(renderer, state.scene_time),
-        state.bodies,
-        labels=scene.labels,
-        joint_surfaces=scene.joint_surfaces,
-        # not the state: frames that are stored would hold the bodies of exposures
-        joint_positions=partial(_joint_positions, state.humans),
-        humans={name: actor.human for name, actor in state.actors.items()},
-    )
+    @property
+    def adjacent_frame(self) -> AdjacentFrame:
+        """Bodies and camera at the stamp, for use as the next or previous frame of another shot."""
+        return AdjacentFrame(self.state.bodies, self.camera.camera_at(self.pose_at(0.0)))
+
+    @cached_property
+    def request(self) -> RenderRequest | None:
+        """The view at the stamp. None if only views of other times are rendered."""
+        coloured = self.frozen is None and not self._times.any()
+        rendered = [channel for channel in self.channels if coloured or channel != "rgb"]
+        if not rendered:
+            return None
+        around = self.next_frame, self.previous_frame
+        backdrop = self.camera.backdrop
+        return RenderRequest(self.state.bodies, self.posed, rendered, self.moving, *around, backdrop)
+
+    def take(self, renderer: Renderer) -> View:
+        """Render what the camera sees during its exposure, and apply its sensor to rgb. ``renderer``:
+        renderer of the scene."""
+        view = View() if self.request is None else renderer.render(self.request)
+        if self.frozen is not None:
+            return view.with_channels(rgb=self.frozen)
+        if "rgb" not in self.channels:
+            return view
+        camera, times, scene_time = self.camera, self._times, self.state.scene_time
+        light = None if self.faults is NO_FAULTS else camera.light(scene_time, self.faults)
+        if not times.any() and not camera.sensor.active and light is None:
+            return view
+        images = self._colours(renderer, times.tolist()) if times.any() else [view.rgb]
+        return view.with_channels(rgb=camera.sensor.expose(images, scene_time, light))
+
+    @cached_property
+    def _times(self) -> Array:
+        """Times (N,) of the images that rgb is the mean of, seconds after the stamp."""
+        return self.camera.sensor.times() + self.faults.trigger_delay
+
+    def _colours(self, renderer: Renderer, times: Sequence[float]) -> Iterator[Image]:
+        camera = self.camera
+        for time in times:
+            posed = camera.camera_at(self.pose_at(time))
+            bodies, backdrop = self.state.bodies_at(time), camera.backdrop
+            yield renderer.render(RenderRequest(bodies, posed, ("rgb",), self.moving, backdrop=backdrop)).rgb
+
+    def truth(self, renderer: Renderer) -> CameraTruth:
+        """Render the camera. The result has the posed camera, its images, and their ground truth.
+        ``renderer``: renderer of the scene."""
+        state, scene = self.state, self.state.scene
+        return CameraTruth(
+            self.posed,
+            self.take(renderer),
+            state.bodies,
+            labels=scene.labels,
+            joint_surfaces=scene.joint_surfaces,
+            # not the state: frames that are stored would hold the bodies of exposures
+            joint_positions=partial(_joint_positions, state.humans),
+            humans={name: actor.human for name, actor in state.actors.items()},
+        )
+
+    def rectified_depth(self, renderer: Renderer) -> Float32Array:
+        """Depth (H, W) in metres along the axis of ``image_rect`` at the stamp; NaN where ``image_raw`` has
+        no pixel. It is rendered, since interpolated depth would be wrong at edges."""
+        camera = self.camera
+        seen = camera.rectified_at(self.pose_at(0.0))
+        depth = renderer.render(self.state.bodies, seen, ("depth",), self.moving).depth
+        return depth if camera.rectified is None else camera.rectified.without_border(depth)
+
+    def measured_depth(self, renderer: Renderer, sensor: DepthSensor) -> DepthCapture:
+        """Render what a depth sensor of the camera sees at the stamp, and measure it."""
+        bodies, pose = self.state.bodies, self.pose_at(0.0)
+        own = sensor.camera_at(pose.R, pose.t)
+        channels = ("rgb", "depth") if sensor.needs_light else ("depth",)
+        view = renderer.render(bodies, own, channels, self.moving)
+        other = sensor.second_camera(own)
+        second = None if other is None else renderer.render(bodies, other, ("depth",), self.moving).depth
+        colours = view.rgb if sensor.needs_light else None
+        measured = sensor.measure(view.depth, self.state.scene_time, second, colours)
+        return DepthCapture(own, view.depth, measured, self.posed)
 
 
 def _joint_positions(humans: Mapping[str, HumanState], name: str) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TypeAlias
@@ -42,7 +42,6 @@ from humansim_ros.scene.core.features import Draft
 from humansim_ros.scene.core.findings import CheckedFeature, Finding, SceneSamples, misplaced
 from humansim_ros.scene.core.objects import Robot, Route, robot_of_mount
 from humansim_ros.scene.core.scene import Scene
-from humansim_ros.scene.core.simulation import MeasuringFeature
 from humansim_ros.scene.core.source import SceneSource
 from humansim_ros.scene.core.state import SceneState
 from humansim_ros.scene.features.robot import ROBOT
@@ -111,6 +110,10 @@ class SceneScanner:
             mount = robot_of_mount(config.mount, robot)
         stamp = config.stamp or model.stamp
         return cls(name, pattern, measuring, layout, stamp, route, mount, config.seed)
+
+    def scanning(self, scene: Scene) -> Scanning:
+        """What makes its sweeps in a scene."""
+        return Scanning(scene, self)
 
     @property
     def moves(self) -> bool:
@@ -279,15 +282,6 @@ class Scanning:
         self._beams: tuple[Rays, Rays] | None = None
         self._static: tuple[Rays, Hits, Array] | None = None
         self._triangles: dict[int, tuple[Mesh, Indices]] = {}
-
-    @property
-    def period(self) -> float:
-        """Nanoseconds from the begin of a sweep to the next."""
-        return self.scanner.pattern.period
-
-    def begin(self, number: int) -> int:
-        """Scene time at which a sweep begins, nanoseconds."""
-        return self.scanner.pattern.start(number)
 
     def due(self, after: int, until: int) -> range:
         """Numbers of the sweeps that end after one scene time, and not after another, nanoseconds."""
@@ -524,16 +518,12 @@ def _labels(returns: Returns, state: SceneState) -> tuple[NDArray[np.uint16], ND
 _FLESH, _APART = 0.15, 5.0
 
 
-class Scanners(CheckedFeature, MeasuringFeature):
+class Scanners(CheckedFeature):
     """The section ``scanners``."""
 
     def furnish(self, draft: Draft) -> None:
         """Add the scanners."""
         draft.scanners = build_scanners(draft.config, draft.source, draft.robot)
-
-    def scanning(self, scene: Scene) -> Mapping[str, Scanning]:
-        """Makers of the sweeps of its scanners, by name."""
-        return {name: Scanning(scene, scanner) for name, scanner in scene.scanners.items()}
 
     def check(self, samples: SceneSamples) -> Iterator[Finding]:
         """Find scanners that are in something, or that never meet anybody."""

@@ -35,8 +35,9 @@ from humansim_ros.ros.processes.node_processes import (
     render_threads,
     scene_processes,
 )
+from humansim_ros.ros.processes.scene_names import read_names
 from humansim_ros.ros.tools.viewer_layouts import rviz_layout
-from humansim_ros.scene.core.names import BRIDGE_NODE, read_names
+from humansim_ros.scene.core.names import BRIDGE_NODE
 
 DEMO_SCENE = resource_path("config/scenes/demo.yaml")
 

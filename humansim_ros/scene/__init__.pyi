@@ -6,7 +6,6 @@ from humansim_ros.scene.core.camera import CameraPose as CameraPose
 from humansim_ros.scene.core.camera import SceneCamera as SceneCamera
 from humansim_ros.scene.core.environment import Environment as Environment
 from humansim_ros.scene.core.findings import Finding as Finding
-from humansim_ros.scene.core.human_state import HumanState as HumanState
 from humansim_ros.scene.core.objects import SceneObject as SceneObject
 from humansim_ros.scene.core.playback import Playback as Playback
 from humansim_ros.scene.core.scene import Scene as Scene
@@ -29,5 +28,6 @@ from humansim_ros.scene.truth.camera_truth import view_boxes as view_boxes
 from humansim_ros.scene.truth.camera_truth import view_joints as view_joints
 from humansim_ros.scene.truth.camera_truth import view_keypoints as view_keypoints
 from humansim_ros.scene.truth.camera_truth import visible_vertices as visible_vertices
-from humansim_ros.scene.truth.upright_boxes import UprightBox as UprightBox
-from humansim_ros.scene.truth.upright_boxes import upright_box as upright_box
+from humansim_ros.scene.truth.human_state import HumanState as HumanState
+from humansim_ros.scene.truth.human_state import UprightBox as UprightBox
+from humansim_ros.scene.truth.human_state import upright_box as upright_box

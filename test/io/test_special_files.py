@@ -37,9 +37,9 @@ from humansim_ros.people.loading.loading import load_human, read_description
 from humansim_ros.people.makehuman.data import find_data
 from humansim_ros.photographs import Photo, read_views
 from humansim_ros.photographs.views import read_points
+from humansim_ros.ros.processes.scene_names import read_names
 from humansim_ros.scene import Scene
 from humansim_ros.scene.core.environment import load_backdrop, load_panorama
-from humansim_ros.scene.core.names import read_names
 
 #: Memory that may be used until a file is refused, bytes.
 _MEMORY = 32 << 20

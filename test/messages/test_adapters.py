@@ -32,9 +32,9 @@ from humansim_ros.data.messages.hri import HRI_MESSAGES
 from humansim_ros.data.messages.people import GROUND, read_people
 from humansim_ros.data.messages.topics import scene_topics
 from humansim_ros.errors import EvaluationError, RosError, SceneError
-from humansim_ros.scene.config.output_config import AdaptersConfig
-from humansim_ros.scene.core.human_state import standing
+from humansim_ros.scene.config.config import AdaptersConfig
 from humansim_ros.scene.core.simulation import Frame
+from humansim_ros.scene.truth import standing
 
 ALL = {
     "detections_2d": {},

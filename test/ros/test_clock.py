@@ -19,11 +19,11 @@ from humansim_ros.ros.nodes.camera import CameraNode
 from humansim_ros.ros.nodes.camera_rig import CameraRigNode
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
 from humansim_ros.ros.nodes.skinner import SkinnerNode
+from humansim_ros.ros.playing.clock import PlaybackClock
 from humansim_ros.ros.processes import node as scene_node
 from humansim_ros.ros.processes.node import SceneNode
 from humansim_ros.ros.processes.runtime import make_executor
 from humansim_ros.scene.core.camera import CameraPose
-from humansim_ros.scene.core.playback import PlaybackClock
 
 SECOND = 1_000_000_000
 #: Steps of the system clock in seconds: by a person, by NTP.

@@ -26,10 +26,11 @@ from humansim_ros.motion.body.kinematics import JointPoses
 from humansim_ros.ros.graph.qos import LATCHED
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
 from humansim_ros.ros.nodes.skinner import SkinnerNode
+from humansim_ros.ros.playing.clock import PlaybackClock, Tick
 from humansim_ros.ros.processes.runtime import make_executor
 from humansim_ros.scene import Scene
 from humansim_ros.scene.config.config import MotionConfig
-from humansim_ros.scene.core.playback import Playback, PlaybackClock, Tick
+from humansim_ros.scene.core.playback import Playback
 
 HUMANS = ("first", "second")
 SECOND = 1_000_000_000

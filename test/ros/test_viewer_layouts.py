@@ -15,9 +15,9 @@ from rclpy.qos import QoSDurabilityPolicy, QoSReliabilityPolicy
 from humansim_ros.data.messages.topic import Topic
 from humansim_ros.data.messages.topics import scene_topics
 from humansim_ros.ros.graph.qos import offered_profile
+from humansim_ros.ros.processes.scene_names import SceneNames, read_names
 from humansim_ros.ros.tools.viewer_layouts import foxglove_layout, rviz_layout
 from humansim_ros.scene import Scene
-from humansim_ros.scene.core.names import SceneNames, read_names
 
 DEMO = ROOT / "config" / "scenes" / "demo.yaml"
 #: Displays of rviz_default_plugins of Jazzy that layouts use, with their types.

@@ -12,7 +12,8 @@ import pytest
 
 from humansim_ros import Scene, Simulation
 from humansim_ros.errors import SceneError
-from humansim_ros.scene.config.timing import CameraTiming, PictureTimer
+from humansim_ros.ros.playing.clock import PictureTimer
+from humansim_ros.scene.config.timing import CameraTiming
 
 #: Rates of a scene, and rates and offsets (frames of the scene) of cameras.
 RATE = 30

@@ -18,9 +18,9 @@ from humansim_ros.errors import HumansimError, HumansimWarning, MotionError
 from humansim_ros.motion.body.face import ACTIONS, FACE_AT_REST, LIMITS, LOOKS, NECK_LIMITS, expression
 from humansim_ros.motion.body.kinematics import JointPoses
 from humansim_ros.motion.pose.limits import load_limits
+from humansim_ros.scene import HumanState
 from humansim_ros.scene.checks.checks import check_scene
 from humansim_ros.scene.core.actor import Actor
-from humansim_ros.scene.core.human_state import HumanState
 from humansim_ros.scene.core.live import JointSource, LiveRetargeter
 from humansim_ros.scene.core.looks import random_numbers
 from humansim_ros.scene.core.playback import Playback

@@ -35,7 +35,7 @@ from humansim_ros.data.evaluation.pose_sequence import PoseSequence, Timing, tim
 from humansim_ros.data.evaluation.tracking import TrackedFrame, TrackingScores, similarity, tracking_scores
 from humansim_ros.data.messages.people import GROUND
 from humansim_ros.errors import EvaluationError, warn_about
-from humansim_ros.scene.core import HIPS
+from humansim_ros.scene.truth import HIPS
 from humansim_ros.types import Array, Indices
 
 #: Largest mean joint distance of a person who counts as found, metres. The recall of [Tu 2020] uses the same.

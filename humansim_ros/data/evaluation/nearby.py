@@ -17,8 +17,9 @@ from humansim_ros.data.messages.headers import to_nanoseconds
 from humansim_ros.data.messages.humans import read_vertices
 from humansim_ros.errors import EvaluationError, located
 from humansim_ros.scene.config import FIRST_STAMP
-from humansim_ros.scene.core import HIPS, Scene, SceneStates
+from humansim_ros.scene.core import Scene, SceneStates
 from humansim_ros.scene.features import ROBOT
+from humansim_ros.scene.truth import HIPS
 from humansim_ros.types import Array
 
 #: If more time than this (nanoseconds) is between two poses of a robot, its place in between is unknown.

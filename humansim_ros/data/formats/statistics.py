@@ -21,8 +21,7 @@ from humansim_ros.motion.pose import JointLimits, load_limits
 from humansim_ros.people.humans import Human
 from humansim_ros.people.makehuman import is_person, read_person
 from humansim_ros.scene.config import HumanConfig
-from humansim_ros.scene.core import HumanState
-from humansim_ros.scene.truth import BodyBox
+from humansim_ros.scene.truth import BodyBox, HumanState
 
 #: Name of the file, in the root of the export.
 STATISTICS = "statistics.json"

@@ -23,8 +23,8 @@ from humansim_ros.data.formats.writer import ExportFolder, ExportFrame, FormatWr
 from humansim_ros.errors import CameraError, ExportError
 from humansim_ros.files.reading import read_text
 from humansim_ros.motion.body import body_joints
-from humansim_ros.scene.core import HumanState
 from humansim_ros.scene.pictures import color_image
+from humansim_ros.scene.truth import HumanState
 from humansim_ros.types import Array
 
 _BONE = re.compile(r"\s*(\S+)\.(head|tail)\s*=\s*\[(.*)\]\s*")

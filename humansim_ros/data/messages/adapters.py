@@ -58,9 +58,17 @@ from humansim_ros.geometry import invert_rigid, multiply_quaternions, quaternion
 from humansim_ros.people.keypoints import keypoint_set
 from humansim_ros.render.interface import CHANNEL_TABLE, Kind, View
 from humansim_ros.scene.config import BoxesConfig, FramedConfig, HriConfig, TrackedConfig
-from humansim_ros.scene.core import CameraPose, Frame, Scene, SceneState, standing
+from humansim_ros.scene.core import CameraPose, Frame, Scene, SceneState
 from humansim_ros.scene.features import ROBOT
-from humansim_ros.scene.truth import OUTSIDE, REQUIRED_CHANNELS, VISIBLE, BodyBox, CameraTruth, JointView
+from humansim_ros.scene.truth import (
+    OUTSIDE,
+    REQUIRED_CHANNELS,
+    VISIBLE,
+    BodyBox,
+    CameraTruth,
+    JointView,
+    standing,
+)
 from humansim_ros.types import Array
 
 #: Class of all detections: its name, and its number in the LabelInfo message.

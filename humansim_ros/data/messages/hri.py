@@ -37,9 +37,8 @@ from humansim_ros.data.messages.types import (
 from humansim_ros.errors import SceneError
 from humansim_ros.geometry import invert_rigid, matrix_to_quaternion, transform
 from humansim_ros.people.keypoints import keypoint_set
-from humansim_ros.scene.core import HumanState
 from humansim_ros.scene.pictures import color_image
-from humansim_ros.scene.truth import OCCLUDED, VISIBLE, JointView
+from humansim_ros.scene.truth import OCCLUDED, VISIBLE, HumanState, JointView
 from humansim_ros.types import Array
 
 #: Packages of the messages.

@@ -32,7 +32,7 @@ from humansim_ros.files.mesh import Mesh
 from humansim_ros.geometry import quaternion_to_matrix, transform, unit_quaternions
 from humansim_ros.motion.body import JointPoses, Rated
 from humansim_ros.people.humans import Human
-from humansim_ros.scene.core import HumanState
+from humansim_ros.scene.truth import HumanState
 from humansim_ros.types import Array, Float32Array, Indices
 
 #: Most joints of a motion, and most characters of the name of a joint.

@@ -61,7 +61,6 @@ from humansim_ros.scene.core import (
     DepthCapture,
     Frame,
     FrameFaults,
-    HumanState,
     JointSource,
     Robot,
     Scene,
@@ -70,7 +69,7 @@ from humansim_ros.scene.core import (
 )
 from humansim_ros.scene.features import ROBOT, SceneScanner, Sweep
 from humansim_ros.scene.pictures import color_image
-from humansim_ros.scene.truth import REQUIRED_CHANNELS, CameraTruth
+from humansim_ros.scene.truth import REQUIRED_CHANNELS, CameraTruth, HumanState
 
 #: Topic with the scene time of each frame (sensor_msgs/TimeReference).
 SCENE_TIME = "scene_time"

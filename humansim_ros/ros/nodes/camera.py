@@ -16,11 +16,13 @@ from collections import deque
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 from geometry_msgs.msg import PoseStamped, TransformStamped
 
 from humansim_ros.data import messages
 from humansim_ros.data.messages import CameraTopics
 from humansim_ros.errors import HumansimError, RosError, SceneError, located, printable, unknown
+from humansim_ros.geometry import matrix_to_quaternion, quaternion_to_matrix, slerp
 from humansim_ros.render.interface import comparing_with
 from humansim_ros.ros.graph.qos import NEWEST
 from humansim_ros.ros.nodes.frame_synchronizer import FrameSynchronizer
@@ -34,10 +36,10 @@ from humansim_ros.ros.nodes.publishers import (
     TruthPublishers,
     read_single_camera,
 )
+from humansim_ros.ros.playing.clock import PictureTimer
 from humansim_ros.ros.processes.node import SceneNode
 from humansim_ros.ros.processes.runtime import run_node
 from humansim_ros.ros.processes.transforms import TransformSender
-from humansim_ros.scene.config import PictureTimer
 from humansim_ros.scene.core import (
     CameraPose,
     CameraShot,
@@ -146,7 +148,7 @@ class CameraPosePublisher:
         for later, pose in self._poses:
             if later > stamp:
                 span = later - earlier
-                return earlier_pose.toward(pose, (stamp - earlier) / span) if earlier else earlier_pose
+                return _between(earlier_pose, pose, (stamp - earlier) / span) if earlier else earlier_pose
             earlier, earlier_pose = later, pose
         return earlier_pose
 
@@ -179,6 +181,16 @@ class CameraPosePublisher:
             self._newest_projection = projection
             self._projection.publish(projection)
         return transform
+
+
+def _between(pose: CameraPose, other: CameraPose, share: float) -> CameraPose:
+    """Pose between two poses: 0 is the first one, 1 the other; linear position, slerp rotation."""
+    if share == 0 or (np.array_equal(pose.R, other.R) and np.array_equal(pose.t, other.t)):
+        return pose
+    start, end = matrix_to_quaternion(pose.R.T), matrix_to_quaternion(other.R.T)
+    turned = quaternion_to_matrix(slerp(start, end, np.asarray(share)))
+    centre = (1 - share) * (-pose.R.T @ pose.t) + share * (-other.R.T @ other.t)
+    return CameraPose(turned.T, -turned.T @ centre)
 
 
 #: Image channels that compare a frame with the next frame, and with the previous frame.

@@ -20,7 +20,8 @@ from humansim_ros.errors import HumansimError, RosError
 from humansim_ros.ros.graph.qos import ALIVE, CAMERA_ALIVE, DONE, FRAME_DONE, NEWEST, SCENE_TIME
 from humansim_ros.ros.processes.node import SceneNode
 from humansim_ros.scene.config import frame_at
-from humansim_ros.scene.core import CameraPose, HumanState, OnAccess, SceneState
+from humansim_ros.scene.core import CameraPose, OnAccess, SceneState
+from humansim_ros.scene.truth import HumanState
 from humansim_ros.types import Float32Array
 
 #: If no vertices arrive within this time after the start, seconds, the start of the scene is shown.

@@ -29,6 +29,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from humansim_ros.data.messages import SCENE_TIME_TOPIC, HumanTopics, ObjectTopics, moving_camera_topics
 from humansim_ros.errors import HumansimError, RosError, printable
+from humansim_ros.ros.playing.clock import PlaybackClock, Tick
 from humansim_ros.ros.playing.lockstep import LockstepPlaying, LockstepSettings
 from humansim_ros.ros.playing.motions import (
     MAX_SECONDS,
@@ -43,7 +44,7 @@ from humansim_ros.ros.playing.robot import RobotPort
 from humansim_ros.ros.playing.simulation_services import serve_simulation
 from humansim_ros.ros.processes.runtime import run_node
 from humansim_ros.scene.config import LIVE
-from humansim_ros.scene.core import Change, JointSource, Playback, PlaybackClock, Scene, SceneState, Tick
+from humansim_ros.scene.core import Change, JointSource, Playback, Scene, SceneState
 
 #: Largest lead (time from sending a frame to its stamp), seconds.
 MAX_LEAD = 0.1

@@ -26,7 +26,8 @@ from humansim_ros.ros.nodes.motion_player import MAX_LEAD
 from humansim_ros.ros.processes.node import SceneNode
 from humansim_ros.ros.processes.runtime import run_node
 from humansim_ros.scene.config import LIVE
-from humansim_ros.scene.core import HumanState, LiveRetargeter, Scene
+from humansim_ros.scene.core import LiveRetargeter, Scene
+from humansim_ros.scene.truth import HumanState
 
 #: Shortest time between two log lines about changes of the source of motion, seconds.
 _CHANGES_EVERY = 10.0

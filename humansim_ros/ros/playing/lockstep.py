@@ -22,6 +22,7 @@ from humansim_ros.errors import RosError, printable
 from humansim_ros.ros.graph.clock import ClockOwner
 from humansim_ros.ros.graph.graph import GraphWatch, StampedTopics, publishers_of
 from humansim_ros.ros.graph.qos import ALIVE, CAMERA_ALIVE, FRAME_DONE, REPORTS
+from humansim_ros.ros.playing.clock import Tick
 from humansim_ros.ros.playing.playing import FramePlayer, Playing
 from humansim_ros.ros.processes.lockstep_rules import (
     Lockstep,
@@ -42,7 +43,7 @@ from humansim_ros.ros.processes.lockstep_settings import (
 )
 from humansim_ros.ros.processes.node import SceneNode
 from humansim_ros.ros.processes.node_processes import TIMED_OUT, WRONG_INPUT
-from humansim_ros.scene.core import BRIDGE_NODE, LOCKSTEP, Scene, SceneState, Tick
+from humansim_ros.scene.core import BRIDGE_NODE, LOCKSTEP, Scene, SceneState
 
 #: Seconds between two checks of the members.
 _LOOK_EVERY = 0.05

@@ -15,9 +15,10 @@ from rclpy.parameter import Parameter
 
 from humansim_ros.errors import RosError
 from humansim_ros.ros.graph.graph import StampedTopics
+from humansim_ros.ros.playing.clock import PlaybackClock, Tick
 from humansim_ros.ros.processes.lockstep_settings import topic_name
 from humansim_ros.ros.processes.node import SceneNode
-from humansim_ros.scene.core import Playback, PlaybackClock, SceneState, Tick
+from humansim_ros.scene.core import Playback, SceneState
 
 #: Most frames that requests during a pause may have waiting.
 MAX_WAITING = 100

@@ -13,8 +13,9 @@ from std_msgs.msg import Header
 from humansim_ros.data.messages import to_nanoseconds
 from humansim_ros.ros.graph.clock import ClockSteps
 from humansim_ros.ros.graph.qos import ALIVE, CAMERA_ALIVE, FRAME_DONE, REPORTS
+from humansim_ros.ros.playing.clock import Tick
 from humansim_ros.ros.playing.playing import MAX_WAITING, FramePlayer, Playing
-from humansim_ros.scene.core import SceneState, Tick
+from humansim_ros.scene.core import SceneState
 
 #: Most sent frames that are remembered.
 _MAX_SENT = 128

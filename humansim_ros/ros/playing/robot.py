@@ -14,9 +14,10 @@ from humansim_ros.data.messages import RobotTopics
 from humansim_ros.errors import HumansimError
 from humansim_ros.geometry import ObjectPose
 from humansim_ros.ros.graph.qos import NEWEST
+from humansim_ros.ros.playing.clock import Tick
 from humansim_ros.ros.playing.playing import FramePlayer
 from humansim_ros.ros.processes.transforms import TransformSender
-from humansim_ros.scene.core import Playback, Robot, SceneState, Tick
+from humansim_ros.scene.core import Playback, Robot, SceneState
 
 #: After its newest odometry, a robot goes on with the same velocity for at most this time, seconds.
 _MOST_AHEAD = 0.3

@@ -23,10 +23,12 @@ from humansim_ros.data.messages import WORLD_FRAME, header, pose_message, read_p
 from humansim_ros.errors import HumansimError, RosError, printable, within_bounds
 from humansim_ros.geometry import ObjectPose, Velocity
 from humansim_ros.ros.graph.qos import DATA, NEWEST
+from humansim_ros.ros.playing.clock import Tick
+from humansim_ros.ros.playing.entities import Entity, placement, scene_entities
 from humansim_ros.ros.playing.playing import MAX_WAITING, FramePlayer
 from humansim_ros.ros.processes.node_processes import QUIT
 from humansim_ros.scene.config import LIVE
-from humansim_ros.scene.core import CameraPose, Entity, Tick, scene_entities
+from humansim_ros.scene.core import CameraPose
 from humansim_ros.types import Array
 
 _PACKAGE = "simulation_interfaces"
@@ -396,7 +398,7 @@ class SimulationServices:
             raise Refusal(
                 "a human stands on the floor: z must be 0, and the rotation about z", "INVALID_POSE"
             )
-        place = self._player.playback.placement(entity.key, position[:2], 2 * math.atan2(z, w))
+        place = placement(self._player.playback, entity.key, position[:2], 2 * math.atan2(z, w))
         self._player.change_motions({entity.key: place})
 
     def _place_camera(self, entity: Entity, position: Array, rotation: Array) -> None:
@@ -475,7 +477,7 @@ class SimulationServices:
         if entity.kind == "human":
             pose: ObjectPose | CameraPose = playback.human_pose(entity.key)
         elif entity.kind == "object":
-            pose = playback.object_pose(entity.key)
+            pose = playback.world.object_pose(entity.key, playback.elapsed * 1e-9)
         else:
             camera = self._player.scene.scene_cameras[entity.key]
             moved = self._camera_poses.get(entity.key)

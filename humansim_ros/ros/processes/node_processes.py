@@ -12,7 +12,8 @@ from pathlib import Path
 from humansim_ros.errors import RosError, unknown
 from humansim_ros.files.reading import cores, thread_limits
 from humansim_ros.ros.processes.lockstep_settings import TOPIC_PREFIX, ParameterValue, TimeOptions
-from humansim_ros.scene.core import BRIDGE_NODE, LOCKSTEP, PLAYER_NODE, SceneNames, read_names, skinner_node
+from humansim_ros.ros.processes.scene_names import SceneNames, read_names
+from humansim_ros.scene.core import BRIDGE_NODE, LOCKSTEP, PLAYER_NODE, skinner_node
 
 #: Environment variable that tells nodes that their parent has already shown the warnings of the scene.
 WARNINGS_SHOWN = "HUMANSIM_SCENE_WARNINGS_SHOWN"

@@ -14,7 +14,7 @@ from typing import Any
 import yaml
 
 from humansim_ros.files.reading import resource_path
-from humansim_ros.scene.core import SceneNames, read_names
+from humansim_ros.ros.processes.scene_names import SceneNames, read_names
 
 #: Human and first camera of the demo scene.
 _HUMAN, _CAMERA = "walker", "camera_1"

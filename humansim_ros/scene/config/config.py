@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import json
 import os
 from collections.abc import Callable, Iterator
@@ -29,7 +30,6 @@ from humansim_ros.files.yaml import (
 from humansim_ros.motion.files import MOTION_TITLES
 from humansim_ros.render.interface import Lighting, RendererName
 from humansim_ros.scene.config.camera_config import Bounded, BoundedVector3, CameraConfig, RigConfig, Vector3
-from humansim_ros.scene.config.output_config import AboutConfig, AdaptersConfig, HriConfig
 from humansim_ros.scene.features.crowd import CrowdConfig
 from humansim_ros.scene.features.face import FaceConfig
 from humansim_ros.scene.features.hands import HandKeyConfig
@@ -47,7 +47,6 @@ if TYPE_CHECKING:
 
 #: Address by which editors know the schema. It need not exist.
 SCHEMA_ID = "https://humansim-ros.invalid/scene.schema.json"
-_SECOND = 1_000_000_000
 #: Motion of a human that another node moves, such as live motion capture. It stands at rest until then.
 LIVE = "live"
 #: Key that makes a YAML file a recipe of many scenes, not a scene.
@@ -374,6 +373,105 @@ def checked_license(text: str | None) -> str | None:
     return text.strip()
 
 
+_Line = Annotated[str, StringConstraints(min_length=1, max_length=2000)]
+
+
+class AboutConfig(Section):
+    """What a data card says of a data set: section ``about`` of a scene and of a recipe."""
+
+    title: _Line | None = Field(default=None, description="title; the name of the file or recipe if absent")
+    description: _Line | None = Field(default=None, description="what the data set is for")
+    creators: tuple[_Line, ...] = Field(default=(), max_length=100, description="people or organisations")
+    citation: _Line | None = Field(default=None, description="how to cite it, as text or BibTeX")
+    date: (
+        Annotated[
+            str,
+            BeforeValidator(lambda value: value.isoformat() if isinstance(value, datetime.date) else value),
+            StringConstraints(pattern=r"^\d{4}-\d{2}-\d{2}$"),
+            Expected("a date, such as 2026-11-28"),
+        ]
+        | None
+    ) = Field(default=None, description="date of publication")
+    version: Annotated[
+        str,
+        StringConstraints(pattern=r"^\d+\.\d+\.\d+$"),
+        Expected("a text with three numbers, such as 1.0.0"),
+    ] = Field(default="1.0.0", description="version of the data set")
+    url: (
+        Annotated[
+            str,
+            StringConstraints(pattern=r"^https?://\S+$", max_length=2000),
+            Expected("an address, such as https://example.org"),
+        ]
+        | None
+    ) = Field(default=None, description="address of its page")
+
+    @field_validator("date")
+    @classmethod
+    def _is_a_day(cls, date: str | None) -> str | None:
+        if date is not None:
+            datetime.date.fromisoformat(date)
+        return date
+
+
+#: Name of a frame of tf.
+_Frame = Annotated[
+    str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_/]*$", max_length=255), Expected("a frame of tf, such as map")
+]
+
+
+class FramedConfig(ShortSection):
+    """Messages of people in a frame of tf."""
+
+    short_key: ClassVar[str] = "frame"
+
+    frame: _Frame = Field(
+        default="map", description="frame of the numbers: map, of a camera or scanner, or of the robot"
+    )
+    topic: TopicName | None = Field(default=None, description="topic in place of the usual one")
+
+
+class TrackedConfig(FramedConfig):
+    """Tracks of people."""
+
+    camera: str | None = Field(
+        default=None, description="camera that sees the people: others are occluded; none if absent"
+    )
+
+
+class BoxesConfig(Section):
+    """Boxes of people in images."""
+
+    cameras: tuple[str, ...] | None = Field(
+        default=None, min_length=1, description="names of the cameras; all if absent"
+    )
+    box: Literal["visible", "whole"] = Field(
+        default="visible", description="box of the visible pixels, or of the whole body"
+    )
+    topic: TopicName | None = Field(
+        default=None, description="topic below the name of the camera in place of the usual one"
+    )
+
+
+class HriConfig(ShortSection):
+    """People as a camera sees them, for ROS4HRI."""
+
+    short_key: ClassVar[str] = "camera"
+
+    camera: str = Field(description="camera that sees the people")
+
+
+class AdaptersConfig(Section):
+    """Messages for other people stacks; a key for each row of the table of adapters but ``hri``."""
+
+    detections_2d: BoxesConfig | None = Field(default=None, description="vision_msgs/Detection2DArray")
+    detections_3d: FramedConfig | None = Field(default=None, description="vision_msgs/Detection3DArray")
+    people: FramedConfig | None = Field(default=None, description="people_msgs/People")
+    tracked_persons: TrackedConfig | None = Field(
+        default=None, description="spencer_tracking_msgs/TrackedPersons"
+    )
+
+
 class SceneConfig(Section):
     """Content of a scene file."""
 
@@ -431,16 +529,6 @@ class SceneConfig(Section):
         if labels > 65535:
             raise ValueError(f"at most 65535 humans and labelled objects, not {labels}")
         return self
-
-
-def frame_time(index: int, rate: float) -> int:
-    """Nanoseconds from the start to frame ``index``, round(index * period): errors do not accumulate."""
-    return round(index * _SECOND / rate)
-
-
-def frame_at(scene_time: int, rate: float) -> int:
-    """Number of the frame that is nearest to a scene time in nanoseconds."""
-    return max(0, round(scene_time * rate / _SECOND))
 
 
 def load_config(path: str | os.PathLike[str]) -> SceneConfig:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from math import ceil, floor, isclose
 
 from humansim_ros.errors import SceneError
-from humansim_ros.scene.config.config import frame_time
 
+_SECOND = 1_000_000_000
 #: Stamp of frame 0 of a scene in lockstep and in ``Simulation``, nanoseconds.
 FIRST_STAMP = 1
 #: Rounding of numbers in scene files: share by which a rate may be wrong, and frames by which an offset may.
@@ -120,21 +120,11 @@ def _unfit_rate(scene_rate: float, rate: float) -> str:
     )
 
 
-class PictureTimer:
-    """Decide, for frames in order, which ones the camera captures. If the frame of a picture is skipped,
-    because the machine is too slow, the next frame takes its place. So a camera never starves, and cameras of
-    one rate and offset show the same frames."""
+def frame_time(index: int, rate: float) -> int:
+    """Nanoseconds from the start to frame ``index``, round(index * period): errors do not accumulate."""
+    return round(index * _SECOND / rate)
 
-    def __init__(self, timing: CameraTiming) -> None:
-        self._timing = timing
-        #: The last frame, and whether it had a picture.
-        self._last: tuple[int, bool] | None = None
 
-    def takes(self, index: int) -> bool:
-        """Return whether a picture is taken in the next frame; the same if it is the same frame again."""
-        if self._last is None or self._last[0] != index:
-            number = self._timing.number(index)
-            due = self._timing.frame(number)
-            skipped = self._last is not None and self._last[0] < due
-            self._last = index, number >= 0 and (due == index or skipped)
-        return self._last[1]
+def frame_at(scene_time: int, rate: float) -> int:
+    """Number of the frame that is nearest to a scene time in nanoseconds."""
+    return max(0, round(scene_time * rate / _SECOND))

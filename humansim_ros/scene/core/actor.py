@@ -46,9 +46,9 @@ from humansim_ros.motion.pose import (
 from humansim_ros.people.humans import Human
 from humansim_ros.render.interface import Body
 from humansim_ros.scene.config.config import HumanConfig, MotionConfig
-from humansim_ros.scene.core.human_state import HumanState
 from humansim_ros.scene.core.layers import BodyPoses, Fitted, PoseLayer, layer_types, layers_of
 from humansim_ros.scene.core.source import STANDING, SceneSource
+from humansim_ros.scene.truth.human_state import HumanState
 from humansim_ros.types import Array
 
 #: Former names of settings of layers.

@@ -27,16 +27,16 @@ from humansim_ros.cameras.camera import (
 )
 from humansim_ros.cameras.sensor import DepthSensor, DepthSensorConfig, Sensor
 from humansim_ros.errors import CameraError, SceneError, in_section, unknown
-from humansim_ros.geometry import ObjectPose, Velocity, matrix_to_quaternion, quaternion_to_matrix, slerp
+from humansim_ros.geometry import ObjectPose, Velocity, matrix_to_quaternion, quaternion_to_matrix
 from humansim_ros.render.interface import Backdrop
 from humansim_ros.scene.config.camera_config import CameraConfig, RigConfig
 from humansim_ros.scene.config.config import SceneConfig, load_config
 from humansim_ros.scene.config.timing import CameraTiming
 from humansim_ros.scene.core.environment import load_backdrop
 from humansim_ros.scene.core.faults import CalibrationError, FaultSchedule, FrameFaults
+from humansim_ros.scene.core.names import right_camera
 from humansim_ros.scene.core.objects import Robot, Route, robot_of_mount
 from humansim_ros.scene.core.source import SceneSource
-from humansim_ros.scene.core.stereo import right_camera
 from humansim_ros.types import Array, Float32Array
 
 if TYPE_CHECKING:
@@ -102,15 +102,6 @@ class CameraPose:
         turned = self.R.T @ offset
         velocity = None if self.velocity is None else self.velocity.of_point(turned)
         return CameraPose.at(self.position + turned, self.rotation, velocity)
-
-    def toward(self, other: CameraPose, share: float) -> CameraPose:
-        """Interpolate to another pose: 0 is this one, 1 the other; linear position, slerp rotation."""
-        if share == 0 or (np.array_equal(self.R, other.R) and np.array_equal(self.t, other.t)):
-            return self
-        start, end = matrix_to_quaternion(self.R.T), matrix_to_quaternion(other.R.T)
-        turned = quaternion_to_matrix(slerp(start, end, np.asarray(share)))
-        centre = (1 - share) * (-self.R.T @ self.t) + share * (-other.R.T @ other.t)
-        return CameraPose(turned.T, -turned.T @ centre)
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,8 +29,7 @@ from humansim_ros.scene.config.camera_config import (
     FreezeFault,
     OutageFault,
 )
-from humansim_ros.scene.config.config import frame_at
-from humansim_ros.scene.config.timing import CameraTiming
+from humansim_ros.scene.config.timing import CameraTiming, frame_at
 from humansim_ros.types import Array, Float32Array
 
 #: Nanoseconds between two messages that follow each other.

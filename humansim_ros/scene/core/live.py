@@ -17,7 +17,7 @@ from humansim_ros.motion.body import JointPoses
 from humansim_ros.motion.matching import JointMatch, match_names
 from humansim_ros.motion.pose import PoseStage, Retargeter, has_rotations
 from humansim_ros.scene.core.actor import Actor
-from humansim_ros.scene.core.human_state import HumanState
+from humansim_ros.scene.truth.human_state import HumanState
 from humansim_ros.types import Array
 
 #: Links by which persons and rotation conventions are distinguished.

@@ -1,21 +1,11 @@
-"""Names of the humans and cameras of a scene file, read without the schema and its libraries.
-
-``ros2 launch`` starts the nodes of a scene, and may run in a Python without the libraries of the nodes.
-Humans and cameras give nodes their names.
-"""
+"""Names of nodes, humans and cameras of a scene. Humans and cameras give nodes their names."""
 
 from __future__ import annotations
 
-import os
-import re
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
-from humansim_ros.errors import SceneError, located
-from humansim_ros.files.yaml import read_yaml
-from humansim_ros.scene.core.stereo import right_camera
+from humansim_ros.errors import SceneError
 
 if TYPE_CHECKING:
     from humansim_ros.scene.config.config import SceneConfig
@@ -27,8 +17,6 @@ PLAYER_NODE = "motion_player"
 HRI_NAMES = ("bodies", "faces", "voices", "persons", "interactions", "candidate_matches")
 #: Value of ``time.mode``.
 LOCKSTEP = "lockstep"
-#: Sections that add random humans, in this order, with the prefix of their names.
-_RANDOM = (("variety", "person"), ("crowd", "walker"))
 #: Node that publishes the topics of the sections ``adapters`` and ``hri``.
 BRIDGE_NODE = "bridge"
 
@@ -36,41 +24,6 @@ BRIDGE_NODE = "bridge"
 def skinner_node(human: str) -> str:
     """Name of the node that skins a human. The node of a camera has the name of the camera."""
     return f"skinner_{human}"
-
-
-@dataclass(frozen=True)
-class SceneNames:
-    """Names of humans, of all cameras with the rig, and of scanners; whether the scene plays in lockstep, and
-    whether it has adapters.
-    """
-
-    humans: tuple[str, ...]
-    cameras: tuple[str, ...]
-    lockstep: bool = False
-    scanners: tuple[str, ...] = ()
-    adapters: bool = False
-
-
-def read_names(path: str | os.PathLike[str]) -> SceneNames:
-    """Read the names of a scene file. Raises SceneError for names that ROS does not accept, and for cameras
-    and scanners with the name of another node."""
-    path = Path(path)
-    content, _ = read_yaml(path, SceneError, "scene")
-    if not isinstance(content, dict):
-        raise SceneError("this is not a scene; it needs the keys humans and cameras", path=path)
-    own = _section_names(content, "cameras", path)
-    pairs = (name for name in own if _is_stereo(content["cameras"][name]))
-    cameras = (*_rig_names(content, path), *own, *map(right_camera, pairs))
-    humans = (*_section_names(content, "humans", path), *_random_names(content, path))
-    scanners = _section_names(content, "scanners", path)
-    adapters = content.get("adapters")
-    rows = list(adapters.values()) if isinstance(adapters, dict) else []
-    has_adapters = any(each is not None for each in (*rows, content.get("hri")))
-    with located(path=path):
-        check_node_names(humans, cameras, scanners, has_adapters)
-    time = content.get("time")
-    lockstep = isinstance(time, dict) and time.get("mode") == LOCKSTEP
-    return SceneNames(humans, cameras, lockstep, tuple(scanners), has_adapters)
 
 
 def check_node_names(
@@ -115,7 +68,7 @@ def variety_names(prefix: str, count: int) -> list[str]:
 def human_names(config: SceneConfig) -> list[str]:
     """Names of all humans of a scene. Raises SceneError for a random human with the name of another one."""
     names = dict.fromkeys(config.humans)
-    for key, _ in _RANDOM:
+    for key in ("variety", "crowd"):
         section = getattr(config, key)
         for name in () if section is None else variety_names(section.name, section.count):
             if name in names:
@@ -124,41 +77,6 @@ def human_names(config: SceneConfig) -> list[str]:
     return list(names)
 
 
-def _random_names(content: Mapping[str, Any], path: Path) -> list[str]:
-    names: list[str] = []
-    for key, prefix in _RANDOM:
-        section = content.get(key) or {}
-        try:
-            count = min(int(section.get("count", 0)), 1000)
-            names += variety_names(str(section.get("name", prefix)), count)
-        except (AttributeError, TypeError, ValueError):
-            raise SceneError("must have count, a number of people", path=path, key=key) from None
-    return names
-
-
-def _rig_names(content: Mapping[str, Any], path: Path) -> list[str]:
-    if not content.get("rig"):
-        return []
-    from humansim_ros.scene.core.camera import rig_camera_names
-
-    return rig_camera_names(path)
-
-
-def _is_stereo(camera: Any) -> bool:
-    return isinstance(camera, dict) and camera.get("stereo") is not None
-
-
-def _section_names(content: Mapping[str, Any], key: str, path: Path) -> list[str]:
-    section = content.get(key) or {}
-    if not isinstance(section, dict):
-        raise SceneError("must map each name to its settings", path=path, key=key)
-    names = [str(name) for name in section]
-    for name in names:
-        # names become parts of node and topic names
-        if not re.fullmatch("[A-Za-z][A-Za-z0-9_]*", name):
-            raise SceneError(
-                "ROS names consist of letters, digits and _ and begin with a letter",
-                path=path,
-                key=f"{key}.{name}",
-            )
-    return names
+def right_camera(left: str) -> str:
+    """Name of the second camera of a stereo pair."""
+    return left.replace("left", "right") if "left" in left else f"{left}_right"

@@ -1,14 +1,13 @@
-"""Play a scene: its clock, its poses at any scene time, and motions that can be changed meanwhile.
+"""Play a scene: its poses at any scene time, and motions that can be changed meanwhile.
 
 The motion player and ``Simulation`` both use :class:`Playback`, so that they show the same frames.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import scipy
@@ -21,7 +20,6 @@ from humansim_ros.motion.pose import WorldMotion
 from humansim_ros.scene.config.config import MotionConfig
 from humansim_ros.scene.core.actor import Actor, joint_poses_of
 from humansim_ros.scene.core.camera import CameraPose
-from humansim_ros.scene.core.human_state import standing_in
 from humansim_ros.scene.core.scene import Scene
 from humansim_ros.scene.core.source import SceneSource
 from humansim_ros.scene.core.state import SceneState
@@ -35,132 +33,6 @@ _FILE_KEYS = ("joint_names", "min_confidence", "unit", "up", "facing", "position
 _RESTART_KEYS = {"file", "start", "end", "offset"}
 #: After a change of these keys a motion continues at the same time of its first round.
 _ROUND_KEYS = {"loop", "blend"}
-#: Nanoseconds by which a frame may be early; at most a tenth of a period.
-_EARLY = 5_000_000
-
-
-@dataclass(frozen=True)
-class Tick:
-    """One step of the playback clock.
-
-    Attributes:
-        stamp: Stamp of the frame, nanoseconds.
-        elapsed: Scene time of the frame, nanoseconds.
-        pace: Seconds of the scene per second; 0 while paused.
-        dropped: Number of frames that were skipped before it.
-        index: Number of the frame since the start of the clock, with those that were skipped.
-    """
-
-    stamp: int
-    elapsed: int
-    pace: float
-    dropped: int = 0
-    index: int = 0
-
-
-class PlaybackClock:
-    """Stamps of frames on a wall clock in nanoseconds, and the scene time of each.
-
-    Frame k has the stamp start + round(k * period); :meth:`cut` sets a new start. Stamps increase, unless the
-    wall clock is set (:meth:`shift`). The scene time follows the stamps at ``speed``, does not change while
-    paused, and jumps only by :meth:`seek`.
-    """
-
-    def __init__(self, rate: float, speed: float = 1.0, seconds: float = 0.0) -> None:
-        self.period = 1e9 / rate
-        self.speed = speed
-        self.paused = False
-        self.elapsed = round(seconds * 1e9)
-        self.last: int | None = None
-        self._start = self._next = 0
-        self._index = -1
-        # stamp (None: of the next frame) and scene time from which the scene time is counted
-        self._base: tuple[int | None, int] = (None, self.elapsed)
-        self._steps = 0
-
-    def due(self, now: int) -> Tick | None:
-        """The newest frame that is due; None if there is none, as timers may be early."""
-        if now <= 0:
-            return None  # simulated time has not started: zero is never a stamp
-        if self.last is None:
-            return self.cut(now)
-        frame = int((now - self._start + min(0.1 * self.period, _EARLY)) / self.period)
-        if frame < self._next:
-            return None
-        dropped, self._next = frame - self._next, frame + 1
-        return self._tick(self._start + round(frame * self.period), dropped)
-
-    def next(self) -> Tick:
-        """The next frame, whatever time it is; the first one has the stamp 1, as in ``Simulation``."""
-        if self.last is None:
-            return self.cut(1)
-        self._next += 1
-        return self._tick(self._start + round((self._next - 1) * self.period))
-
-    def begin_at(self, stamp: int) -> int:
-        """Let :meth:`next` begin with a later frame than the first one.
-
-        Returns:
-            Number of the first frame from stamp 1 on that is not before ``stamp``.
-        """
-        self._start, self._next = 1, max(0, math.ceil((stamp - 1) / self.period - 1e-6))
-        self.last, self._base, self._index = 1, (1, self.elapsed), self._next - 1
-        return self._next
-
-    def cut(self, now: int) -> Tick:
-        """A frame now; the next frames are counted from it."""
-        stamp = now if self.last is None else max(now, self.last + 1)
-        self._start, self._next = stamp, 1
-        return self._tick(stamp)
-
-    def shift(self, step: int) -> None:
-        """Follow a wall clock that was set by ``step`` nanoseconds: stamps jump, scene time goes on."""
-        since, elapsed = self._base
-        self._start += step
-        self._base = (None if since is None else since + step, elapsed)
-        if self.last is not None:
-            self.last += step
-
-    def set_rate(self, rate: float) -> None:
-        """Set the frames per second after the last frame."""
-        self._rebase()
-        self.period = 1e9 / rate
-        if self.last is not None:
-            self._start, self._next = self.last, 1
-
-    def set_speed(self, speed: float) -> None:
-        """Set the seconds of the scene per second after the last frame."""
-        self._rebase()
-        self.speed = speed
-
-    def pause(self, paused: bool) -> None:
-        """Pause at the scene time of the last frame, or continue from it."""
-        self._rebase()
-        self.paused = paused
-
-    def step(self, now: int) -> Tick:
-        """The next frame now, while paused."""
-        self._steps += 1
-        self.elapsed = self._base[1] + round(self._steps * self.period * (self.speed or 1.0))
-        return self.cut(now)
-
-    def seek(self, seconds: float) -> None:
-        """Jump to a scene time with the next frame."""
-        self.elapsed = round(seconds * 1e9)
-        self._base, self._steps = (None, self.elapsed), 0
-
-    def _rebase(self) -> None:
-        self._base, self._steps = (self.last, self.elapsed), 0
-
-    def _tick(self, stamp: int, dropped: int = 0) -> Tick:
-        since, elapsed = self._base
-        if since is None:
-            self._base = (stamp, elapsed)
-        elif not self.paused:
-            self.elapsed = elapsed + round((stamp - since) * self.speed)
-        self.last = stamp
-        self._index += 1 + dropped
-        return Tick(stamp, self.elapsed, 0.0 if self.paused else self.speed, dropped, self._index)
 
 
 @dataclass(frozen=True)
@@ -379,28 +251,19 @@ class Playback:
             self.drive.reset()
         self.world.version += 1
 
-    def object_pose(self, name: str) -> ObjectPose:
-        """Pose of an object, static or moving, at the scene time that was shown last."""
-        return self._placed(name, self.elapsed * 1e-9)
-
     def human_pose(self, name: str) -> ObjectPose:
-        """Pose of a human on the floor, at the scene time that was shown last."""
+        """Pose of a human on the floor, by its motion, at the scene time that was shown last."""
         actor = self.actors[name]
-        return standing_in(actor.joint_poses(self.elapsed * 1e-9), actor.motion.match.roles["Hips"])
-
-    def placement(self, name: str, position: Array, yaw: float) -> dict[str, Any]:
-        """Settings of a motion for :meth:`prepare` that put a human somewhere else now.
-
-        Args:
-            name: Name of the human, without keyframes.
-            position: (2,) where the hips are to be, metres in ``map``.
-            yaw: Direction that they are to face, radians.
-        """
-        now, settings = self.human_pose(name), self.settings[name]
-        turn = yaw - scipy.spatial.transform.Rotation.from_quat(now.rotation).as_euler("xyz")[2]
-        cos, sin = np.cos(turn), np.sin(turn)
-        anchor = position + np.array([[cos, -sin], [sin, cos]]) @ (settings.position - now.position[:2])
-        return {"position": tuple(anchor.tolist()), "yaw_deg": settings.yaw_deg + float(np.degrees(turn))}
+        poses, hips = actor.joint_poses(self.elapsed * 1e-9), actor.motion.match.roles["Hips"]
+        x, y, _ = poses.positions[0, hips]
+        ahead = scipy.spatial.transform.Rotation.from_quat(poses.rotations[0, hips]).apply([1.0, 0.0, 0.0])
+        velocity = None
+        if poses.linear is not None and poses.angular is not None:
+            change = np.cross(poses.angular[0, hips], ahead)
+            flat = max(float(ahead[:2] @ ahead[:2]), 1e-9)  # of somebody who lies on the back
+            rate = (ahead[0] * change[1] - ahead[1] * change[0]) / flat
+            velocity = Velocity(poses.linear[0, hips] * (1, 1, 0), np.array([0.0, 0.0, rate]))
+        return ObjectPose.on_floor(x, y, float(np.arctan2(ahead[1], ahead[0])), velocity)
 
     def rewind(self) -> None:
         """Play all motions with their present settings from the start of the scene, without commands of the
@@ -441,42 +304,3 @@ def _paced(poses: JointPoses, pace: float) -> JointPoses:
     if pace == 1 or poses.linear is None or poses.angular is None:
         return poses
     return replace(poses, linear=poses.linear * pace, angular=poses.angular * pace)
-
-
-@dataclass(frozen=True)
-class Entity:
-    """A human, object or camera of a scene.
-
-    Attributes:
-        name: Unique name: the prefix of its topics, such as ``humans/walker``, ``objects/ball`` or ``left``.
-        kind: Kind of entity.
-        key: Name in its section of the scene file.
-        moves: Whether the scene moves it: a motion, keyframes or a trajectory.
-        description: Text for people.
-    """
-
-    name: str
-    kind: Literal["human", "object", "camera"]
-    key: str
-    moves: bool
-    description: str
-
-    @property
-    def tags(self) -> tuple[str, ...]:
-        """Words by which it can be found."""
-        return self.kind, "moving" if self.moves else "static"
-
-
-def scene_entities(scene: Scene) -> dict[str, Entity]:
-    """Entities of a scene by name."""
-    entities = []
-    for key, human in scene.actors.items():
-        text = f"{scene.config.humans[key].body}, label {human.instance}"
-        entities.append(Entity(f"humans/{key}", "human", key, True, text))
-    for key, item in scene.objects.items():
-        text = f"{item.shape}, label {item.instance}"
-        entities.append(Entity(f"objects/{key}", "object", key, item.moves, text))
-    for key, camera in scene.scene_cameras.items():
-        text = "camera, {}x{} pixels".format(*camera.camera.size)
-        entities.append(Entity(key, "camera", key, camera.moves, text))
-    return {entity.name: entity for entity in entities}

@@ -22,8 +22,8 @@ from humansim_ros.people.humans import Human, joint_surfaces
 from humansim_ros.people.loading import forget_people_data
 from humansim_ros.pictures import Pictured
 from humansim_ros.render.interface import Body
-from humansim_ros.scene.config.config import SceneConfig, check_config, frame_time, load_config, map_files
-from humansim_ros.scene.config.timing import CameraTiming
+from humansim_ros.scene.config.config import SceneConfig, check_config, load_config, map_files
+from humansim_ros.scene.config.timing import CameraTiming, frame_time
 from humansim_ros.scene.core.actor import Actor
 from humansim_ros.scene.core.camera import SceneCamera
 from humansim_ros.scene.core.environment import Environment

@@ -31,14 +31,14 @@ from humansim_ros.render.interface import (
     check_channels,
     comparing_with,
 )
-from humansim_ros.scene.config.config import frame_at
+from humansim_ros.scene.config.timing import frame_at
 from humansim_ros.scene.core.camera import CameraPose, SceneCamera
 from humansim_ros.scene.core.faults import NO_FAULTS, FrameFaults
-from humansim_ros.scene.core.human_state import HumanState
 from humansim_ros.scene.core.playback import Playback
 from humansim_ros.scene.core.scene import Scene, short_list
 from humansim_ros.scene.core.state import CameraShot, DepthCapture, OnAccess, SceneState
 from humansim_ros.scene.truth.camera_truth import BodyBox, CameraTruth, JointView, KeypointView
+from humansim_ros.scene.truth.human_state import HumanState
 from humansim_ros.types import Array, Float32Array, Image
 
 if TYPE_CHECKING:

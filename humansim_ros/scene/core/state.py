@@ -24,9 +24,9 @@ from humansim_ros.render.interface import AdjacentFrame, Body, Renderer, RenderR
 from humansim_ros.scene.core.actor import Actor
 from humansim_ros.scene.core.camera import CameraPose, SceneCamera
 from humansim_ros.scene.core.faults import NO_FAULTS, FrameFaults
-from humansim_ros.scene.core.human_state import HumanState
 from humansim_ros.scene.core.scene import Scene
 from humansim_ros.scene.truth.camera_truth import CameraTruth
+from humansim_ros.scene.truth.human_state import HumanState
 from humansim_ros.types import Array, Float32Array, Image
 
 Content = TypeVar("Content")

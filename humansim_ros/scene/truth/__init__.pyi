@@ -10,4 +10,7 @@ from humansim_ros.scene.truth.camera_truth import BodyBox as BodyBox
 from humansim_ros.scene.truth.camera_truth import CameraTruth as CameraTruth
 from humansim_ros.scene.truth.camera_truth import JointView as JointView
 from humansim_ros.scene.truth.camera_truth import KeypointView as KeypointView
-from humansim_ros.scene.truth.upright_boxes import UprightBox as UprightBox
+from humansim_ros.scene.truth.human_state import HIPS as HIPS
+from humansim_ros.scene.truth.human_state import HumanState as HumanState
+from humansim_ros.scene.truth.human_state import UprightBox as UprightBox
+from humansim_ros.scene.truth.human_state import standing as standing

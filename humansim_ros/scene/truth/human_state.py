@@ -1,18 +1,56 @@
-"""State of a human at one stamp, and where it stands."""
+"""State of a human at one stamp, the place where it stands, and its upright box."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
-from humansim_ros.geometry import ObjectPose, Velocity, heading_of_hips
-from humansim_ros.motion.body import JointPoses, Rated
-from humansim_ros.scene.truth.upright_boxes import UprightBox, upright_box
-from humansim_ros.types import Array
+from humansim_ros.geometry import ObjectPose, Velocity, heading_of_hips, turn_about_z
+from humansim_ros.motion.body import Rated
+from humansim_ros.types import Array, Float32Array
+
+#: Joints from which the heading follows.
+HIPS = ("l_hip", "r_hip")
+
+
+@dataclass(frozen=True)
+class UprightBox:
+    """An upright box, as benchmarks of 3D detection use it: its height is along z of ``map``.
+
+    Attributes:
+        center: Centre (3,) in ``map``, metres.
+        size: Length from back to front, width from side to side, and height (3,), metres.
+        yaw: Angle of the direction ahead, radians from x to y.
+    """
+
+    center: Array
+    size: Array
+    yaw: float
+
+    @property
+    def bottom(self) -> Array:
+        """Middle (3,) of the lower side in ``map``, metres."""
+        return self.center - (0.0, 0.0, self.size[2] / 2)
+
+    @property
+    def quaternion(self) -> Array:
+        """Rotation (4,) xyzw from the axes of the box (ahead, left, up) to ``map``."""
+        return turn_about_z(self.yaw)
+
+
+def upright_box(vertices: Array | Float32Array, joint_names: Sequence[str], positions: Array) -> UprightBox:
+    """Compute the smallest upright box of a body that is aligned with the direction that the hips face.
+    ``vertices``: (V, 3) in ``map``, metres. ``joint_names``: names of J joints, with ``l_hip`` and ``r_hip``.
+    ``positions``: (J, 3) of the joints in ``map``, metres."""
+    left, right = (positions[joint_names.index(name)] for name in HIPS)
+    yaw = heading_of_hips(left - right)
+    turn = np.array([[np.cos(yaw), np.sin(yaw), 0], [-np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
+    turned = vertices @ turn.T
+    low, high = turned.min(axis=0), turned.max(axis=0)
+    return UprightBox(turn.T @ ((low + high) / 2), high - low, yaw)
 
 
 @dataclass(frozen=True, repr=False)
@@ -72,10 +110,6 @@ class HumanState:
         return upright_box(self.vertices, self.joint_names, self.positions)
 
 
-#: Joints from which the heading follows.
-HIPS = ("l_hip", "r_hip")
-
-
 def standing(state: HumanState) -> ObjectPose:
     """Return the place of a person: the point on the floor below the middle of the hips, x ahead of them."""
     left, right = (state.joint_names.index(name) for name in HIPS)
@@ -90,17 +124,3 @@ def standing(state: HumanState) -> ObjectPose:
         rate = float((across[0] * turning[1] - across[1] * turning[0]) / length) if length > 0 else 0.0
         velocity = Velocity(np.array([*speed[:2], 0.0]), np.array([0.0, 0.0, rate]))
     return ObjectPose.on_floor(middle[0], middle[1], heading_of_hips(across), velocity)
-
-
-def standing_in(poses: JointPoses, hips: int) -> ObjectPose:
-    """As :func:`standing`, of a person with a body that is not computed. ``poses``: joints of the motion at
-    one time (N = 1). ``hips``: number of the joint of the hips."""
-    x, y, _ = poses.positions[0, hips]
-    ahead = scipy.spatial.transform.Rotation.from_quat(poses.rotations[0, hips]).apply([1.0, 0.0, 0.0])
-    velocity = None
-    if poses.linear is not None and poses.angular is not None:
-        change = np.cross(poses.angular[0, hips], ahead)
-        flat = max(float(ahead[:2] @ ahead[:2]), 1e-9)  # of somebody who lies on the back
-        rate = (ahead[0] * change[1] - ahead[1] * change[0]) / flat
-        velocity = Velocity(poses.linear[0, hips] * (1, 1, 0), np.array([0.0, 0.0, rate]))
-    return ObjectPose.on_floor(x, y, float(np.arctan2(ahead[1], ahead[0])), velocity)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from importlib import import_module
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 from humansim_ros.motion.body import JointPoses, Rated
-from humansim_ros.motion.files import KeyframeSpace
-from humansim_ros.motion.pose import PoseStage, Retargeter, SceneQuery, WorldMotion
+from humansim_ros.motion.pose import PoseStage, Retargeter, WorldMotion
 from humansim_ros.people.humans import Human
 from humansim_ros.scene.config.config import MotionConfig
 from humansim_ros.scene.core.source import SceneSource
@@ -16,59 +15,6 @@ from humansim_ros.types import Array
 
 #: Modules of features that have a layer, in the order of the stages.
 LAYERS = ("floor.layer", "reach.feature", "keyframes.feature", "hands.layer", "face.layer", "cloth.layer")
-
-
-class Owner(Protocol):
-    """The human that a layer belongs to, as far as layers use it."""
-
-    @property
-    def name(self) -> str:
-        """Name in the scene."""
-
-    @property
-    def human(self) -> Human:
-        """The body."""
-
-    @property
-    def offset(self) -> float:
-        """Time that the motion is ahead of the scene, seconds of the scene."""
-
-    @property
-    def ahead(self) -> float:
-        """Time that the motion is ahead after a change while it played, seconds of its file."""
-
-    @property
-    def memory(self) -> dict[str, Any]:
-        """What its layers remember, by their names, until the human changes."""
-
-    @property
-    def motion(self) -> WorldMotion:
-        """The motion in ``map``."""
-
-    @property
-    def retargeter(self) -> Retargeter:
-        """Retargeting of the motion onto the skeleton."""
-
-    def settings(self, name: str) -> Any:
-        """Settings of one of its layers; None for nothing."""
-
-    def asking(self) -> SceneQuery:
-        """Knows the others of the scene. Raises MotionError if the human is in no scene."""
-
-    def space_at(self, times: Array) -> KeyframeSpace | None:
-        """Space of the motion, as keyframes move it, at scene times (N,); None without keyframes."""
-
-    def bones_at(self, times: Array) -> Array:
-        """Frames (N, B, 4, 4) of the bones, scaled, without reach, at scene times (N,)."""
-
-    def eye_rays(self, times: Array) -> tuple[Array, Array]:
-        """Middle of its eyes (N, 3), and direction ahead (N, 3), before the head turns."""
-
-    def played(self, times: Array) -> Array:
-        """Seconds (N,) in the file of the motion that play at scene times (N,)."""
-
-    def plays(self, path: str) -> bool:
-        """Whether its motion comes from the file ``path``."""
 
 
 @dataclass
@@ -113,7 +59,7 @@ class PoseLayer:
 
     The motion player encodes layers into joints at the end of a motion, in the order of their stages. The
     skinner takes these joints off again, in reverse order. Then it fits the body, and layers change the body.
-    A layer has settings and names, but no other human.
+    A layer has settings and names, but no other human. ``human`` is the :class:`Actor` that has the layer.
 
     Attributes:
         settings: What the layer does over time; None for nothing. A live sender may pose it all the same.
@@ -149,12 +95,12 @@ class PoseLayer:
         """
         return motion
 
-    def fitted(self, human: Owner, config: MotionConfig) -> PoseLayer:
+    def fitted(self, human: Any, config: MotionConfig) -> PoseLayer:
         """This layer after the human has got the motion of a section. Raises HumansimError if the layer does
         not fit the motion; ``key`` is relative to the section."""
         return self
 
-    def joined(self, human: Owner) -> PoseLayer:
+    def joined(self, human: Any) -> PoseLayer:
         """This layer after another layer of the human has changed. Raises HumansimError if both do not fit
         together."""
         return self
@@ -162,24 +108,24 @@ class PoseLayer:
     #: Keys of the section ``motion`` that only this layer reads.
     keys: ClassVar[frozenset[str]] = frozenset()
 
-    def changed(self, human: Owner, config: MotionConfig) -> PoseLayer:
+    def changed(self, human: Any, config: MotionConfig) -> PoseLayer:
         """This layer after its keys have changed while the motion goes on. Raises HumansimError if they move
         nothing."""
         return self
 
     # --- in the motion player
 
-    def encode(self, poses: JointPoses, seconds: float, human: Owner) -> JointPoses:
+    def encode(self, poses: JointPoses, seconds: float, human: Any) -> JointPoses:
         """Poses (N = 1) of the motion of a human at a scene time, changed, or with more joints at the end."""
         return poses
 
     # --- joints at any times, which others ask for
 
-    def bend(self, poses: JointPoses, times: Array, human: Owner) -> JointPoses:
+    def bend(self, poses: JointPoses, times: Array, human: Any) -> JointPoses:
         """Poses of the motion at scene times (N,), changed before the fit."""
         return poses
 
-    def place(self, joints: Array, times: Array, human: Owner) -> Array:
+    def place(self, joints: Array, times: Array, human: Any) -> Array:
         """Frames (N, J, 4, 4) of fitted joints at scene times (N,), changed."""
         return joints
 
@@ -189,7 +135,7 @@ class PoseLayer:
         """Whether a joint of a motion is one that :meth:`encode` appends."""
         return False
 
-    def sent(self, poses: JointPoses, human: Owner) -> tuple[str, ...]:
+    def sent(self, poses: JointPoses, human: Any) -> tuple[str, ...]:
         """Names of its joints in a message of any sender, in their order. Raises MotionError if the joints
         cannot be decoded."""
         return tuple(name for name in poses.names if self.carries(name))

@@ -19,7 +19,8 @@ from humansim_ros.errors import MotionError
 from humansim_ros.motion.body import CLOTH, HAIR, JointPoses, Rated, swing_at_rest
 from humansim_ros.motion.pose import PoseStage
 from humansim_ros.people.humans import Human
-from humansim_ros.scene.core.layers import BodyPoses, Owner, PoseLayer
+from humansim_ros.scene.core.actor import Actor
+from humansim_ros.scene.core.layers import BodyPoses, PoseLayer
 from humansim_ros.types import Array
 
 #: Names of joints that carry the swing begin with this text.
@@ -209,7 +210,7 @@ class ClothLayer(PoseLayer):
     def rest(self) -> Rated | None:
         return swing_at_rest(len(self.settings)) if self.settings else None
 
-    def encode(self, poses: JointPoses, seconds: float, human: Owner) -> JointPoses:
+    def encode(self, poses: JointPoses, seconds: float, human: Actor) -> JointPoses:
         if not self.settings or human.human.loose is None:
             return poses
         swing: LooseSwing | None = human.memory.get(self.name)
@@ -224,7 +225,7 @@ class ClothLayer(PoseLayer):
     def carries(self, joint: str) -> bool:
         return joint.startswith(LOOSE_JOINT)
 
-    def sent(self, poses: JointPoses, human: Owner) -> tuple[str, ...]:
+    def sent(self, poses: JointPoses, human: Actor) -> tuple[str, ...]:
         names = super().sent(poses, human)
         if not names:
             return ()

@@ -38,7 +38,8 @@ from humansim_ros.motion.body import (
 )
 from humansim_ros.motion.pose import PoseStage
 from humansim_ros.people.humans import Human
-from humansim_ros.scene.core.layers import BodyPoses, Owner, PoseLayer
+from humansim_ros.scene.core.actor import Actor
+from humansim_ros.scene.core.layers import BodyPoses, PoseLayer
 from humansim_ros.scene.features.face import FaceKey
 from humansim_ros.types import Array
 
@@ -216,7 +217,7 @@ def _mouth(mouths: Sequence[Mapping[str, float]], uniform: Uniform) -> Array:
     return face_weights(both_sides(chosen))
 
 
-def seen(human: Owner, target: GazeTarget, times: Array, turned: bool) -> Array:
+def seen(human: Actor, target: GazeTarget, times: Array, turned: bool) -> Array:
     """Points (N, 3) of a target that a human looks at.
 
     Args:
@@ -287,7 +288,7 @@ class Face:
         """Whether the head turns with the gaze at any time."""
         return bool(self.gazes) and self.head > 0
 
-    def add(self, poses: JointPoses, seconds: float, human: Owner) -> JointPoses:
+    def add(self, poses: JointPoses, seconds: float, human: Actor) -> JointPoses:
         """Add the joints that carry the face to poses (N = 1) of the motion of a human at a scene time."""
         if not self.joints:
             return poses
@@ -307,7 +308,7 @@ class Face:
                 positions[number], linear[number] = points[1], (points[2] - points[0]) / step
         return poses.with_joints(self.joints, rotations, angular, positions, linear)
 
-    def _weights(self, times: Array, shares: Array, human: Owner) -> Array:
+    def _weights(self, times: Array, shares: Array, human: Actor) -> Array:
         """Weights (N, 52) at times (N,), where the gaze has the shares (N,)."""
         weights = np.zeros((len(times), len(ACTIONS)))
         for track in self.tracks:
@@ -325,7 +326,7 @@ class Face:
             weights[:, self.glances.actions] += left[:, None] * self.glances.at(times)
         return np.clip(weights, 0.0, 1.0)
 
-    def head_at(self, times: Array, human: Owner) -> tuple[Array, Array]:
+    def head_at(self, times: Array, human: Actor) -> tuple[Array, Array]:
         """Shares (N,) of the turn of the head, and points (N, 3) that it turns to, at times (N,)."""
         shares, points = np.zeros(len(times)), np.zeros((len(times), 3))
         begun = np.searchsorted([gaze.time for gaze in self.gazes], times, side="right")
@@ -334,12 +335,12 @@ class Face:
             shares[now], points[now] = self._head(times[now], human)
         return shares, points
 
-    def _head(self, times: Array, human: Owner) -> tuple[Array, Array]:
+    def _head(self, times: Array, human: Actor) -> tuple[Array, Array]:
         """Do the same as :meth:`_gaze` for the head."""
         shares, points = self._attended(partial(seen, human, turned=False), turn_seconds, times, human)
         return self.head * shares, points
 
-    def _gaze(self, times: Array, human: Owner) -> tuple[Array, Array]:
+    def _gaze(self, times: Array, human: Actor) -> tuple[Array, Array]:
         """Shares (N,) of the gaze, and its points (N, 3), at times (N,) around a frame."""
         return self._attended(partial(seen, human, turned=True), saccade_seconds, times, human)
 
@@ -348,7 +349,7 @@ class Face:
         seen_at: Callable[[GazeTarget, Array], Array],
         seconds: Callable[[float], float],
         times: Array,
-        human: Owner,
+        human: Actor,
     ) -> tuple[Array, Array]:
         """Shares (N,) and points (N, 3) of a gaze at times (N,) around a frame.
 
@@ -387,7 +388,7 @@ def _change(
     before: GazeTarget | None,
     after: GazeTarget | None,
     seen_at: Callable[[GazeTarget, Array], Array],
-    human: Owner,
+    human: Actor,
 ) -> float:
     """Degrees by which a gaze changes at a time (1,)."""
     eyes, ahead = human.eye_rays(times)
@@ -490,10 +491,10 @@ class FaceLayer(PoseLayer):
     def rest(self) -> Rated | None:
         return None if self.settings is None else FACE_AT_REST
 
-    def encode(self, poses: JointPoses, seconds: float, human: Owner) -> JointPoses:
+    def encode(self, poses: JointPoses, seconds: float, human: Actor) -> JointPoses:
         return poses if self.settings is None else self.settings.add(poses, seconds, human)
 
-    def place(self, joints: Array, times: Array, human: Owner) -> Array:
+    def place(self, joints: Array, times: Array, human: Actor) -> Array:
         if self.settings is not None and self.settings.turns_head and self.eyes is not None:
             shares, points = self.settings.head_at(times, human)
             self.eyes.turn_head(joints, points, shares)
@@ -502,7 +503,7 @@ class FaceLayer(PoseLayer):
     def carries(self, joint: str) -> bool:
         return joint.startswith(FACE_JOINT)
 
-    def sent(self, poses: JointPoses, human: Owner) -> tuple[str, ...]:
+    def sent(self, poses: JointPoses, human: Actor) -> tuple[str, ...]:
         names = super().sent(poses, human)
         if names:
             if self.settings is None:

@@ -18,7 +18,8 @@ from humansim_ros.motion.pose import (
     Reaches,
 )
 from humansim_ros.scene.config.config import LIVE, MotionConfig
-from humansim_ros.scene.core.layers import BodyPoses, Owner, PoseLayer
+from humansim_ros.scene.core.actor import Actor
+from humansim_ros.scene.core.layers import BodyPoses, PoseLayer
 
 _NOTHING_MOVES = "moves nothing: the body has no fingers, or the motion moves them all"
 
@@ -32,14 +33,14 @@ class HandLayer(PoseLayer):
     keys: ClassVar[frozenset[str]] = frozenset({"hands"})
     settings: HandKeys | None = None
 
-    def fitted(self, human: Owner, config: MotionConfig) -> HandLayer:
+    def fitted(self, human: Actor, config: MotionConfig) -> HandLayer:
         with in_section("hands"):
             hands = HandKeys.of(_keys(config), human.human.skeleton, human.motion, human.retargeter.match)
         if config.hands and hands is None:
             warn_about(human.name, f"'hands' {_NOTHING_MOVES}")
         return replace(self, settings=hands)
 
-    def changed(self, human: Owner, config: MotionConfig) -> HandLayer:
+    def changed(self, human: Actor, config: MotionConfig) -> HandLayer:
         with in_section("hands"):
             if config.hands and config.file == LIVE:
                 raise MotionError("the sender of live joints poses the hands, too (docs/keyframes.md)")
@@ -49,7 +50,7 @@ class HandLayer(PoseLayer):
                 raise MotionError(_NOTHING_MOVES)
         return replace(self, settings=hands)
 
-    def joined(self, human: Owner) -> HandLayer:
+    def joined(self, human: Actor) -> HandLayer:
         reaches: Reaches | None = human.settings("reach")
         poses = () if reaches is None else reaches.poses
         hands = self.settings
@@ -63,7 +64,7 @@ class HandLayer(PoseLayer):
             raise MotionError(_NOTHING_MOVES, key="pose")
         return replace(self, settings=hands.reaching_for(poses))
 
-    def encode(self, poses: JointPoses, seconds: float, human: Owner) -> JointPoses:
+    def encode(self, poses: JointPoses, seconds: float, human: Actor) -> JointPoses:
         if self.settings is None:
             return poses
         return self.settings.add(poses, seconds + human.offset, human.ahead, human.offset)

@@ -20,8 +20,9 @@ from humansim_ros.motion.files import (
 )
 from humansim_ros.motion.pose import PoseStage
 from humansim_ros.scene.config.config import SceneConfig
+from humansim_ros.scene.core.actor import Actor
 from humansim_ros.scene.core.features import Draft, Feature
-from humansim_ros.scene.core.layers import BodyPoses, Owner, PoseLayer
+from humansim_ros.scene.core.layers import BodyPoses, PoseLayer
 from humansim_ros.scene.core.source import SceneSource
 from humansim_ros.types import Array
 
@@ -34,17 +35,17 @@ class KeyframeLayer(PoseLayer):
     stage: ClassVar[PoseStage] = PoseStage.SPACE
     settings: KeyframeTrack | None = None
 
-    def encode(self, poses: JointPoses, seconds: float, human: Owner) -> JointPoses:
+    def encode(self, poses: JointPoses, seconds: float, human: Actor) -> JointPoses:
         return poses if self.settings is None else self.settings.apply(poses, seconds)
 
-    def place(self, joints: Array, times: Array, human: Owner) -> Array:
+    def place(self, joints: Array, times: Array, human: Actor) -> Array:
         space = human.space_at(times)
         return joints if space is None else space.to_map(joints)
 
     def carries(self, joint: str) -> bool:
         return joint in SPACE_JOINTS
 
-    def sent(self, poses: JointPoses, human: Owner) -> tuple[str, ...]:
+    def sent(self, poses: JointPoses, human: Actor) -> tuple[str, ...]:
         return SPACE_JOINTS if set(SPACE_JOINTS) <= set(poses.names) else ()
 
     def take(self, poses: JointPoses) -> tuple[JointPoses, JointPoses]:

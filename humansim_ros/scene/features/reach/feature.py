@@ -29,7 +29,7 @@ from humansim_ros.scene.config.config import LIVE, HumanConfig, MotionConfig
 from humansim_ros.scene.core.actor import Actor
 from humansim_ros.scene.core.features import Draft
 from humansim_ros.scene.core.findings import CheckedFeature, Finding, SceneSamples, numbers
-from humansim_ros.scene.core.layers import Owner, PoseLayer
+from humansim_ros.scene.core.layers import PoseLayer
 from humansim_ros.scene.core.objects import SceneObject
 from humansim_ros.scene.features.reach import ReachConfig
 from humansim_ros.types import Array
@@ -43,18 +43,18 @@ class ReachLayer(PoseLayer):
     stage: ClassVar[PoseStage] = PoseStage.ARMS
     settings: Reaches | None = None
 
-    def fitted(self, human: Owner, config: MotionConfig) -> ReachLayer:
+    def fitted(self, human: Actor, config: MotionConfig) -> ReachLayer:
         if self.settings is None:
             return self
         reaches = replace(self.settings, motion=human.motion.motion, retargeter=human.retargeter)
         return replace(self, settings=reaches)
 
-    def encode(self, poses: JointPoses, seconds: float, human: Owner) -> JointPoses:
+    def encode(self, poses: JointPoses, seconds: float, human: Actor) -> JointPoses:
         if self.settings is None:
             return poses
         return self.settings.apply_at(poses, seconds, human.asking(), human.space_at)
 
-    def bend(self, poses: JointPoses, times: Array, human: Owner) -> JointPoses:
+    def bend(self, poses: JointPoses, times: Array, human: Actor) -> JointPoses:
         if self.settings is None:
             return poses
         return self.settings.apply(poses, times, human.asking(), human.space_at(times))

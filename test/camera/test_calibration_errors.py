@@ -226,7 +226,10 @@ def ros(old: str, new: str) -> str:
             ros(R_TEXT, "[1, 0, 0, 0, 1, 0, 0, 0, 1.1]"),
             ":16: rectification_matrix.data: rectification is not a rotation",
         ),
-        (ros(R_TEXT, "[1, 0, 0, 0, 1, 0, 0, 0, -1]"), ":16: rectification_matrix.data: R is a reflection"),
+        (
+            ros(R_TEXT, "[1, 0, 0, 0, 1, 0, 0, 0, -1]"),
+            ":16: rectification_matrix.data: rectification is a reflection",
+        ),
         (
             ros(P_TEXT, "[-1, 0, 310, 0, 0, 690, 245, 0, 0, 0, 1, 0]"),
             ":20: projection_matrix.data: the rectified P",

@@ -324,8 +324,10 @@ def _rotation(value: ArrayLike, key: str) -> Array:
     """Check a rotation matrix, and return it with small errors of orthonormality corrected."""
     r = _matrix(value, (3, 3), key)
     error = float(np.abs(r @ r.T - np.eye(3)).max())
-    if error > _ROTATION_TOLERANCE or np.linalg.det(r) < 0:
+    if error > _ROTATION_TOLERANCE:
         raise CameraError(f"{key} is not a rotation matrix (orthonormal, determinant +1)", key=key)
+    if np.linalg.det(r) < 0:
+        raise CameraError(f"{key} is a reflection (its determinant is -1), not a rotation", key=key)
     if error > _ROTATION_ROUNDING:
         message = f"{key} is a rotation matrix only to {error:.1g}: the nearest rotation is used"
         warnings.warn(message, HumansimWarning, stacklevel=4)

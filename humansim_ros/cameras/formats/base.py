@@ -68,7 +68,13 @@ class SourceLocation:
 class RawCamera:
     """A camera in the unit and the world axes of its file. ``K`` (3, 3), ``R`` (3, 3), ``t`` (3,): x_cam = R
     x + t. The camera may have ``center`` (3,) in place of t. R is None if the file has no extrinsics of the
-    camera. ``locations``: where these values are in the file, by field; "" is the location of the camera."""
+    camera. ``locations``: where these values are in the file, by field; "" is the location of the camera.
+
+    ``kind`` of R and t, as they are in the file: ``world`` (x = R X + t), ``camera`` (X = R x + t),
+    ``center`` (x = R (X - t)), ``placed`` (a rotation with a position: ``camera`` is more likely than
+    ``center``) or ``shelf`` (like ``center``, with a warning only if the views contradict). ``clear``:
+    whether the keys leave no doubt about the kind. ``conventions.resolved`` makes all cameras ``world``.
+    """
 
     K: Array
     R: Array | None = None
@@ -80,6 +86,8 @@ class RawCamera:
     rectification: Array | None = None
     rectified: Array | None = None
     locations: Mapping[str, SourceLocation] = field(default_factory=dict)
+    kind: str = "world"
+    clear: bool = True
 
     @property
     def rotation(self) -> Array:

@@ -441,20 +441,11 @@ def _camera(path: str, name: str, raw: RawCamera, size: ImageSize, unit: float, 
             part = error.key or ""
             at = raw.locations.get(part) or raw.locations.get("") or SourceLocation()
             key = at.key if part in raw.locations and at.key else ".".join(filter(None, (name, part)))
-            mirrored = "R is a reflection (its determinant is -1), not a rotation"
-            message = mirrored if _mirrors(raw, part) else error.message
-            raise CameraError(message, path=at.path or path, line=at.line, key=key) from None
+            raise CameraError(error.message, path=at.path or path, line=at.line, key=key) from None
     messages = [str(warning.message) for warning in caught if issubclass(warning.category, HumansimWarning)]
     for message in (*messages, *(check_focal_length(camera) or check_image_size(camera))):
         warn_about(path, f"{name}: {message}")
     return camera
-
-
-def _mirrors(raw: RawCamera, part: str) -> bool:
-    matrix = {"R": raw.rotation, "rectification": raw.rectification}.get(part)
-    if matrix is None:
-        return False
-    return bool(np.abs(matrix @ matrix.T - np.eye(3)).max() < 1e-3)
 
 
 def _orthonormal(r: Array) -> Array:

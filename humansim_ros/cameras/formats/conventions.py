@@ -17,7 +17,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -31,7 +31,6 @@ from humansim_ros.cameras.formats.base import (
     CalibrationFile,
     Keys,
     RawCamera,
-    SourceLocation,
     is_number,
     metres_of,
     model_of,
@@ -55,22 +54,6 @@ _PARALLEL = 3e-3
 #: A camera has an up direction if at least this share of the vertical is in its image plane. The second
 #: number is the roll (radians) that is assumed for a camera without an up direction.
 _STEEP, _STEEP_ROLL = 0.3, 0.1
-
-
-@dataclass(frozen=True)
-class FilePose:
-    """Rotation and translation as they are in a file.
-
-    ``kind``: ``world`` (x = R X + t), ``camera`` (X = R x + t), ``center`` (x = R (X - t)), ``placed`` (a
-    rotation with a position: ``camera`` is more likely than ``center``) or ``shelf`` (like ``center``, with a
-    warning only if the views contradict). ``clear``: whether the keys leave no doubt about the kind.
-    """
-
-    R: Array
-    t: Array
-    kind: str
-    clear: bool
-    locations: Mapping[str, SourceLocation]
 
 
 class _Reading(NamedTuple):
@@ -105,60 +88,49 @@ _ALLOWED = {
 }
 
 
-def resolved(
-    file: CalibrationFile, cameras: Mapping[str, RawCamera], poses: Mapping[str, FilePose]
-) -> dict[str, RawCamera]:
-    """Return cameras with R and t. The convention of unclear poses is found from the views."""
-    if not poses:
-        return {}
-    reading, said = _reading(file, list(poses.values()))
-    if said:
-        warn_about(file.path, said)
-    posed = {}
-    for name, pose in poses.items():
-        convention = reading if not pose.clear else _ALLOWED[pose.kind][0]
-        r, center = _READINGS[convention].apply(pose.R, pose.t)
-        locations = {**cameras[name].locations, **pose.locations}
-        camera = replace(cameras[name], R=r, locations=locations)
-        posed[name] = (
-            replace(camera, t=pose.t, center=None) if convention == 0 else replace(camera, center=center)
-        )
-    return posed
+def resolved(file: CalibrationFile, cameras: Mapping[str, RawCamera]) -> dict[str, RawCamera]:
+    """Return the cameras with x = R X + t. The convention of unclear poses is found from the views."""
+    reading = _reading(file, [camera for camera in cameras.values() if camera.R is not None])
+    found = dict(cameras)
+    for name, camera in cameras.items():
+        convention = _ALLOWED[camera.kind][0] if camera.clear else reading
+        if camera.R is not None and convention != 0:
+            r, center = _READINGS[convention].apply(camera.R, camera.t)
+            found[name] = replace(camera, R=r, center=center)
+    return found
 
 
-def _reading(file: CalibrationFile, poses: list[FilePose]) -> tuple[int, str]:
-    """Index of the convention of the unclear poses of a file, and a sentence that explains the choice."""
-    unclear = [pose for pose in poses if not pose.clear]
+def _reading(file: CalibrationFile, posed: list[RawCamera]) -> int:
+    """Index of the convention of the unclear poses of a file. A warning explains the choice."""
+    unclear = [camera for camera in posed if not camera.clear]
     if not unclear:
-        return 0, ""
+        return 0
     stated = str(file.get("convention") or file.get(0, "convention") or "").strip().lower()
+    if stated in _STATED:
+        return _STATED[stated]
     if stated in _ALLOWED:  # "shelf" of a format: the views may contradict
-        unclear = [replace(pose, kind=stated) for pose in unclear]
+        unclear = [replace(camera, kind=stated) for camera in unclear]
     kind = unclear[0].kind
     first = _ALLOWED[kind][0]
-    if stated in _STATED:
-        return _STATED[stated], ""
-    keys = " and ".join(
-        dict.fromkeys(str(pose_at.key).split(".")[-1] for pose_at in unclear[0].locations.values())
-    )
     found = {index: _evidence(unclear, index) for index in _ALLOWED[kind]}
     best, other = sorted(found, key=lambda index: -found[index].total)[:2]
-    if found[best].miss > _SURE:
-        why = "as in OpenCV" if not first else "as the key says" if first == 1 else "as is usual"
-        said = f"taken as {_READINGS[first].text}, {why}; the file does not say it; {_how(first)}"
-        return first, "" if kind == "shelf" else f"{keys}: {said}"
-    said = f"{keys}: taken as {_READINGS[best].text}, "
-    if kind == "shelf" and best == first:
-        return first, ""
     margins = found[best].total - found[other].total, found[best].crossing - found[other].crossing
-    if margins[0] <= _MARGIN or margins[1] <= _CROSSING_MARGIN:
+    if found[best].miss > _SURE:
+        best = first
+        why = "as in OpenCV" if not first else "as the key says" if first == 1 else "as is usual"
+        why = f"{why}; the file does not say it; {_how(first)}"
+    elif margins[0] <= _MARGIN or margins[1] <= _CROSSING_MARGIN:
         misses = f"{found[best].miss:.1%} and {found[other].miss:.1%} of the distance"
         doubt = f"the views do not decide, because the optical axes then meet to {misses}"
-        return best, f"{said}but perhaps they are {_READINGS[other].text}: {doubt}; {_how(best, other)}"
-    why = "because only then do the cameras look at a common place"
-    if best == first:
-        why = "because the cameras then look at a common place; the file does not say it"
-    return best, f"{said}{why}; {_how(best)}"
+        why = f"but perhaps they are {_READINGS[other].text}: {doubt}; {_how(best, other)}"
+    elif best == first:
+        why = f"because the cameras then look at a common place; the file does not say it; {_how(best)}"
+    else:
+        why = f"because only then do the cameras look at a common place; {_how(best)}"
+    if kind != "shelf" or best != first:
+        keys = dict.fromkeys(str(unclear[0].locations[part].key).split(".")[-1] for part in ("R", "t"))
+        warn_about(file.path, f"{' and '.join(keys)}: taken as {_READINGS[best].text}, {why}")
+    return best
 
 
 def _how(*readings: int) -> str:
@@ -174,14 +146,14 @@ class _Evidence(NamedTuple):
     miss: float
 
 
-def _evidence(poses: list[FilePose], reading: int) -> _Evidence:
+def _evidence(poses: list[RawCamera], reading: int) -> _Evidence:
     """Evidence of a reading of poses. The miss is a fraction of the distance of the common point, or of the
     spread of the cameras if the spread is smaller. The miss is infinite for fewer than three cameras, and 1
     for parallel axes."""
     count = len(poses)
     if count < 3:
         return _Evidence(0.0, 0.0, np.inf)
-    pairs = [_READINGS[reading].apply(pose.R, pose.t) for pose in poses]
+    pairs = [_READINGS[reading].apply(pose.rotation, pose.t) for pose in poses]
     r, centers = np.array([r for r, _ in pairs]), np.array([center for _, center in pairs])
     miss, away = _crossing(r[:, 2], centers)
     # if OpenGL's camera axes are possible, a rig that looks outwards would be one that looks inwards with

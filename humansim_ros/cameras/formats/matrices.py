@@ -34,12 +34,11 @@ from humansim_ros.cameras.formats.base import (
     opencv_model,
     without_suffix,
 )
-from humansim_ros.cameras.formats.conventions import FilePose, find_model, model_of_four, resolved
+from humansim_ros.cameras.formats.conventions import find_model, model_of_four, resolved
 from humansim_ros.cameras.formats.spellings import (
     COLMAP_PARAMETERS,
     INTRINSIC,
     POSE,
-    ROTATION,
     Entry,
     Found,
     Identity,
@@ -134,22 +133,19 @@ def read_matrices(
         raise CameraError(message, path=other.path)
     pairs = _pairs(file, found)
     cameras: dict[str, RawCamera] = {}
-    poses: dict[str, FilePose] = {}
     for name, (entries, posed) in pairs.items():
         camera = _intrinsics(file, entries)
-        pose = None if "P" in entries and "K" not in entries else _pose(posed)
-        file.add(cameras, name, camera)
-        if pose is not None:
-            poses[name] = pose
-    if len(poses) == 2 and len({pose.locations["R"] for pose in poses.values()}) == 1:
-        left, right = poses  # one pose for both: from the left camera to the right one
-        poses[right] = replace(poses[right], kind="world", clear=True)
-        poses[left] = replace(poses[right], R=np.eye(3), t=np.zeros(3))
+        file.add(cameras, name, camera if camera.R is not None else _posed(camera, posed))
+    pose = {camera.locations.get("R") for camera in cameras.values()}
+    if len(cameras) == 2 and len(pose) == 1 and None not in pose:
+        left, right = cameras  # one pose for both: from the left camera to the right one
+        cameras[right] = replace(cameras[right], kind="world", clear=True)
+        cameras[left] = replace(cameras[left], R=np.eye(3), t=np.zeros(3), kind="world", clear=True)
     if any("rvec" in entries and entries["rvec"].key == "rxyz" for entries in found.cameras.values()):
         warn_about(file.path, "rx, ry, rz are taken as a rotation vector in radians, as in OpenCV")
     if found.views:
         warn_about(file.path, "rvecs and tvecs are poses of a calibration board, not of cameras: ignored")
-    return {**cameras, **resolved(files[-1], cameras, poses)}
+    return resolved(files[-1], cameras)
 
 
 def _check_needed(entries: Mapping[str, Entry], needs: Sequence[str]) -> None:
@@ -165,13 +161,11 @@ def read_poses(file: CalibrationFile) -> dict[str, RawCamera]:
     """Read the cameras of a document that has extrinsics, with or without K."""
     file = plain(file)
     found = find_parameters(file)
-    poses: dict[str, FilePose] = {}
-    for identity in _leaf_cameras(found, found.having(POSE)):
-        pose = _pose(found.entries_of(identity))
-        if pose is not None:
-            poses[_name(file, found, identity)] = pose
-    cameras = {name: RawCamera(np.eye(3)) for name in poses}
-    return resolved(file, cameras, poses)
+    cameras = {
+        _name(file, found, identity): _posed(RawCamera(np.eye(3)), found.entries_of(identity))
+        for identity in _leaf_cameras(found, found.having(POSE))
+    }
+    return resolved(file, cameras)
 
 
 def missing_parts(found: Found) -> str:
@@ -419,45 +413,45 @@ def _lens(
 # -- extrinsics
 
 
-def _pose(entries: Mapping[str, Entry]) -> FilePose | None:
-    """Rotation and translation of a camera, or None if both are missing."""
-    for role, kind in (("pose", "world"), ("inverse", "camera")):
-        if role in entries:
-            return _pose_matrix(entries[role], kind)
-    if "P" in entries and not ROTATION - {"P"} & entries.keys():
-        return None
-    rotation = next((entries[r] for r in ("R", "rvec", "quaternion", "Rinverse") if r in entries), None)
-    shift = next((entries[r] for r in ("t", "center") if r in entries), None)
-    if rotation is None and shift is None:
-        return None
+def _posed(camera: RawCamera, entries: Mapping[str, Entry]) -> RawCamera:
+    """The camera with its rotation and translation; unchanged if both are missing."""
+    roles = ("pose", "inverse", "R", "rvec", "quaternion", "Rinverse")
+    rotation = next((entries[role] for role in roles if role in entries), None)
+    shift = next((entries[role] for role in ("pose", "inverse", "t", "center") if role in entries), None)
+    kind, clear = "world", True
     if rotation is None:
-        assert shift is not None
+        if shift is None or "P" in entries:
+            return camera
         raise shift.error("needs a rotation (such as R) as well")
     if shift is None:
         raise rotation.error("needs a translation (such as t) as well")
-    r = _rotation(rotation)
-    t = shift.numbers(3)
-    locations = {"R": rotation.location, "t": shift.location}
-    if "Rinverse" in entries and rotation is entries["Rinverse"]:
-        r = r.T if shift is entries.get("center") else r
-        return FilePose(r, t, "center" if "center" in entries else "camera", True, locations)
-    if "center" in entries and shift is entries["center"]:
-        placed = shift.key in _PLACES and rotation.key not in ("r", "rmat", "rvec")
-        clear = rotation.key not in _UNCLEAR and rotation is not entries.get("quaternion")
-        return FilePose(r, t, "placed" if placed else "center", clear, locations)
-    clear = rotation.key not in _UNCLEAR or shift.key not in _UNCLEAR
-    return FilePose(r, t, "world", clear, locations)
+    if rotation is shift:
+        r, t = _pose_matrix(rotation)
+        kind, clear = "world" if "pose" in entries else "camera", rotation.key not in _UNCLEAR
+    else:
+        r, t = _rotation(rotation), shift.numbers(3)
+        if rotation is entries.get("Rinverse"):
+            r = r.T if shift is entries.get("center") else r
+            kind = "center" if "center" in entries else "camera"
+        elif shift is entries.get("center"):
+            placed = shift.key in _PLACES and rotation.key not in ("r", "rmat", "rvec")
+            kind = "placed" if placed else "center"
+            clear = rotation.key not in _UNCLEAR and rotation is not entries.get("quaternion")
+        else:
+            clear = rotation.key not in _UNCLEAR or shift.key not in _UNCLEAR
+    locations = {**camera.locations, "R": rotation.location, "t": shift.location}
+    return replace(camera, R=r, t=t, kind=kind, clear=clear, locations=locations)
 
 
-def _pose_matrix(entry: Entry, kind: str) -> FilePose:
+def _pose_matrix(entry: Entry) -> tuple[Array, Array]:
+    """Rotation (3, 3) and translation (3,) of a matrix."""
     rows = 4 if len(entry.numbers()) == 16 else 3
     values = entry.numbers(rows, 4)
     if rows == 4 and not values[:3, 3].any() and values[3, :3].any():
         values = values.T  # the values are in column order
     if rows == 4 and not np.allclose(values[3], [0, 0, 0, 1], atol=1e-6):
         raise entry.error("needs 0 0 0 1 as the last row of its 4 x 4 numbers")
-    at = entry.location
-    return FilePose(values[:3, :3], values[:3, 3], kind, entry.key not in _UNCLEAR, {"R": at, "t": at})
+    return values[:3, :3], values[:3, 3]
 
 
 def _rotation(entry: Entry) -> Array:

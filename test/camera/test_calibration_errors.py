@@ -300,13 +300,13 @@ def ros(old: str, new: str) -> str:
         (changed(SHELF, "0.R", [[1, 0, 0.01], [0, 1, 0], [0, 0, 1]]), "0.R: R is not a rotation matrix"),
         (
             changed(H36M, "intrinsics.5.calibration_matrix", 3),
-            "5.calibration_matrix: needs 4 or 9 or 16 numbers, not 1",
+            "cameras.0.calibration_matrix: needs 4 or 9 or 16 numbers, not 1",
         ),
         (
             changed(H36M, "extrinsics.S1", {"6": {"R": EYE, "t": [0, 0, 0]}}),
             "extrinsics.S1.6: has no intrinsics",
         ),
-        (changed(H36M, "intrinsics.5.distortion", [1] * 8), "5.distortion: plumb_bob has 4 or 5"),
+        (changed(H36M, "intrinsics.5.distortion", [1] * 8), "cameras.0.distortion: plumb_bob has 4 or 5"),
         (changed(PANOPTIC, "cameras.0.K", None), "is not a known calibration format"),
         (changed(PANOPTIC, "cameras.0.resolution", [640]), "cameras.0.resolution: needs 2 numbers, not 1"),
         ('{"0": {"R": 1, "R": 2}}', "R: this key is duplicate"),

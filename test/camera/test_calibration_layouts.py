@@ -650,7 +650,7 @@ def test_streams_of_rs_enumerate_devices_are_seen_from_the_depth_camera(tmp_path
     seen = cameras["Color_640x480"].project(points @ depth.R.T + depth.t)[0]
     assert_allclose(seen, color.pixels((0, 0, 0, 0)), atol=1e-5)
     assert list(read(tmp_path, "d435.txt", realsense_text(), size=(1280, 960))) == ["Color_1280x960"]
-    with pytest.warns(HumansimWarning, match="inverse_brown_conrady is taken for plumb_bob"):
+    with pytest.warns(HumansimWarning, match="inverse brown conrady is taken for plumb_bob"):
         cameras = read(tmp_path, "d435.txt", realsense_text(D))
     assert_allclose(cameras["Color_640x480"].distortion, D)
 

@@ -20,7 +20,7 @@ import yaml
 from numpy.testing import assert_allclose
 from wanted_cameras import CAMERAS, FISHEYE, FLIP, SIZE, TOLERANCE, D, Wanted, assert_same, read
 
-from humansim_ros.cameras import Camera, read_calibration
+from humansim_ros.cameras import Camera, read_calibration, write_calibration
 from humansim_ros.cameras.formats.calibration import load_calibration
 from humansim_ros.cameras.formats.syntax import tomllib
 from humansim_ros.errors import CameraError, HumansimWarning
@@ -542,3 +542,12 @@ def test_the_real_file_of_qualisys_has_k_and_poses_of_pose2sim(shared_data: Path
     centers = np.array([camera.center for camera in cameras.values()])
     assert (centers[:, 2] > 1.5).all() and (centers[:, 2] < 2.5).all()  # on stands, z up
     assert all(camera.R[1, 2] < -0.5 for camera in cameras.values())  # upright
+
+
+@pytest.mark.parametrize("form", ["4dassociation", "shelf", "human36m", "transforms", "blender", "realsense"])
+def test_cameras_may_have_names_that_are_words_of_groups(tmp_path: Path, form: str) -> None:
+    cameras = {name: Camera.look_at((x, 3, 2), (0, 0, 1)) for name, x in (("color", 1.0), ("camera", 2.0))}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        write_calibration(tmp_path / "c.json", cameras, form)
+        assert list(read_calibration(tmp_path / "c.json", size=(640, 480))) == ["color", "camera"]

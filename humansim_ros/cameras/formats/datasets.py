@@ -27,7 +27,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.cameras.camera.camera import Camera, pinhole
-from humansim_ros.cameras.formats.base import FLIP, CalibrationFile, Keys, without_suffix
+from humansim_ros.cameras.formats.base import (
+    FLIP,
+    CalibrationFile,
+    Keys,
+    find_cameras,
+    has_keys,
+    without_suffix,
+)
 from humansim_ros.cameras.formats.checks import IMAGE_SIZES, size_of_named_image
 from humansim_ros.cameras.formats.conventions import stated_unit
 from humansim_ros.cameras.formats.table import Cameras, Values, calibration_format, json_file, nested
@@ -43,15 +50,15 @@ _SUBJECT = re.compile(r"(S[0-9]+)_(.+)", re.DOTALL)
 
 
 def _h36m(file: CalibrationFile) -> Cameras:
-    cameras: dict[str, dict[str, Any]] = {}
+    cameras = []
     lenses, subjects = file.mapping("intrinsics"), file.mapping("extrinsics")
     for subject in subjects:
         for name in file.mapping("extrinsics", subject):
             if name not in lenses:
                 raise file.error("has no intrinsics", "extrinsics", subject, name)
             one = {**file.mapping("intrinsics", name), **file.mapping("extrinsics", subject, name)}
-            one["size"] = _H36M_SIZES.get(str(name))
-            cameras[name if len(subjects) == 1 else f"{subject}_{name}"] = one
+            label = name if len(subjects) == 1 else f"{subject}_{name}"
+            cameras.append({"name": label, **one, "size": _H36M_SIZES.get(str(name))})
     return cameras
 
 
@@ -132,7 +139,7 @@ def _transforms(file: CalibrationFile) -> Cameras:
         width, height = _NERF_SIZE
         message = f"w and h are missing; {width}x{height} is assumed, as in the synthetic scenes of NeRF"
         warn_about(file.path, message)
-    return {"origin": "corner", **cameras}
+    return {"origin": "corner", "frames": [{"name": name, **one} for name, one in cameras.items()]}
 
 
 def _names(file: CalibrationFile) -> list[str]:
@@ -194,8 +201,10 @@ TRANSFORMS = calibration_format(
 
 # -- Blender: cameras as scripts write them, with the names of bpy
 
-_BLENDER_POSE = {"matrix_world", "location"}
-_BLENDER_LENS = {"lens", "angle", "angle_x", "focal_length_mm"}
+_BLENDER = (
+    has_keys({"matrix_world", "location"}, {"lens", "angle", "angle_x", "focal_length_mm"}),
+    has_keys({"matrix_world", "location"}),
+)
 
 
 def _blender_value(file: CalibrationFile, at: Keys, key: str, otherwise: float | None = None) -> float:
@@ -207,14 +216,8 @@ def _blender_value(file: CalibrationFile, at: Keys, key: str, otherwise: float |
     return float(file.numbers((), *(found or (*at, key))))
 
 
-def _blender(file: CalibrationFile, at: Keys = ()) -> Any:
-    """The value at a key path, with each camera in it in place of the values of bpy."""
-    value = file.get(*at)
-    if isinstance(value, Mapping):
-        if not _BLENDER_POSE.isdisjoint(value) and not _BLENDER_LENS.isdisjoint(value):
-            return _blender_camera(file, at)
-        return {key: _blender(file, (*at, key)) for key in value}
-    return [_blender(file, one) for one in file.paths(*at)] if isinstance(value, list) else value
+def _blender(file: CalibrationFile) -> Cameras:
+    return [{"name": name, **_blender_camera(file, at)} for name, at in find_cameras(file, *_BLENDER)]
 
 
 def _blender_camera(file: CalibrationFile, at: Keys) -> dict[str, Any]:
@@ -246,8 +249,7 @@ def _blender_camera(file: CalibrationFile, at: Keys) -> dict[str, Any]:
     cy = height / 2 + _blender_value(file, at, "shift_y", 0.0) * view / aspect - 0.5
     k, (rotation, center) = pinhole(focal, focal / aspect, cx, cy), _blender_pose(file, at)
     pose = {"R_w2c": nested(FLIP @ rotation.T), "center": nested(center)}
-    names = {key: file.get(*at, key) for key in ("name", "camera") if file.has(*at, key)}
-    return {**names, "K": nested(k), **pose, "width": width, "height": height}
+    return {"K": nested(k), **pose, "size": [width, height]}
 
 
 def _blender_pose(file: CalibrationFile, at: Keys) -> tuple[Array, Array]:
@@ -275,6 +277,11 @@ def _blender_values(own: Values, camera: Camera) -> Values:
     }
 
 
-BLENDER = calibration_format("blender", arrange=_blender, values=_blender_values)
+BLENDER = calibration_format(
+    "blender",
+    matches=lambda file: bool(find_cameras(file, *_BLENDER)),
+    arrange=_blender,
+    values=_blender_values,
+)
 
 FORMATS = (H36M, PANOPTIC, SHELF, TRANSFORMS, ANIPOSE, BLENDER)

@@ -20,6 +20,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -29,17 +30,14 @@ from humansim_ros.cameras.camera.camera import Camera, pinhole
 from humansim_ros.cameras.formats.base import (
     CalibrationFile,
     Keys,
-    Place,
     RawCamera,
-    camera_at,
     find_cameras,
     has_keys,
-    reader_of,
 )
 from humansim_ros.cameras.formats.checks import IMAGE_SIZES
-from humansim_ros.cameras.formats.spellings import POSE, find_parameters, plain, role_of
+from humansim_ros.cameras.formats.spellings import POSE, keys_of, leaves_of, role_of
 from humansim_ros.cameras.formats.syntax import TOML_HEAD, ZED_SECTION, text_document
-from humansim_ros.cameras.formats.table import Values, calibration_format, nested, number
+from humansim_ros.cameras.formats.table import Cameras, Values, calibration_format, nested, number
 from humansim_ros.errors import CameraError, warn_about
 from humansim_ros.types import Array, ImageSize
 
@@ -160,8 +158,8 @@ _DEPTH_MODES = {
 }
 
 
-def _read_k4a(file: CalibrationFile) -> dict[str, RawCamera]:
-    cameras: dict[str, RawCamera] = {}
+def _k4a(file: CalibrationFile) -> Cameras:
+    cameras: dict[str, dict[str, Any]] = {}
     skipped = []
     for at in file.paths(*_K4A):
         color = file.need(*at, "Purpose") == _COLOR
@@ -172,14 +170,14 @@ def _read_k4a(file: CalibrationFile) -> dict[str, RawCamera]:
         if mode is None:
             skipped.append(name)
         else:
-            file.add(cameras, name, _k4a_camera(file, at, file.given_size or sensor, *mode), *at)
+            cameras[name] = _k4a_camera(file, at, file.given_size or sensor, *mode)
     if not cameras:
         raise file.error("no camera has a mode of this size", "size")
     if skipped:
         width, height = file.given_size or (0, 0)
         what = f"left out, because they have no mode of {width}x{height}: {', '.join(skipped)}"
         warn_about(file.path, what)
-    return cameras
+    return [{"name": name, **camera} for name, camera in cameras.items()]
 
 
 def _mode(size: ImageSize, sensor: ImageSize, color: bool) -> tuple[Array, Array] | None:
@@ -197,7 +195,9 @@ def _mode(size: ImageSize, sensor: ImageSize, color: bool) -> tuple[Array, Array
     return (scaled, np.array([0, cut])) if 0 <= cut < size[1] / 4 else None
 
 
-def _k4a_camera(file: CalibrationFile, at: Keys, size: ImageSize, scale: Array, corner: Array) -> RawCamera:
+def _k4a_camera(
+    file: CalibrationFile, at: Keys, size: ImageSize, scale: Array, corner: Array
+) -> dict[str, Any]:
     inner: Keys = (*at, "Intrinsics")
     values = file.some_numbers(*inner, "ModelParameters")
     if len(values) < 14:
@@ -213,9 +213,12 @@ def _k4a_camera(file: CalibrationFile, at: Keys, size: ImageSize, scale: Array, 
     k[:2] *= scale[:, None]
     k[:2, 2] -= corner
     k[:2, 2] -= 0.5
-    places = {"K": ("Intrinsics", "ModelParameters"), "R": ("Rt", "Rotation"), "t": ("Rt", "Translation")}
-    lens = (k1, k2, p1, p2, k3, k4, k5, k6)
-    return camera_at(file, at, places, K=k, size=size, distortion=lens, model="rational_polynomial")
+    lens = {"distortion": [k1, k2, p1, p2, k3, k4, k5, k6], "model": "rational_polynomial"}
+    camera = {"K": nested(k), **lens, "size": size}
+    if not file.has(*at, "Rt"):
+        return camera
+    rotation = file.numbers((3, 3), *at, "Rt", "Rotation")
+    return {**camera, "R": nested(rotation), "t": nested(file.numbers((3,), *at, "Rt", "Translation"))}
 
 
 def _k4a_values(own: Values, camera: Camera) -> Values:
@@ -229,7 +232,7 @@ def _k4a_values(own: Values, camera: Camera) -> Values:
     return {"parameters": nested(values), "purpose": purpose}
 
 
-K4A = calibration_format("k4a", lambda file: isinstance(file.get(*_K4A), list), _read_k4a, values=_k4a_values)
+K4A = calibration_format("k4a", arrange=_k4a, values=_k4a_values)
 
 
 # -- RealSense and Open3D
@@ -243,32 +246,55 @@ _MODELS = {
 }
 #: Models that almost equal the models of OpenCV.
 _NEARLY = ("modified brown conrady", "1", "inverse brown conrady", "2")
+_MOST_VALUES = 2000
 _WRITTEN = {"plumb_bob": "brown_conrady", "equidistant": "kannala_brandt4"}
-#: Keys of the lens of RealSense.
-_OWN_LENS = {"coeffs", "distortion"}
 _FIELDS = ({"fx"}, {"fy"}, {"ppx", "cx"}, {"ppy", "cy"}, {"width"}, {"height"})
 _STREAMS = has_keys(*_FIELDS), has_keys({"fx", "ppx"})
+#: Keys of rs2_extrinsics between the streams of one device.
+_EXTRINSICS = ("extrinsics", "depth_to_color", "depth_to_color_extrinsics", "extrinsics_depth_to_color")
 
 
 def _is_realsense(file: CalibrationFile) -> bool:
-    if '"ppx"' not in file.text and find_parameters(plain(file)).having(POSE):
+    keys = keys_of(file)
+    roles = {role_of(key) for key in keys - {"coeffs", "distortion"}}
+    if roles & {"k1", "radial", "distortion"} or ("ppx" not in keys and roles & POSE):
         return False  # cx, cy and extrinsics come from another program
-    found = find_cameras(file, *_STREAMS)
-    own = (role_of(key) for _, at in found for key in file.mapping(*at).keys() - _OWN_LENS)
-    return bool(found) and not {"k1", "radial", "distortion"}.intersection(own)
+    return all(keys & field for field in _FIELDS) and bool(find_cameras(file, *_STREAMS))
 
 
-def _realsense_camera(file: CalibrationFile, at: Keys) -> RawCamera:
-    cx, cy = file.first(at, "ppx", "cx") or "ppx", file.first(at, "ppy", "cy") or "ppy"
+def _realsense(file: CalibrationFile) -> Cameras:
+    """Streams. With rs2_extrinsics from the depth to the colour stream, the depth camera is the world."""
+    cameras = [{"name": name, **_stream(file, at)} for name, at in find_cameras(file, *_STREAMS)]
+    at = next((key for key in _EXTRINSICS if isinstance(file.get(key), dict)), None)
+    depth = [one for one in cameras if "depth" in one["name"].lower()]
+    color = [one for one in cameras if "color" in one["name"].lower() or "rgb" in one["name"].lower()]
+    if at is not None and len(depth) == len(color) == 1:
+        # librealsense stores rotations in column order
+        rotation, t = file.numbers((3, 3), at, "rotation").T, file.numbers((3,), at, "translation")
+        color[0] |= {"R": nested(rotation), "t": nested(t)}
+        depth[0] |= {"R": nested(np.eye(3)), "t": [0.0] * 3}
+        if at == "extrinsics":
+            warn_about(file.path, f"{at}: taken from depth to color, with the rotation in column order")
+    return cameras
+
+
+def _stream(file: CalibrationFile, at: Keys) -> dict[str, Any]:
+    kept = ("fx", "fy", "ppx", "ppy", "cx", "cy", "width", "height")
     key = "coeffs" if file.has(*at, "coeffs") else "distortion"
-    lens = file.optional_numbers(*at, key)
-    model = _model(file, at, key, lens)
-    places = {"K": f"fx fy {cx} {cy}", "size": "width height", "distortion": key}
-    return camera_at(file, at, places, distortion=lens if model else (), model=model)
+    lens = realsense_lens(file, at, file.first(at, "model") or "distortion_model", key)
+    return {**{key: file.get(*at, key) for key in kept if file.has(*at, key)}, "model": "none", **lens}
 
 
-def _model(file: CalibrationFile, at: Keys, coefficients: str, distortion: Array) -> str | None:
-    keys = (*at, "model" if file.get(*at, "model") is not None else "distortion_model")
+def realsense_lens(file: CalibrationFile, at: Keys, model_key: str, coefficients: str) -> dict[str, Any]:
+    """Model and coefficients of a lens of librealsense; empty for a lens without distortion.
+
+    Args:
+        file: File that is being read.
+        at: Key path of the stream.
+        model_key: Key of the model in the stream.
+        coefficients: Key of the coefficients in the stream.
+    """
+    keys, distortion = (*at, model_key), file.optional_numbers(*at, coefficients)
     value = file.get(*keys)
     # distortion.inverse_brown_conrady, RS2_DISTORTION_NONE, Brown Conrady, 4
     word = re.sub(r"^.*distortion[._]|[^a-z0-9]+", " ", str(value).lower()).strip()
@@ -281,64 +307,22 @@ def _model(file: CalibrationFile, at: Keys, coefficients: str, distortion: Array
     model = _MODELS[word]
     if model is None and distortion.any():
         raise file.error(f"is {str(value)[:40]!r}, but there are distortion coefficients", *keys)
-    if model is not None:
-        file.check_count(model, distortion, (*at, coefficients))
     if word in _NEARLY:
         what = f"{'.'.join(map(str, keys))}: {word} is taken for plumb_bob, as realsense-ros does"
         warn_about(file.path, what)
-    return model
+    return {} if model is None else {"model": model, "coeffs": file.get(*at, coefficients)}
 
 
 # -- Open3D
 
 
-def _is_open3d_camera(value: Any) -> bool:
-    if not isinstance(value, dict):
-        return False
-    inner = value.get("intrinsic")
-    if isinstance(inner, dict):
-        return "intrinsic_matrix" in inner
-    k = value.get("intrinsic_matrix")
-    # nine numbers in column order; other programs write rows
-    return isinstance(k, list) and len(k) == 9 and (not k[2] or bool(k[6]))
-
-
-def _open3d_camera(file: CalibrationFile, at: Keys) -> RawCamera:
-    inner = ("intrinsic",) if isinstance(file.get(*at, "intrinsic"), dict) else ()
-    pose: dict[str, Array] = {}
-    if file.has(*at, "extrinsic"):
-        values = file.numbers((4, 4), *at, "extrinsic").T
-        if not np.allclose(values[3], [0, 0, 0, 1], atol=1e-6):
-            raise file.error("needs 4 x 4 numbers in column order, the last row 0 0 0 1", *at, "extrinsic")
-        pose = {"R": values[:3, :3], "t": values[:3, 3]}
-    k = file.numbers((3, 3), *at, *inner, "intrinsic_matrix").T
-    sides = (*at, *inner, "width"), (*at, *inner, "height")
-    size = file.size(*sides) if file.has(*sides[0]) else None
-    places: dict[str, Place] = {"K": (*inner, "intrinsic_matrix"), "R": "extrinsic", "t": "extrinsic"}
-    return camera_at(file, at, places, K=k, size=size, **{"R": None, "t": np.zeros(3), **pose})
-
-
-#: Keys of rs2_extrinsics between the streams of one device.
-_EXTRINSICS = ("extrinsics", "depth_to_color", "depth_to_color_extrinsics", "extrinsics_depth_to_color")
-
-
-def _read_realsense(file: CalibrationFile) -> dict[str, RawCamera]:
-    """Read streams. With rs2_extrinsics from the depth to the colour stream, the depth camera is the
-    world."""
-    cameras = reader_of(*_STREAMS, _realsense_camera)[1](file)
-    at = next((key for key in _EXTRINSICS if isinstance(file.get(key), dict)), None)
-    depth = [name for name in cameras if "depth" in name.lower()]
-    color = [name for name in cameras if "color" in name.lower() or "rgb" in name.lower()]
-    if at is None or len(depth) != 1 or len(color) != 1:
-        return cameras
-    # librealsense stores rotations in column order
-    rotation = file.numbers((3, 3), at, "rotation").T
-    t = file.numbers((3,), at, "translation")
-    where = {"R": file.location(at, "rotation"), "t": file.location(at, "translation")}
-    if at == "extrinsics":
-        warn_about(file.path, f"{at}: taken from depth to color, with the rotation in column order")
-    posed = replace(cameras[color[0]], R=rotation, t=t, locations={**cameras[color[0]].locations, **where})
-    return cameras | {depth[0]: replace(cameras[depth[0]], R=np.eye(3)), color[0]: posed}
+def _is_open3d(file: CalibrationFile) -> bool:
+    """Whether a K is below ``intrinsic``, or has nine numbers in column order. Other programs write rows."""
+    for keys, shape in islice(leaves_of(file), _MOST_VALUES):
+        if keys[-1:] == ("intrinsic_matrix",):
+            k = file.get(*keys)
+            return keys[-2:-1] == ("intrinsic",) or (shape == (9,) and (not k[2] or bool(k[6])))
+    return False
 
 
 def _realsense_values(own: Values, camera: Camera) -> Values:
@@ -347,10 +331,9 @@ def _realsense_values(own: Values, camera: Camera) -> Values:
     return {"lens": _WRITTEN[str(camera.model)], "coeffs": [*nested(camera.distortion), 0.0][:5]}
 
 
-REALSENSE = calibration_format("realsense", _is_realsense, _read_realsense, values=_realsense_values)
-OPEN3D = calibration_format(
-    "open3d",
-    *reader_of(_is_open3d_camera, has_keys({"intrinsic", "intrinsic_matrix", "extrinsic"}), _open3d_camera),
+REALSENSE = calibration_format(
+    "realsense", matches=_is_realsense, arrange=_realsense, values=_realsense_values
 )
+OPEN3D = calibration_format("open3d", matches=_is_open3d)
 
 FORMATS = (ZED, K4A, REALSENSE, OPEN3D)

@@ -25,6 +25,7 @@ from humansim_ros.cameras.camera.camera import Camera, pinhole
 from humansim_ros.cameras.camera.lens import Lens
 from humansim_ros.cameras.formats.base import CalibrationFile, Keys, without_suffix
 from humansim_ros.cameras.formats.conventions import fitted_lens
+from humansim_ros.cameras.formats.devices import realsense_lens
 from humansim_ros.cameras.formats.matrices import is_matrices, read_matrices
 from humansim_ros.cameras.formats.spellings import plain
 from humansim_ros.cameras.formats.syntax import read_document
@@ -169,11 +170,9 @@ def _realsense(file: CalibrationFile) -> Cameras:
     for key, value in document.items():
         mode = re.match(r'Intrinsic of "(.+?)"[\s/]+([0-9]{1,5}x[0-9]{1,5})', key)
         if mode and file.given_size in (None, tuple(map(int, mode[2].split("x")))):
-            lens = str(value.get("Distortion")).lower().replace(" ", "_")
-            if lens.startswith(("inverse", "modified")) and np.any(value.get("Coeffs", 0)):
-                warn_about(file.path, f"{key}: {lens} is taken for plumb_bob, as realsense-ros does")
-            lens = re.sub("^(inverse|modified)_", "", lens)
-            cameras[f"{mode[1]}_{mode[2]}"] = {**value, **poses.get(mode[1], {}), "Distortion": lens}
+            lens = realsense_lens(replace(file, document=document), (key,), "Distortion", "Coeffs")
+            model = {"Distortion": lens.get("model", "none")}
+            cameras[f"{mode[1]}_{mode[2]}"] = {**value, **poses.get(mode[1], {}), **model}
     return cameras
 
 

@@ -527,6 +527,18 @@ def _parts(keys: Keys) -> Identity:
     return tuple(parts)
 
 
+def names_a_camera(key: str) -> bool:
+    """Whether a key above camera parameters is the name of a camera, and not the word of a group such as
+    ``intrinsics``."""
+    return _parts((key,)) == (key,)
+
+
+def is_camera(value: Any) -> bool:
+    """Whether a mapping has intrinsics and extrinsics of a camera."""
+    roles = {role_of(key) for key in value} if isinstance(value, Mapping) else set()
+    return not roles.isdisjoint(INTRINSIC) and not roles.isdisjoint(POSE)
+
+
 def _count(role: str, shape: _Shape) -> int | None:
     """Number of cameras in a list of values; 0 for a single value; None if the shape does not fit."""
     if isinstance(shape, str):

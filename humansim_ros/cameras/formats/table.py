@@ -38,7 +38,16 @@ from humansim_ros.cameras.camera.lens import MODELS
 from humansim_ros.cameras.formats.base import OPENGL, CalibrationFile, RawCamera
 from humansim_ros.cameras.formats.conventions import find_unit
 from humansim_ros.cameras.formats.matrices import read_matrices
-from humansim_ros.cameras.formats.spellings import check_counts, keys_of, plain, role_of, unit_of_keys, words
+from humansim_ros.cameras.formats.spellings import (
+    check_counts,
+    is_camera,
+    keys_of,
+    names_a_camera,
+    plain,
+    role_of,
+    unit_of_keys,
+    words,
+)
 from humansim_ros.errors import CameraError
 from humansim_ros.files.reading import read_table
 from humansim_ros.geometry import matrix_to_quaternion
@@ -49,6 +58,8 @@ ROWS: Mapping[str, dict[str, Any]] = read_table("calibration_formats")
 Cameras = dict[str, Any] | list[dict[str, Any]]
 #: Names of the parameters of each lens with a name that does not list them.
 _LENSES = {"KannalaBrandtK3": "fx_fy_cx_cy_kb4", "Linear": "fx_fy_cx_cy"}
+#: Roles of keys that any file may have: none, or the name of a camera.
+_NAMED = (None, "name", "names")
 _HALF_PIXEL = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
 
 
@@ -155,7 +166,7 @@ def _matcher(row: Mapping[str, Any]) -> _Matches:
             text = f"{file.path}\n{file.text[: 1 << 16]}"
             return all(re.search(one, text, re.MULTILINE) for one in row["known"])
         keys = keys_of(file)
-        if "only" in row and any(role_of(key) for key in keys - words(row["only"])):
+        if "only" in row and any(role_of(key) not in _NAMED for key in keys - words(row["only"])):
             return False
         return all(any(re.fullmatch(one, key) for key in keys) for one in row["known"])
 
@@ -181,6 +192,8 @@ def reader(
                 found = ((re.fullmatch(one, texts["=" in one]), new) for one, new in renamed.items())
                 match, new = next(((match, new) for match, new in found if match), (None, ""))
                 here = key if match is None else match.expand(new.rstrip("'"))
+                if is_camera(value) and not names_a_camera(str(key)):
+                    here, value = f"{key}_0", {"name": key, **value}  # such as a camera named color
                 back.setdefault(str(here), str(key))
                 if here != "":
                     result[here] = _transposed(value) if new.endswith("'") else value

@@ -10,6 +10,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from assets.pack_mouth import mouth_arrays
 from conftest import ROOT
 from scipy.spatial.transform import Rotation
 from test_makehuman import PEOPLE, needs_makehuman, person
@@ -30,6 +31,14 @@ from humansim_ros.types import Array
 
 UPPER, LOWER, TONGUE = slice(0, 68), slice(68, 136), slice(136, 362)
 GROUPS = {"helper-upper-teeth": UPPER, "helper-lower-teeth": LOWER, "helper-tongue": TONGUE}
+
+
+def test_the_file_of_the_package_is_what_its_tool_makes() -> None:
+    packed = read_npz(ROOT / "assets" / "makehuman" / "mouth.npz", MeshError, "MakeHuman")
+    made = mouth_arrays()
+    assert list(packed) == list(made)
+    for name, array in made.items():
+        np.testing.assert_array_equal(packed[name], array)
 
 
 @needs_makehuman

@@ -15,10 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix, vstack
 
-from humansim_ros.files.mesh import MATERIAL_LABELS
+from humansim_ros.errors import MeshError
+from humansim_ros.files.reading import read_npz, resource_path
 from humansim_ros.motion.body import ACTIONS, BONE, MOVES, Jaw, Shapes
 from humansim_ros.people.humans.human import Human
-from humansim_ros.people.makehuman.data import METRES, Base, MakeHumanData, VertexIndices, people_data
+from humansim_ros.people.makehuman.data import METRES, Base, MakeHumanData, VertexIndices
 from humansim_ros.types import Array
 
 #: Prefix of the names of actions that turn the eyes. Bones turn the eyeballs, so these shapes move only the
@@ -58,32 +59,27 @@ def unskin_offsets(offsets: Array, weights: Array, motion: Array) -> Array:
 #: Groups of the base mesh with bone and material, in the order of the positions in files. Each group is moved
 #: upwards and forwards by its last two numbers, metres: the surfaces of both rows overlap by a centimetre,
 #: and are so near behind the lips that the lips would not cover them.
-_GROUPS: Mapping[str, tuple[str, str, tuple[float, float]]] = {
+GROUPS: Mapping[str, tuple[str, str, tuple[float, float]]] = {
     "helper-upper-teeth": ("vt3", "teeth", (0.0005, -0.001)),
     "helper-lower-teeth": (BONE, "teeth", (-0.004, -0.002)),
     "helper-tongue": (BONE, "tongue", (-0.0035, -0.002)),
 }
-#: Width of the textures of all bodies. Unused texels in them: column and row of the corner, width and height;
-#: and rows of its tiles.
+#: Width of the textures of all bodies. Unused texels in them: column and row of the corner, width and height.
 _WIDTH = 1024
-_TILE = (545, 400, 96, 128)
-_ROWS = {"helper-upper-teeth": (2, 38), "helper-lower-teeth": (44, 80), "helper-tongue": (86, 126)}
-_TOOTH, _GAP, _GUM = (np.array(c, float) for c in ((214, 204, 184), (120, 92, 78), (158, 82, 78)))
-_TONGUE = np.array((168, 84, 84), float)
+TILE = (545, 400, 96, 128)
 #: Action with offsets that show the size of a body.
-_OPEN = "jawOpen"
-#: Number of teeth in a row; and rows of vertices of a tooth: gum, root, edge, and behind.
-_TEETH, _DEPTH = 16, 4
+OPEN = "jawOpen"
 
 
 def mouth_places(base: Base) -> Array:
     """Positions (M, 3) of teeth and tongue of a base mesh, metres."""
     return np.concatenate(
-        [base.vertices[_rows(base, group)] + [0.0, *shift] for group, (*_, shift) in _GROUPS.items()]
+        [base.vertices[group_rows(base, group)] + [0.0, *shift] for group, (*_, shift) in GROUPS.items()]
     )
 
 
-def _rows(base: Base, group: str) -> VertexIndices:
+def group_rows(base: Base, group: str) -> VertexIndices:
+    """Vertices (K,) of a group of the base mesh."""
     return np.unique(base.faces[base.face_groups == group])
 
 
@@ -104,10 +100,9 @@ def jaw_of(human: Human) -> Jaw | None:
     if not _has_places(human):
         return None
     assert human.mouth is not None and human.shapes is not None
-    parts, group = _parts(), "helper-lower-teeth"
-    some = parts.groups[group]
-    teeth = human.mouth[some] - [0.0, *_GROUPS[group][2]]
-    offsets = _size(human.shapes) * parts.offsets[some]
+    parts, (_, _, shift) = _parts(), GROUPS["helper-lower-teeth"]
+    teeth = human.mouth[parts.lower_teeth] - [0.0, *shift]
+    offsets = _size(human.shapes) * parts.offsets[parts.lower_teeth]
     return Jaw.of(human.skeleton, teeth, {name: offsets[:, ACTIONS.index(name)] for name in MOVES})
 
 
@@ -124,7 +119,7 @@ def _has_places(human: Human) -> bool:
 
 def _size(shapes: Shapes) -> float:
     """Size of a body relative to MakeHuman's base mesh, from the largest offset of ``jawOpen``."""
-    return _largest(shapes, _OPEN) / _parts().largest
+    return _largest(shapes, OPEN) / float(_parts().largest)
 
 
 def with_mouth(human: Human) -> Human:
@@ -139,10 +134,10 @@ def with_mouth(human: Human) -> Human:
     columns = [human.skeleton.bone(bone) for bone in parts.bones]
     weights = csr_matrix((np.ones(len(columns)), (np.arange(len(columns)), columns)), (len(columns), width))
     height = mesh.texture.shape[0]
-    x, y, across, down = _TILE
+    x, y, across, down = TILE
     uv = np.array([x, y]) + parts.tile * [across, down]
     texture = mesh.texture.copy()
-    texture[y : y + down, x : x + across] = _painted()
+    texture[y : y + down, x : x + across] = parts.image
     added = replace(
         mesh,
         vertices=np.concatenate([mesh.vertices, human.mouth]),
@@ -167,115 +162,25 @@ class _Parts:
     """Data of teeth and tongue that are the same for all people: M vertices, F faces, 52 actions.
 
     ``labels``: (F,) materials. ``bones``: M names. ``tile``: (M, 2) place in the tile of the texture, 0 to 1,
-    from its upper left corner. ``groups``: vertices of each group. ``offsets``: (M, 52, 3) metres, of
-    :data:`ACTIONS`. ``largest``: largest offset of ``jawOpen`` in the base mesh, metres.
+    from its upper left corner. ``lower_teeth``: vertices of the lower teeth. ``offsets``: (M, 52, 3) metres,
+    of :data:`ACTIONS`. ``largest``: largest offset of ``jawOpen`` in the base mesh, metres. ``image``: (H, W,
+    3) colours of the tile.
     """
 
     faces: VertexIndices
     labels: NDArray[np.uint8]
-    bones: tuple[str, ...]
+    bones: NDArray[np.str_]
     tile: Array
-    groups: Mapping[str, VertexIndices]
+    lower_teeth: VertexIndices
     offsets: Array
-    largest: float
+    largest: Array
+    image: NDArray[np.uint8]
 
 
 @functools.cache
 def _parts() -> _Parts:
-    source = people_data()
-    base = source.base
-    rows = np.concatenate([_rows(base, group) for group in _GROUPS])
-    place = np.full(len(base.vertices), -1)
-    place[rows] = np.arange(len(rows))
-    faces, labels, tile = [], [], np.zeros((len(base.vertices), 2))
-    bones = np.empty(len(base.vertices), object)
-    for group, (bone, material, _) in _GROUPS.items():
-        own = base.faces[base.face_groups == group]
-        used = _rows(base, group)
-        bones[used] = bone
-        if material == "teeth":
-            grid = _grid(base.vertices, own)
-            own = np.concatenate([own, _back(own, grid)])
-            tile[grid] = _tile(group, np.moveaxis(np.indices(grid.shape), 0, 2) / [_TEETH, _DEPTH - 1])
-        else:
-            flat = base.vertices[used][:, [0, 2]]
-            tile[used] = _tile(group, (flat - flat.min(axis=0)) / np.ptp(flat, axis=0))
-        faces.append(place[own])
-        labels.append(np.full(len(own), MATERIAL_LABELS[material], np.uint8))
-    moved, steps = source.face_action(_OPEN)
-    opening = METRES * steps[np.isin(moved, base.vertex_groups["body"])]
-    return _Parts(
-        np.concatenate(faces),
-        np.concatenate(labels),
-        tuple(bones[rows].tolist()),
-        tile[rows],
-        {group: place[_rows(base, group)] for group in _GROUPS},
-        face_offsets(source, rows).reshape(len(rows), -1, 3),
-        float(np.abs(opening).max()),
-    )
-
-
-def _tile(group: str, shares: Array) -> Array:
-    """Texture coordinates (..., 2) in the tile that teeth and tongue share, 0 to 1 across and down.
-    ``shares``: (..., 2) coordinates in the part of the tile that a group has, 0 to 1 across and down."""
-    across, down = _TILE[2:]
-    top, bottom = _ROWS[group]
-    return (np.array([1, top]) + shares * [across - 2, bottom - top]) / [across, down]
-
-
-def _grid(vertices: Array, faces: VertexIndices) -> VertexIndices:
-    """Vertices (17, 4) of a row of teeth: from right to left, and from the gum over the edge to the back."""
-    around: dict[int, set[int]] = {}
-    for quad in faces.tolist():
-        for k in range(4):
-            around.setdefault(quad[k], set()).add(quad[k - 1])
-            around.setdefault(quad[k - 1], set()).add(quad[k])
-    corners = [vertex for vertex, near in around.items() if len(near) == 2 and vertices[vertex, 0] < 0]
-    start, end = sorted(corners, key=lambda vertex: vertices[vertex, 0])  # the gum is outside
-    pairs = ((a, b) for a in around[start] for b in around[a] & around[end] if len(around[a]) == 3)
-    column = [start, *next(pairs), end]
-    columns = [column]
-    seen = set(column)
-    while len(columns) <= _TEETH:
-        column = [next(iter(around[vertex] - seen)) for vertex in column]
-        columns.append(column)
-        seen.update(column)
-    return np.array(columns)
-
-
-def _back(faces: VertexIndices, grid: VertexIndices) -> VertexIndices:
-    """Faces (18, 4) that close the back of a row of teeth, so that renderers need not draw its inside."""
-    behind = np.stack([grid[:-1, 0], grid[1:, 0], grid[1:, -1], grid[:-1, -1]], axis=1)
-    quads = np.concatenate([behind, [grid[0, ::-1], grid[-1]]])
-    (first,) = np.flatnonzero(np.isin(faces, grid[:2, 0]).sum(axis=1) == 2)
-    corners = faces[first].tolist()
-    ahead = corners[(corners.index(grid[0, 0]) + 1) % 4] == grid[1, 0]
-    return quads[:, ::-1] if ahead else quads
-
-
-@functools.cache
-def _painted() -> NDArray[np.uint8]:
-    """Colours (H, W, 3) of the tile."""
-    across, down = _TILE[2:]
-    image = np.tile(_GUM, (down, across, 1))
-    column = (np.arange(across) - 0.5).clip(0, across - 2) / (across - 2)
-    back = np.abs(2 * column - 1)[:, None] ** 1.5
-    for group in ("helper-upper-teeth", "helper-lower-teeth"):
-        top, bottom = _ROWS[group]
-        depth = (np.arange(bottom - top) + 0.5) / (bottom - top) * (_DEPTH - 1)
-        along = column * _TEETH % 1
-        arch = 0.85 - 0.35 * np.sin(np.pi * along) ** 0.7  # the gum is lower between teeth
-        crown = ((depth[:, None] - arch) / 0.12).clip(0, 1) * ((2.7 - depth[:, None]) / 0.3).clip(0, 1)
-        between = np.exp(-((np.minimum(along, 1 - along) / 0.09) ** 2)) * 0.7
-        tooth = _TOOTH + between[:, None] * (_GAP - _TOOTH)
-        image[top:bottom] = _GUM + crown[..., None] * (tooth - _GUM)
-        image[top:bottom] *= 1 - 0.5 * back
-        image[top:bottom] *= (1 - 0.3 * (depth - 2).clip(0, 1))[:, None, None]
-    top, bottom = _ROWS["helper-tongue"]
-    front = (np.arange(bottom - top) / (bottom - top))[:, None, None]
-    groove = 1 - 0.1 * np.exp(-(((column - 0.5) / 0.06) ** 2))
-    image[top:bottom] = _TONGUE * (0.2 + 0.8 * ((front - 0.4) / 0.6).clip(0) ** 1.5) * groove[:, None]
-    return image.round().clip(0, 255).astype(np.uint8)
+    """Read the file that ``tools/assets/pack_mouth.py`` makes from the base mesh."""
+    return _Parts(**read_npz(resource_path("assets/makehuman/mouth.npz"), MeshError, "MakeHuman"))
 
 
 def _joined(faces: NDArray[np.integer], more: VertexIndices) -> NDArray[np.int32]:

@@ -6,11 +6,11 @@ Finger bones bend them to a fist and to a flat hand.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import trimesh
+from assets.pack_makehuman import finger_shares
 from conftest import ROOT
 from scipy.spatial.transform import Rotation
 
@@ -19,7 +19,7 @@ from humansim_ros.motion.body.skeleton import FINGERS, Skeleton, finger_bones
 from humansim_ros.motion.body.skinning import dominant_bones
 from humansim_ros.people.humans.human import Human
 from humansim_ros.people.loading.loading import load_human
-from humansim_ros.people.makehuman.skeleton import finger_shares, relax_hands, relaxed_fingers
+from humansim_ros.people.makehuman.skeleton import relax_hands, relaxed_fingers
 from humansim_ros.types import Array
 
 
@@ -68,8 +68,7 @@ def straight_hand() -> tuple[dict[str, Array], dict[str, list[tuple[int, float]]
 def test_fingers_bend_to_the_palm_by_the_angles_of_a_hand_at_rest() -> None:
     points, weights, vertices = straight_hand()
     transforms, _ = relaxed_fingers(points)
-    source = SimpleNamespace(weights=weights)
-    shares = finger_shares(source, len(vertices))  # type: ignore[arg-type]
+    shares = finger_shares(weights, len(vertices))
     moved = relax_hands(shares, vertices, transforms)
     left, right = moved[1:21].reshape(5, 4, 3), moved[21:].reshape(5, 4, 3)
     np.testing.assert_allclose(right, left * [-1, 1, 1], atol=1e-9)

@@ -12,6 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from assets.pack_makehuman import artist_weights
 from conftest import ROOT
 from render_scenes import EVEN, renderer_or_skip
 
@@ -27,7 +28,6 @@ from humansim_ros.people.makehuman.data import MakeHumanData, find_data, read_ba
 from humansim_ros.people.makehuman.shape import MakeHumanConfig, Outfit, target_strengths, with_stature
 from humansim_ros.people.makehuman.skeleton import (
     BONES_PER_VERTEX,
-    bone_weights,
     landmarks,
     limit_details,
     make_bones,
@@ -320,17 +320,18 @@ def test_finger_bones_have_the_weights_of_the_artists(source: MakeHumanData) -> 
     """Summed per finger; only vertices that more than four bones move differ."""
     base = read_base(source, {})
     bones = make_bones(landmarks(base), {}, {})
-    whole = bone_weights(source, len(base.vertices))
+    whole = source.bone_weights
     weights = limit_details(whole)
     assert (weights > 0).sum(axis=1).max() == BONES_PER_VERTEX
     np.testing.assert_allclose(weights.sum(axis=1), 1)
     many = (whole > 0).sum(axis=1) > BONES_PER_VERTEX
+    artists = artist_weights(source)
     assert many.sum() < 150  # of 19158
     for side in "lr":
         for number, finger in enumerate(FINGERS, 1):
             for joint in (1, 2, 3):
                 theirs = np.zeros(len(weights))
-                for vertex, weight in source.weights[f"finger{number}-{joint}.{side.upper()}"]:
+                for vertex, weight in artists[f"finger{number}-{joint}.{side.upper()}"]:
                     theirs[vertex] += weight
                 ours = weights[:, bones.index(f"{side}_{finger}{joint}")]
                 np.testing.assert_allclose(ours[~many], theirs[~many], atol=2e-3)
@@ -340,7 +341,7 @@ def test_finger_bones_have_the_weights_of_the_artists(source: MakeHumanData) -> 
 def test_details_share_the_weights_of_their_hand_foot_or_head(source: MakeHumanData) -> None:
     base = read_base(source, {})
     bones = make_bones(landmarks(base), {}, {})
-    whole = bone_weights(source, len(base.vertices))
+    whole = source.bone_weights
     weights = limit_details(whole)
     for bone, name in enumerate(bones.names[:22]):
         parts = [bone, *(k for k, other in enumerate(bones.names) if is_detail_of(other, name))]

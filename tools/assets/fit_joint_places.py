@@ -21,7 +21,7 @@ from humansim_ros.files.mesh.mesh import Mesh
 from humansim_ros.motion.body.skeleton import DETAIL_BONES
 from humansim_ros.people.makehuman.data import Base, MakeHumanData, find_data, read_base
 from humansim_ros.people.makehuman.shape import MakeHumanConfig, target_strengths
-from humansim_ros.people.makehuman.skeleton import Bones, bone_weights, make_bones, t_pose, unskin
+from humansim_ros.people.makehuman.skeleton import Bones, make_bones, t_pose, unskin
 from humansim_ros.people.makehuman.skeleton import landmarks as makehuman_landmarks
 from humansim_ros.people.rigging import landmarks
 from humansim_ros.people.rigging.landmarks import Measures, measure, topology
@@ -60,7 +60,7 @@ def random_people(source: MakeHumanData, seed: int, count: int) -> Iterator[Pers
         shaped = shape(base, source, config)
         bones = make_bones(makehuman_landmarks(shaped), {}, {})
         if weights is None:
-            weights = bone_weights(source, len(base.vertices))[body]
+            weights = source.bone_weights[body]
         vertices = shaped.vertices[body]
         motion, t_bones = t_pose(bones)
         yield Person(config, "A", vertices, joints_of(bones))

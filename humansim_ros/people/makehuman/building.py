@@ -46,9 +46,7 @@ from humansim_ros.people.makehuman.skeleton import (
     BONES_PER_VERTEX,
     Bones,
     bend_in_shoes,
-    bone_weights,
     edges_of,
-    finger_shares,
     landmarks,
     limit_details,
     make_bones,
@@ -130,7 +128,7 @@ class _Scalp:
     """Data that all choices with the same hairline have in common.
 
     ``bare``: body and eyes of the base mesh, on the reference body ``man``. ``rows``: (V,) vertices of
-    ``bare`` in the base mesh. ``fingers``: (N, 31) see :func:`finger_shares`. ``is_ear``: (V,) above 0.5 at
+    ``bare`` in the base mesh. ``fingers``: (N, 31) see :class:`MakeHumanData`. ``is_ear``: (V,) above 0.5 at
     the ears. ``refined``: the mesh with a finer scalp, and the matrix that gives its vertices from ``bare``.
     """
 
@@ -144,7 +142,7 @@ class _Scalp:
     @classmethod
     def of(cls, source: MakeHumanData, choice: Choice) -> _Scalp:
         base = read_base(source, target_strengths(source, ADULT_MAN))
-        fingers = finger_shares(source, len(base.vertices))
+        fingers = source.finger_shares
         rows, bare = _bare(source, base)
         man = _naked(base, rows, bare, fingers)
         is_ear = _at_vertices(bare, source.mask("ears"))
@@ -426,7 +424,7 @@ def _bare(source: MakeHumanData, base: Base) -> tuple[VertexIndices, BodySurface
     rows, faces = compact(base.faces[keep], len(base.vertices))
     uv_rows, uv_faces = compact(base.uv_faces[keep], len(base.uv))
     part = np.zeros(len(rows), np.int64)
-    weights = bone_weights(source, len(base.vertices))
+    weights = source.bone_weights
     for number, side in enumerate("lr", 1):
         group = f"helper-{side}-eye"
         part[faces[base.face_groups[keep] == group]] = number
@@ -452,7 +450,7 @@ def _bare(source: MakeHumanData, base: Base) -> tuple[VertexIndices, BodySurface
 def _naked(base: Base, rows: VertexIndices, bare: BodySurface, fingers: Array) -> _Body:
     """Body and eyes of a base mesh without the other helpers. In the T pose the bare soles are at height 0.
     ``rows``, ``bare``: vertices (V,) of body and eyes, and their surface. ``fingers``: see
-    :func:`finger_shares`."""
+    ``finger_shares`` of :class:`MakeHumanData`."""
     points = landmarks(base)
     transforms, hinges = relaxed_fingers(points)
     motion, bones = t_pose(make_bones(points, transforms, hinges))

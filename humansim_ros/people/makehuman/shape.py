@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
@@ -49,17 +49,18 @@ BottomName = Literal["trousers", "leggings", "shorts", "skirt", "long_skirt", "t
 FootwearName = Literal["shoes", "boots", "sandals", "bare"]
 
 
-@dataclass(frozen=True)
-class Attire:
+class Attire(Section):
     """Names of the hair, the beard and the clothes of a person."""
 
     hair: HairName = "short"
     beard: BeardName = "none"
-    sleeves: Literal["short", "long"] = "short"
+    sleeves: Literal["short", "long"] = Field(
+        default="short", description="of a top that has no sleeves of its own"
+    )
     top: TopName = "shirt"
     bottom: BottomName = "trousers"
     shoes: FootwearName = "shoes"
-    wears: tuple[WornName, ...] = ()
+    wears: tuple[WornName, ...] = Field(default=(), max_length=5, description="one thing at each place")
 
 
 @dataclass(frozen=True)
@@ -246,7 +247,7 @@ def draw_clothes(
         shoes=_pick(_SHARES["footwear"][sex], shoes),
         wears=_things(uniform, age, female, worn_top),
     )
-    clothes = replace(drawn, **wishes)
+    clothes = drawn.model_copy(update=wishes)
     wrong = check_clothes(clothes)
     if wrong is not None:
         raise MeshError(wrong[1], key=wrong[0])
@@ -346,7 +347,7 @@ class Outfit(Section):
     worn: dict[WornName, ByteColor] = Field(default_factory=dict, description="colours of things worn")
 
 
-class MakeHumanConfig(Section):
+class MakeHumanConfig(Attire):
     """Slider values of a person. For sliders from 0 to 1, 0.5 is average."""
 
     gender: Share = Field(default=0.5, description="0 female, 1 male")
@@ -368,15 +369,6 @@ class MakeHumanConfig(Section):
         max_length=200,
         description="more targets by strength, such as nose/nose-hump-incr: 0.5",
     )
-    hair: HairName = "short"
-    beard: BeardName = "none"
-    sleeves: Literal["short", "long"] = Field(
-        default="short", description="of a top that has no sleeves of its own"
-    )
-    top: TopName = "shirt"
-    bottom: BottomName = "trousers"
-    shoes: FootwearName = "shoes"
-    wears: tuple[WornName, ...] = Field(default=(), max_length=5, description="one thing at each place")
 
     @field_validator("race")
     @classmethod
@@ -387,15 +379,10 @@ class MakeHumanConfig(Section):
 
     @model_validator(mode="after")
     def _garments_fit(self) -> MakeHumanConfig:
-        wrong = check_clothes(self.clothes)
+        wrong = check_clothes(self)
         if wrong is not None:
             raise ValueError(": ".join(wrong))
         return self
-
-    @property
-    def clothes(self) -> Attire:
-        """Names of what the person wears."""
-        return Attire(**{each.name: getattr(self, each.name) for each in fields(Attire)})
 
 
 def target_strengths(source: MakeHumanData, config: MakeHumanConfig) -> dict[str, float]:
@@ -503,10 +490,10 @@ class Dress:
     sleeves: Literal["short", "long"] = "short"
 
     @classmethod
-    def of(cls, config: MakeHumanConfig) -> Dress:
+    def of(cls, clothes: Attire) -> Dress:
         """Dress of a person."""
-        hair, beard, top = HAIR[config.hair], BEARDS[config.beard], TOPS[config.top]
-        return cls(hair, beard, top, BOTTOMS[config.bottom], FOOTWEAR[config.shoes], config.sleeves)
+        hair, beard, top = HAIR[clothes.hair], BEARDS[clothes.beard], TOPS[clothes.top]
+        return cls(hair, beard, top, BOTTOMS[clothes.bottom], FOOTWEAR[clothes.shoes], clothes.sleeves)
 
     @property
     def cut(self) -> Cut:

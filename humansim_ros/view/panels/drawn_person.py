@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Callable, Iterable
-from dataclasses import asdict
 from typing import Any
 
 from humansim_ros.errors import HumansimError, MeshError
@@ -132,7 +131,7 @@ class DrawnPersonPanel:
             if name not in self.given:
                 low, high, step = _SLIDERS[name]
                 handle.value = min(max(round(drawn[name] / step) * step, low), high)
-        worn = asdict(person.clothes)
+        worn = dict(person.clothes)
         things = ", ".join([*(worn[key] for key in ("hair", *_CLOTHES)), *worn["wears"]])
         self._state.content = (
             f"{person.sex}, {person.age:g} years, {person.stature:.2f} m, {person.weight:.1f} kg (body mass "

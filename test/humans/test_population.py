@@ -1,4 +1,4 @@
-"""PeopleLimits drawn by seed: as the survey has them, the same everywhere, with their stature and weight."""
+"""People drawn by seed: as the survey has them, the same everywhere, with their stature and weight."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from humansim_ros.people.makehuman.population import (
     DENSITY,
     MONK_TONES,
     SEXES,
-    PeopleLimits,
+    PeopleConfig,
     Sex,
     bmi_of,
     cut_model_of,
@@ -208,18 +208,18 @@ def test_what_nobody_is(wishes: dict[str, Any], message: str) -> None:
 
 
 def test_people_are_drawn_within_ranges_and_again_from_their_names() -> None:
-    few = PeopleLimits(age=(20, 60), women=0.8, stature=(1.5, 1.7), bmi=(18.5, 30), skin=(3, 6))
+    few = PeopleConfig(age=(20, 60), women=0.8, stature=(1.5, 1.7), bmi=(18.5, 30), skin=(3, 6))
     drawn = [draw_people(5, number, few) for number in range(300)]
     for number, person in enumerate(drawn):
         assert 20 <= person.age <= 60 and 1.5 <= person.stature <= 1.7 and 3 <= person.tone <= 6
         assert 18.5 <= round(person.bmi, 2) <= 30
         assert read_person(person_name(5, number, few)) == person
     assert np.mean([person.sex == "female" for person in drawn]) > 0.8  # most men are taller
-    assert draw_people(5, 2, PeopleLimits()) == draw_person(5, 2) == read_person("person#5-2")
-    assert person_name(5, 2, PeopleLimits()) == "person#5-2"
-    some = PeopleLimits(age=(20.0, 60.5), women=1.0, skin=(3, 10))
+    assert draw_people(5, 2, PeopleConfig()) == draw_person(5, 2) == read_person("person#5-2")
+    assert person_name(5, 2, PeopleConfig()) == "person#5-2"
+    some = PeopleConfig(age=(20.0, 60.5), women=1.0, skin=(3, 10))
     assert person_name(5, 2, some) == "person#5-2,age=20..60.5,women=1,skin=3..10"
-    team = [draw_people(5, number, PeopleLimits(uniform=True)) for number in range(9)]
+    team = [draw_people(5, number, PeopleConfig(uniform=True)) for number in range(9)]
     assert len({(person.outfit.shirt, person.outfit.trousers, person.clothes.top) for person in team}) == 1
     assert len({person.outfit.skin for person in team}) > 3
 
@@ -229,18 +229,19 @@ def test_people_are_drawn_within_ranges_and_again_from_their_names() -> None:
     [
         ("person#7", "'person#7' is no drawn person: give a seed and a number"),
         ("person#7-x", "is no drawn person"),
-        ("person#7-1,age=20", "is no drawn person"),
-        ("person#7-1,hat=1..2", "if you like age, women, stature, bmi, skin, uniform"),
-        ("person#7-1,age=1..20", "age: 1 is impossible: give 2 to 90 years"),
-        ("person#7-1,women=2", "women: 2 is impossible: give 0 to 1 as the share of women"),
-        ("person#7-1,women=nan", "women: nan is impossible"),
-        ("person#7-1,bmi=nan..20", "bmi: nan is impossible: give 12 to 42 kg/m²"),
+        ("person#7-1,age=20", "age: give two numbers from 2 to 90"),
+        ("person#7-1,hat", "if you like age, women, stature, bmi, skin, uniform"),
+        ("person#7-1,hat=1..2", "hat: unknown key; known here: age, women, stature, bmi, skin, uniform"),
+        ("person#7-1,age=1..20", "age.0: give two numbers from 2 to 90 .*; found 1.0"),
+        ("person#7-1,women=2", "women: give a number from 0 to 1 .*; found 2.0"),
+        ("person#7-1,women=nan", "women: give a number from 0 to 1 .*; found nan"),
+        ("person#7-1,bmi=nan..20", "bmi.0: give two numbers from 12 to 42 .*; found nan"),
         ("person#7-1,bmi=30..20", "bmi: the first number, 30, is above the second, 20"),
-        ("person#7-1,stature=1.5..3", "stature: 3 is impossible: give 0.6 to 2.3 metres"),
-        ("person#7-1,skin=0..10", "skin: 0 is impossible: give 1 to 10 of the Monk scale"),
+        ("person#7-1,stature=1.5..3", "stature.1: give two numbers from 0.6 to 2.3 .*; found 3.0"),
+        ("person#7-1,skin=0..10", "skin.0: give two whole numbers from 1 to 10 .*; found 0.0"),
         ("person#7-1,skin=7..3", "skin: the first number, 7, is above the second, 3"),
         ("person#7-1,age=20..30,age=40..50", "age is there twice"),
-        ("person#7-1,uniform=0", "is no drawn person"),
+        ("person#7-1,uniform=7", "uniform: give true or false"),
         ("person#7-1,age=2..3,stature=1.8..2", "2 to 3 years nobody is 1.8 to 2 m tall"),
     ],
 )

@@ -18,12 +18,12 @@ from pydantic import AfterValidator, BaseModel
 from humansim_ros.cameras import Camera, write_calibration
 from humansim_ros.errors import HumansimError
 from humansim_ros.files.reading.images import encode_image
+from humansim_ros.people.makehuman import PeopleConfig
 from humansim_ros.ros.processes.node_processes import scene_processes
 from humansim_ros.scene import Scene, SceneConfig
 from humansim_ros.scene.config.config import load_config, map_files
 from humansim_ros.scene.features.held import HoldConfig
 from humansim_ros.scene.features.robot import PathConfig
-from humansim_ros.scene.features.variety import PeopleConfig
 
 #: A scene with all sections and all keys that name files.
 SCENE: dict[str, Any] = {

@@ -15,7 +15,7 @@ from humansim_ros.cli.human import built_in_humans
 from humansim_ros.errors import HumansimWarning, SceneError
 from humansim_ros.files import Mesh
 from humansim_ros.people import make_person
-from humansim_ros.people.makehuman.population import PeopleLimits, draw_people
+from humansim_ros.people.makehuman.population import PeopleConfig, draw_people
 from humansim_ros.ros.processes.node_processes import scene_processes
 from humansim_ros.scene import Finding, Scene, Simulation, check_scene
 from humansim_ros.scene.config.config import HumanConfig, load_config
@@ -100,7 +100,7 @@ def test_people_are_drawn_instead_of_bodies(tmp_path: Path) -> None:
     humans = drawn(tmp_path, count=2, seed=3, people=people, motions=["wave"])
     names = [human.body for human in humans.values()]
     assert names == [f"person#3-{number},age=20..30,women=1,uniform" for number in range(2)]
-    again = make_person(draw_people(3, 0, PeopleLimits(age=(20, 30), women=1, uniform=True)), "someone")
+    again = make_person(draw_people(3, 0, PeopleConfig(age=(20, 30), women=1, uniform=True)), "someone")
     first = scene(tmp_path, count=1, seed=3, people=people, motions=["wave"])
     loaded = Scene.load(first).actors["person_1"].human
     np.testing.assert_array_equal(loaded.mesh.vertices, again.mesh.vertices)

@@ -41,7 +41,7 @@ from humansim_ros.files.yaml import Expected, Section, Share, line_of, read_yaml
 from humansim_ros.motion.files import find_motion
 from humansim_ros.people.keypoints import keypoint_set
 from humansim_ros.people.loading import find_human
-from humansim_ros.people.makehuman import PeopleLimits, is_person, person_name
+from humansim_ros.people.makehuman import PeopleConfig, is_person, person_name
 from humansim_ros.scene.checks import check_scene
 from humansim_ros.scene.config import (
     LIVE,
@@ -54,7 +54,6 @@ from humansim_ros.scene.config import (
     file_keys,
 )
 from humansim_ros.scene.core import RandomNumbers, Scene, SceneSource, Simulation, random_numbers
-from humansim_ros.scene.features import PeopleConfig
 from humansim_ros.scene.truth import REQUIRED_CHANNELS, BodyBox
 
 if TYPE_CHECKING:
@@ -395,9 +394,8 @@ class Recipe:
                 "pool", f"no person is left for the split {self.splits[number]}: give more people"
             )
         shuffled = sorted(numbers, key=lambda each: _order(self.config.seed, f"{each} in scene {number}"))
-        limits = PeopleLimits(**dict(people))
         chosen = sorted(shuffled[:_MAX_BODIES])
-        variety["bodies"] = [person_name(self.config.seed, each, limits) for each in chosen]
+        variety["bodies"] = [person_name(self.config.seed, each, people) for each in chosen]
 
     def _share_bodies(self, section: Any, name: str, number: int) -> None:
         """Remove bodies that do not belong to the split of a scene from a section called ``name``."""

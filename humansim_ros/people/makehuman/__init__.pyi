@@ -1,10 +1,10 @@
 from humansim_ros.people.makehuman.face import has_mouth as has_mouth
 from humansim_ros.people.makehuman.face import jaw_of as jaw_of
 from humansim_ros.people.makehuman.face import with_mouth as with_mouth
+from humansim_ros.people.makehuman.limits import PeopleConfig as PeopleConfig
 from humansim_ros.people.makehuman.population import AGES as AGES
 from humansim_ros.people.makehuman.population import BMIS as BMIS
 from humansim_ros.people.makehuman.population import MONK_TONES as MONK_TONES
-from humansim_ros.people.makehuman.population import PeopleLimits as PeopleLimits
 from humansim_ros.people.makehuman.population import Person as Person
 from humansim_ros.people.makehuman.population import draw_person as draw_person
 from humansim_ros.people.makehuman.population import is_person as is_person

@@ -10,7 +10,7 @@ import colorsys
 import random
 from bisect import bisect
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from itertools import accumulate, product
 from statistics import NormalDist
 from typing import Any, Literal
@@ -19,8 +19,9 @@ import numpy as np
 
 from humansim_ros.errors import MeshError
 from humansim_ros.files.reading import read_table
-from humansim_ros.files.yaml import ByteColor
+from humansim_ros.files.yaml import ByteColor, validated
 from humansim_ros.people.makehuman.data import Base, MakeHumanData
+from humansim_ros.people.makehuman.limits import PeopleConfig
 from humansim_ros.people.makehuman.shape import (
     CHOICES,
     HAIR,
@@ -41,8 +42,8 @@ from humansim_ros.types import Array
 
 Sex = Literal["female", "male"]
 SEXES: tuple[Sex, ...] = ("female", "male")
-#: Ages in years, statures in metres and body mass indices that people can have.
-AGES, STATURES, BMIS = (2.0, 90.0), (0.6, 2.3), (12.0, 42.0)
+#: Ages in years and body mass indices that people can have.
+AGES, BMIS = (2.0, 90.0), (12.0, 42.0)
 #: Most standard deviations of a stature from its mean.
 _MOST_DEVIATIONS = 5
 #: Density of a body, kilograms per cubic metre. People just float.
@@ -106,27 +107,13 @@ class Person:
         return self.weight / self.stature**2
 
 
-@dataclass(frozen=True)
-class PeopleLimits:
-    """Limits for the people that are drawn: ``age`` in years, share of ``women`` and girls, ``stature`` in
-    metres, ``bmi`` (body mass index) in kilograms per square metre, ``skin`` tones of the Monk scale.
-    ``uniform``: whether all people wear clothes of the same cut, colours and fabrics."""
-
-    age: tuple[float, float] = AGES
-    women: float = 0.5
-    stature: tuple[float, float] = STATURES
-    bmi: tuple[float, float] = BMIS
-    skin: tuple[int, int] = (1, 10)
-    uniform: bool = False
-
-
-def draw_people(seed: int, number: int, people: PeopleLimits) -> Person:
+def draw_people(seed: int, number: int, people: PeopleConfig) -> Person:
     """Draw a person within limits. Everything without a limit is drawn as in :func:`draw_person`. A person
-    with a stature or body mass index outside the limits is drawn again. Raises MeshError if an age or a tone
-    is impossible, or nobody has these traits together.
+    with a stature or body mass index outside the limits is drawn again. Raises MeshError if nobody has these
+    traits together.
 
     Example:
-        >>> 30 <= draw_people(7, 3, PeopleLimits(age=(30, 40))).age <= 40
+        >>> 30 <= draw_people(7, 3, PeopleConfig(age=(30, 40))).age <= 40
         True
     """
     for attempt in range(_ATTEMPTS):
@@ -141,7 +128,7 @@ def draw_people(seed: int, number: int, people: PeopleLimits) -> Person:
             f"{people.bmi[0]:g} to {people.bmi[1]:g}: give wider ranges (stature, bmi) or other ages (age)"
         )
     if people.uniform:
-        model = _drawn(f"{seed}/uniform", PeopleLimits(), sex="male")  # clothes of men, which women wear too
+        model = _drawn(f"{seed}/uniform", PeopleConfig(), sex="male")  # clothes of men, which women wear too
         clothes = {key: getattr(model.outfit, key) for key in _CLOTHES}
         outfit = person.outfit.model_copy(update=clothes)
         same = {key: getattr(model.clothes, key) for key in ("sleeves", "top", "bottom", "shoes")}
@@ -155,9 +142,6 @@ _CLOTHES = (
     *("shirt", "shirt_fabric", "shirt_second", "trousers", "trousers_fabric", "trousers_second"),
     *("belt", "shoes", "soles"),
 )
-#: Ranges in names of people that :func:`draw_people` checks (:func:`_drawn` checks the age): name, limits,
-#: unit.
-_RANGES = (("stature", STATURES, "metres"), ("bmi", BMIS, "kg/m²"), ("skin", _TONES, "of the Monk scale"))
 #: Prefix of the name of a drawn person, and the separator of ranges in the name.
 _PERSON, _TO = "person#", ".."
 
@@ -167,13 +151,13 @@ def is_person(name: str) -> bool:
     return name.startswith(_PERSON)
 
 
-def person_name(seed: int, number: int, people: PeopleLimits) -> str:
+def person_name(seed: int, number: int, people: PeopleConfig) -> str:
     """Name from which :func:`read_person` draws the same person."""
     parts = [f"{_PERSON}{seed}-{number}"]
-    for each in fields(PeopleLimits):
-        value = getattr(people, each.name)
-        if value != each.default:
-            parts.append(each.name if value is True else f"{each.name}={_text(value)}")
+    for key, field in PeopleConfig.model_fields.items():
+        value = getattr(people, key)
+        if value != field.default:
+            parts.append(key if value is True else f"{key}={_text(value)}")
     return ",".join(parts)
 
 
@@ -183,7 +167,7 @@ def _text(value: float | tuple[float, float]) -> str:
 
 
 def read_person(name: str) -> Person:
-    """Draw the person of a name: ``person#SEED-NUMBER``, with fields of :class:`PeopleLimits` if given.
+    """Draw the person of a name: ``person#SEED-NUMBER``, with fields of :class:`PeopleConfig` if given.
     Raises MeshError if the name is wrong, or nobody has these traits.
 
     Example:
@@ -193,36 +177,19 @@ def read_person(name: str) -> Person:
     try:
         start, *parts = name.removeprefix(_PERSON).split(",")
         seed, number = (int(part) for part in start.split("-"))
-        known = {each.name: each.default for each in fields(PeopleLimits)}
         values: dict[str, Any] = {}
         for part in parts:
             key, _, text = part.partition("=")
-            kind = int if key == "skin" else float
             if key in values:
                 raise MeshError(f"{key} is there twice", key=key)
-            if isinstance(known[key], tuple):
-                low, high = (kind(word) for word in text.split(_TO))
-                values[key] = (low, high)
-            elif part == "uniform":
-                values[key] = True
-            elif key == "women":
-                values[key] = float(text)
-            else:
-                raise ValueError(part)
-    except (ValueError, KeyError):
+            numbers = [float(word) for word in text.split(_TO)] if part != "uniform" else [True]
+            values[key] = numbers if len(numbers) > 1 else numbers[0]
+    except ValueError:
         raise MeshError(
             f"{name[:60]!r} is no drawn person: give a seed and a number, and if you like "
-            f"{', '.join(each.name for each in fields(PeopleLimits))}, as in person#7-3,age=20..60,women=0.5"
+            f"{', '.join(PeopleConfig.model_fields)}, as in person#7-3,age=20..60,women=0.5"
         ) from None
-    people = PeopleLimits(**values)
-    _check("women", people.women, (0, 1), "as the share of women")
-    for key, limits, unit in _RANGES:
-        low, high = getattr(people, key)
-        _check(key, low, limits, unit)
-        _check(key, high, limits, unit)
-        if low > high:
-            raise MeshError(f"the first number, {low:g}, is above the second, {high:g}", key=key)
-    return draw_people(seed, number, people)
+    return draw_people(seed, number, validated(PeopleConfig, values, MeshError))
 
 
 def model_of(person: Person) -> Person:
@@ -279,13 +246,13 @@ def draw_person(
         >>> person.age, person.sex, person.stature
         (70.0, 'female', 1.58)
     """
-    limits = PeopleLimits(age=ages)
+    limits = PeopleConfig.model_construct(age=ages)  # ages are checked with the other traits
     return _drawn(f"{seed}/person {number}", limits, sex, stature, weight, tone, clothes)
 
 
 def _drawn(
     seed: str,
-    people: PeopleLimits,
+    people: PeopleConfig,
     sex: Sex | None = None,
     stature: float | None = None,
     weight: float | None = None,
@@ -299,8 +266,6 @@ def _drawn(
         _check("age", limit, AGES, "years")
     if ages[0] > ages[1]:
         raise MeshError(f"the youngest age, {ages[0]:g}, is above the oldest, {ages[1]:g}", key="age")
-    for limit in people.skin:
-        _check("skin", limit, _TONES, "of the Monk scale")
     uniform = random.Random(seed).random
     age = round(ages[0] + (ages[1] - ages[0]) * uniform(), 2)
     drawn_sex = SEXES[uniform() < 1 - people.women]

@@ -16,7 +16,7 @@ from humansim_ros.errors import HumansimError, HumansimWarning, SceneError, in_s
 from humansim_ros.files.reading import built_in_names
 from humansim_ros.motion.files import ACTIVITY, needs_table
 from humansim_ros.people.humans import Human
-from humansim_ros.people.makehuman import PeopleLimits, person_name
+from humansim_ros.people.makehuman import person_name
 from humansim_ros.scene.config.config import HumanConfig, MotionConfig, SceneConfig
 from humansim_ros.scene.core.actor import Actor
 from humansim_ros.scene.core.features import Draft, Feature
@@ -109,7 +109,7 @@ class _Placing:
         if variety.people is None:
             body = _one_of(variety.bodies or built_in_names("humans"), share)
         else:
-            body = person_name(variety.seed, len(self.drawn), PeopleLimits(**dict(variety.people)))
+            body = person_name(variety.seed, len(self.drawn), variety.people)
         self.drawn.append(body)
         outfit = _one_of(self._body(body).outfits, uniform())
         motions = self._own_activities(name, _order(variety.motions or MOTIONS, uniform))

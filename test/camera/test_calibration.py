@@ -536,7 +536,7 @@ def test_a_folder_is_a_rig(tmp_path: Path) -> None:
         "b.yaml: there are several cameras left; this one is renamed to b",
     ]
     written(tmp_path, "d.ini", "[image]\n")
-    with pytest.raises(CameraError, match=r"d.ini:1: image.width: is missing"):
+    with pytest.raises(CameraError, match=r"d.ini: image.width: is missing"):
         read_calibration(tmp_path)
 
 

@@ -29,7 +29,15 @@ from humansim_ros.cameras.formats.base import CalibrationFile, RawCamera, vector
 from humansim_ros.cameras.formats.conventions import find_model
 from humansim_ros.cameras.formats.spellings import POSE, Found, find_parameters, plain
 from humansim_ros.cameras.formats.syntax import Matrix, name_of_half, other_half, read_document
-from humansim_ros.cameras.formats.table import ROWS, Cameras, Values, calibration_format, nested, reader, row
+from humansim_ros.cameras.formats.table import (
+    ROWS,
+    Cameras,
+    Values,
+    calibration_format,
+    nested,
+    reader,
+    yaml_file,
+)
 from humansim_ros.errors import CameraError, warn_about
 from humansim_ros.geometry import invert_rigid, nearest_rotations, transform
 from humansim_ros.types import Array
@@ -94,61 +102,31 @@ def _info_values(own: Values, camera: Camera) -> Values:
 _IN_SECTION = {"camera_matrix": (3, 3), "rectification": (3, 3), "projection": (3, 4)}
 #: Sections that are not cameras. ROS ignores the second one.
 _IMAGE, _EXTERNALS = "image", "externals"
-_MAX_NUMBERS = 50
-_HEADING = re.compile(r"\[(.*)\]")
+_HEADING = re.compile(r"\[([^\[\],;=\n\r]*[A-Za-z][^\[\],;=\n\r]*)\]")
 
 
 def _is_ini(file: CalibrationFile) -> bool:
     first = next(iter(file.head), "")
     assigns = any("=" in line or ":" in line for line in file.head[1:])
-    return _HEADING.fullmatch(first) is not None and any(c.isalpha() for c in first) and not assigns
+    return _HEADING.fullmatch(first) is not None and not assigns
 
 
 def _read_ini(file: CalibrationFile) -> dict[str, RawCamera]:
-    file = _sections(file)
+    file = plain(replace(file, text=file.text.replace("camera matrix", "camera_matrix")))
     file.size((_IMAGE, "width"), (_IMAGE, "height"))
-    for name, section in file.document.items():
-        if name != _IMAGE:
-            for key, shape in _IN_SECTION.items():
-                file.numbers(shape, name, key)
-            count = len(file.some_numbers(name, "distortion"))
-            model = "rational_polynomial" if count == 8 else "plumb_bob"
-            section |= {"name": name, "distortion_model": model}
-    return reader(ROWS["ini"])(file)
-
-
-def _sections(file: CalibrationFile) -> CalibrationFile:
-    """The file with its sections parsed as ``document``: lists of numbers by section and key."""
-    document: dict[str, dict[str, Any]] = {}
-    lines: dict[tuple[str, ...], int] = {}
-    section: dict[str, list[float]] = {}
-    name, values = "", None
-    for number, line in file.lines():
-        heading = _HEADING.fullmatch(line)
-        if heading:
-            name, section, values = heading[1].strip(), {}, None
-            if name in document:
-                raise file.error("this section is duplicate", name, line=number)
-            document[name], lines[name,] = section, number
-        elif any(c.isalpha() for c in line.split()[0]) and line.split()[0].lower() not in ("nan", "inf"):
-            key = line.replace(" ", "_")
-            if key in section:
-                raise file.error("this key is duplicate", line, line=number)
-            values = section[key] = []
-            lines[name, key] = number
-        elif values is None:
-            raise file.error("numbers without a key above them", line=number)
-        else:
-            values += file.row(line.split(), number)
-            if len(values) > _MAX_NUMBERS:
-                raise file.error(f"more than {_MAX_NUMBERS} numbers for a key", line=number)
-    document.pop(_EXTERNALS, None)
-    return replace(file, document=document, key_lines=lines)
+    document = {name: section for name, section in file.document.items() if name != _EXTERNALS}
+    for name in [name for name in document if name != _IMAGE]:
+        for key, shape in _IN_SECTION.items():
+            file.numbers(shape, name, key)
+        count = len(file.some_numbers(name, "distortion"))
+        model = "rational_polynomial" if count == 8 else "plumb_bob"
+        document[name] = {**document[name], "name": name, "distortion_model": model}
+    return reader(ROWS["ini"])(replace(file, document=document))
 
 
 def _ini_values(own: Values, camera: Camera) -> Values:
     name = own["name"]
-    if name in (_IMAGE, _EXTERNALS) or any(c in "[]\n\r" for c in name) or not name.strip():
+    if name in (_IMAGE, _EXTERNALS) or _HEADING.fullmatch(f"[{name}]") is None:
         raise CameraError("this format cannot store a camera of this name", key=name)
     return {}
 
@@ -207,28 +185,22 @@ def _rigid(matrix: Array) -> Array:
 def _write_kalibr(cameras: Mapping[str, Camera]) -> dict[str, str]:
     poses = [camera.optical_from_world for camera in cameras.values()]
     at_first = np.array_equal(poses[0], np.eye(4))
-    lines = [] if at_first else ["# T_cam_imu: from the world, metres, to each camera"]
+    content = {}
     for index, (name, camera) in enumerate(cameras.items()):
-        fisheye = camera.model == "equidistant"
-        model = "equidistant" if fisheye else "radtan" if camera.distorted else "none"
-        k = camera.K
-        lines += [f"cam{index}:", "  cam_overlaps: []", "  camera_model: pinhole"]
-        lines += [f"  intrinsics: [{row((k[0, 0], k[1, 1], k[0, 2], k[1, 2]), ', ')}]"]
-        lines += [f"  distortion_model: {model}"]
-        lines += [f"  distortion_coeffs: [{row(camera.distortion[:4] if model != 'none' else (), ', ')}]"]
-        lines += [
-            f"  resolution: [{camera.size[0]}, {camera.size[1]}]",
-            f"  rostopic: /{re.sub('[^A-Za-z0-9_]', '_', name)}/image_raw",
-        ]
-        if index:
-            lines += _matrix_lines_kalibr("T_cn_cnm1", poses[index] @ invert_rigid(poses[index - 1]))
-        if not at_first:
-            lines += _matrix_lines_kalibr("T_cam_imu", poses[index])
-    return {"": "\n".join(lines) + "\n"}
-
-
-def _matrix_lines_kalibr(key: str, matrix: Array) -> list[str]:
-    return [f"  {key}:", *(f"  - [{row(values, ', ')}]" for values in matrix)]
+        model = "equidistant" if camera.model == "equidistant" else "radtan" if camera.distorted else "none"
+        content[f"cam{index}"] = {
+            "cam_overlaps": [],
+            "camera_model": "pinhole",
+            "intrinsics": nested(camera.K[[0, 1, 0, 1], [0, 1, 2, 2]]),
+            "distortion_model": model,
+            "distortion_coeffs": nested(camera.distortion[:4] if model != "none" else ()),
+            "resolution": list(camera.size),
+            "rostopic": f"/{re.sub('[^A-Za-z0-9_]', '_', name)}/image_raw",
+            **({"T_cn_cnm1": nested(poses[index] @ invert_rigid(poses[index - 1]))} if index else {}),
+            **({} if at_first else {"T_cam_imu": nested(poses[index])}),
+        }
+    comment = "" if at_first else "# T_cam_imu: from the world, metres, to each camera\n"
+    return {"": comment + yaml_file(content)[""]}
 
 
 KALIBR = calibration_format(

@@ -12,11 +12,12 @@ of a key, its name here, with ' for a matrix in column order, or "" to leave the
 matches a key and its value. ``direction`` of R and t, if their keys do not state it. If a row has no ``unit``
 (metres), the file or the extent of the rig decides.
 
-``written`` of a row is a template: the content of a JSON file; that of an XML file as attributes and lists of
-elements by tag; or the lines of a text. ``$fx`` is replaced by the value ``fx`` of a camera (:func:`_values`,
-and the values of the format); in a longer text, by its digits. The content of the key ``$each`` is written
-once for each camera, as a list; the content of ``$name`` once for each camera, under its name. A key is left
-out if the camera has no value for it. ``names`` is ``words`` or ``printable``: the names that can be written.
+``written`` of a row is a template: the content of a JSON or YAML file; that of an XML file as attributes and
+lists of elements by tag; or the lines of a text. ``$fx`` is replaced by the value ``fx`` of a camera
+(:func:`_values`, and the values of the format); in a longer text, by its digits. The content of the key
+``$each`` is written once for each camera, as a list; the content of ``$name`` once for each camera, under its
+name. A key is left out if the camera has no value for it. ``names`` is ``words`` or ``printable``: the names
+that can be written.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ from typing import Any
 from xml.etree.ElementTree import Element, indent, tostring
 
 import numpy as np
+import yaml
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.cameras.camera.camera import Camera
@@ -388,6 +390,16 @@ def json_file(content: Any) -> dict[str, str]:
     return {"": json.dumps(content, indent=1) + "\n"}
 
 
+def yaml_file(content: Any) -> dict[str, str]:
+    """Texts by file name, for a format that consists of one YAML file. ``content``: lines, or a mapping."""
+    if isinstance(content, list):
+        return text_file(content)
+    text = yaml.safe_dump(
+        content, sort_keys=False, default_flow_style=None, allow_unicode=True, width=1 << 30
+    )
+    return {"": text}
+
+
 def xml_file(content: Mapping[str, Any]) -> dict[str, str]:
     """Texts by file name, for a format that consists of one XML file. ``content`` is what readers see:
     attributes, and lists of elements by tag."""
@@ -425,4 +437,8 @@ def image_names(cameras: Iterable[str]) -> dict[str, str]:
     return {name: f"{name}.png" for name in names}
 
 
-_FILES: Mapping[str, Callable[[Any], dict[str, str]]] = {"json": json_file, "xml": xml_file}
+_FILES: Mapping[str, Callable[[Any], dict[str, str]]] = {
+    "json": json_file,
+    "xml": xml_file,
+    "yaml": yaml_file,
+}

@@ -11,7 +11,6 @@ Cameras of scene files have all their parameters, in metres.
 
 from __future__ import annotations
 
-import json
 import os
 import re
 from collections.abc import Mapping
@@ -26,7 +25,7 @@ from scipy.spatial.transform import Rotation
 from humansim_ros.cameras.camera.camera import Camera, look_at_pose, pinhole_of_fov
 from humansim_ros.cameras.formats.base import LARGEST, CalibrationFile, Keys, RawCamera
 from humansim_ros.cameras.formats.conventions import find_model
-from humansim_ros.cameras.formats.table import calibration_format, row
+from humansim_ros.cameras.formats.table import Values, calibration_format, nested
 from humansim_ros.errors import CameraError, warn_about
 from humansim_ros.types import Array, ImageSize
 
@@ -307,29 +306,18 @@ def _matrices(file: CalibrationFile, at: Keys, size: ImageSize) -> tuple[Array, 
     return file.numbers((3, 3), *at, "K") if file.has(*at, "K") else k, r, t
 
 
-def _write_scene(cameras: Mapping[str, Camera]) -> dict[str, str]:
-    lines = ["cameras:"]
-    for name, camera in cameras.items():
-        lines += [f"  {json.dumps(name)}:", f"    size: [{camera.size[0]}, {camera.size[1]}]"]
-        own: dict[str, Array | None] = {"K": camera.K, "R": camera.R, "t": camera.t}
-        if camera.distorted:
-            own["distortion"] = np.array(camera.distortion)
-        own |= {"rectification": camera.rectification, "rectified": camera.rectified}
-        for key, values in own.items():
-            if values is not None:
-                lines.append(f"    {key}: {_listed(values)}")
-            if key == "distortion":
-                lines.append(f"    distortion_model: {camera.model}")
-    return {"": "\n".join(lines) + "\n"}
-
-
-def _listed(values: Array) -> str:
-    """Vector or matrix as a list of YAML."""
-    return f"[{row(values, ', ') if values.ndim == 1 else ', '.join(map(_listed, values))}]"
+def _scene_values(own: Values, camera: Camera) -> Values:
+    lens = {} if camera.distorted else {"distortion": None, "model": None}
+    rectification, rectified = camera.rectification, camera.rectified
+    return {
+        **lens,
+        "rectification": None if rectification is None else nested(rectification),
+        "rectified": None if rectified is None else nested(rectified),
+    }
 
 
 SCENE = calibration_format(
-    "scene", lambda file: isinstance(file.get("cameras"), Mapping), _read_scene, _write_scene
+    "scene", lambda file: isinstance(file.get("cameras"), Mapping), _read_scene, values=_scene_values
 )
 
 FORMATS = (CAM, SCENE)

@@ -102,8 +102,8 @@ EXTRAS = {
         "webdataset>=0.2",
         "xatlas>=0.0.9",
     ],
-    # mesh files in COLLADA and 3MF, and glTF files with Draco compression
-    "meshes": ["DracoPy>=1.5", "lxml>=4.9", "networkx>=2.8", "pycollada>=0.8"],
+    # glTF files with Draco compression
+    "meshes": ["DracoPy>=1.5"],
     # panoramas of that kind
     "exr": ["OpenEXR>=3.3"],
     # formats of data sets (docs/export.md)

@@ -87,8 +87,6 @@ _SECONDS_OF_SCENES = 5.0
 #: Seconds of processor time after which a reader hangs.
 _HANG = 30
 _LONGEST = 60_000
-#: Share of the inputs for readers that start a process for each file.
-SHARES = {"dae": 0.2, "3mf": 0.2}
 
 EXTREMES = [
     *(
@@ -1073,8 +1071,7 @@ def main() -> int:
         start = time.monotonic()
         outcome, corpus = Outcome(), corpus_of(name, options.files)
         with ProcessPoolExecutor(n, initializer=_limit_memory) as pool:
-            inputs = round(options.inputs * SHARES.get(name, 1))
-            shares = [len(range(k, inputs, n)) for k in range(n)]
+            shares = [len(range(k, options.inputs, n)) for k in range(n)]
             seeds = [options.seed * n + k for k in range(n)]
             for part in pool.map(fuzz, [name] * n, [corpus] * n, shares, seeds):
                 outcome.add(part)

@@ -1,7 +1,7 @@
-"""Convert COLLADA files (.dae) with skins and animations to glTF, so that the same code reads both formats.
+"""Convert COLLADA files (.dae) to glTF, so that the same code reads both formats.
 
 Polygons become triangles. Animated transforms become translations, rotations and scales of their nodes
-[COLLADA 1.4.1, 1.5]. pycollada, which trimesh uses, reads no animations and few skins.
+[COLLADA 1.4.1, 1.5].
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ _TO_Y_UP: dict[str, Array] = {
     "Z_UP": np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]),
 }
 _POLYGONS = ("triangles", "polylist", "polygons", "trifans", "tristrips")
-_WIDTHS, _POSITION = {"POSITION": 3, "NORMAL": 3, "TEXCOORD": 2}, "input[@semantic='POSITION']"
+_WIDTHS, _POSITION = {"POSITION": 3, "NORMAL": 3, "TEXCOORD": 2, "COLOR": 3}, "input[@semantic='POSITION']"
 _MESHES = ("instance_controller", "instance_geometry")
 #: Number of values of each kind of transform, and the names of values that channels use.
 _TRANSFORMS = {"matrix": 16, "translate": 3, "rotate": 4, "scale": 3}
@@ -339,6 +339,8 @@ class _Conversion(GlbBuilder):
             arrays["NORMAL"] = unit_vectors(arrays["NORMAL"] @ np.linalg.pinv(bind[:3, :3]))
         if "TEXCOORD" in arrays:
             arrays["TEXCOORD_0"] = arrays.pop("TEXCOORD") * [1, -1] + [0, 1]
+        if "COLOR" in arrays:
+            arrays["COLOR_0"] = decode_srgb(np.clip(arrays.pop("COLOR"), 0, 1))
         attributes = {name: self.accessor(each.astype(np.float32)) for name, each in arrays.items()}
         rows = data["POSITION"][1][kept]
         attributes |= {name: self.accessor(each[rows]) for name, each in columns.items()}

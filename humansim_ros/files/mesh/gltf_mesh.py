@@ -228,15 +228,24 @@ def _material_mesh(gltf: Gltf, pieces: list[_Piece]) -> Mesh:
     texture = _texture(gltf, pieces[0].material)
     coordinates = [piece.uv for piece in pieces if piece.uv is not None]
     material = read_material(gltf, pieces[0].material, has_uv=bool(coordinates))
-    linear = np.concatenate([np.ones_like(p.vertices) if p.colors is None else p.colors for p in pieces])
+    linear = _linear_colors(pieces)
     if not coordinates:  # a texture without texture coordinates: use its mean colour
         srgb = encode_srgb(linear) * texture.reshape(-1, 3).mean(axis=0)
         srgb_colors = np.rint(srgb).astype(np.uint8)
         return Mesh(vertices, faces, colors=srgb_colors, material=material, shading=_shading(pieces))
     uv = np.concatenate(coordinates) * [1, -1] + [0, 1]
-    colors = None if (linear == 1).all() else np.rint(255 * encode_srgb(linear)).astype(np.uint8)
-    shading = _shading(pieces)
+    colors, shading = _srgb_colors(linear), _shading(pieces)
     return Mesh(vertices, faces, uv, faces, colors, texture, material=material, shading=shading)
+
+
+def _linear_colors(pieces: list[_Piece]) -> Array:
+    """Vertex colours (V, 3) of all pieces, linear. Pieces without colours are white."""
+    return np.concatenate([np.ones_like(p.vertices) if p.colors is None else p.colors for p in pieces])
+
+
+def _srgb_colors(linear: Array) -> NDArray[np.uint8] | None:
+    """Vertex colours (V, 3) of a mesh; None if all are white."""
+    return None if (linear == 1).all() else np.rint(255 * encode_srgb(linear)).astype(np.uint8)
 
 
 @dataclass(frozen=True)
@@ -440,7 +449,7 @@ def _one_mesh(gltf: Gltf, pieces: list[_Piece]) -> Mesh:
     materials = [piece.material for piece in pieces]
     known = list(dict.fromkeys(materials))
     if known == [None]:
-        return Mesh(vertices, faces)
+        return Mesh(vertices, faces, colors=_srgb_colors(_linear_colors(pieces)))
     uv = np.concatenate([np.zeros((len(p.vertices), 2)) if p.uv is None else p.uv for p in pieces])
     uv[:, 1] = 1 - uv[:, 1]
     counts = [len(piece.triangles) for piece in pieces]

@@ -308,8 +308,8 @@ def normalise_weights(weights: csr_matrix) -> csr_matrix:
     return scaled
 
 
-MeshFormat = Literal["obj", "gltf", "ply", "stl", "off", "dae", "3mf"]
-#: Formats by suffix. VRM avatars are glTF files. FBX files are converted to glTF.
+MeshFormat = Literal["obj", "gltf", "ply", "stl", "off", "3mf"]
+#: Formats by suffix. VRM avatars are glTF files. FBX and COLLADA files are converted to glTF.
 MESH_SUFFIXES: dict[str, MeshFormat] = {
     ".obj": "obj",
     ".gltf": "gltf",
@@ -319,7 +319,7 @@ MESH_SUFFIXES: dict[str, MeshFormat] = {
     ".ply": "ply",
     ".stl": "stl",
     ".off": "off",
-    ".dae": "dae",
+    ".dae": "gltf",
     ".3mf": "3mf",
 }
 #: Largest mesh file.
@@ -327,21 +327,22 @@ MAX_BYTES = 1 << 29
 
 
 def read_format(path: str | os.PathLike[str]) -> tuple[MeshFormat, bytes]:
-    """Format and content of a mesh file. FBX files, and COLLADA files with a skin, are converted to glTF.
-    Raises MeshError if the file is missing, empty or too large, or cannot be converted."""
+    """Format and content of a mesh file. FBX and COLLADA files are converted to glTF. Raises MeshError if the
+    file is missing, empty or too large, or cannot be converted."""
     data = read_bytes(path, MeshError, "mesh", MAX_BYTES)
-    if is_fbx(data) or (_format_of(data) is None and Path(path).suffix.lower() == ".fbx"):
+    kind, suffix = _format_of(data), Path(path).suffix.lower()
+    if is_fbx(data) or (kind is None and suffix == ".fbx"):
         return "gltf", converted_fbx(path, MeshError, data)
-    if is_collada(data) and re.search(rb"<(\w+:)?skin\s", data):
+    if is_collada(data) or (kind is None and suffix == ".dae"):
         from humansim_ros.files.mesh.collada import converted_collada
 
         return "gltf", converted_collada(path, data)
-    return _format_of(data) or MESH_SUFFIXES.get(Path(path).suffix.lower(), "obj"), data
+    return kind or MESH_SUFFIXES.get(suffix, "obj"), data
 
 
 def has_signature(data: bytes) -> bool:
     """Whether the first bytes of a file identify it as a mesh file."""
-    return is_fbx(data) or _format_of(data) is not None
+    return is_fbx(data) or is_collada(data) or _format_of(data) is not None
 
 
 def _format_of(data: bytes) -> MeshFormat | None:
@@ -353,8 +354,6 @@ def _format_of(data: bytes) -> MeshFormat | None:
         return "ply"
     if re.match(rb"(ST)?(C)?(N)?(4)?OFF\s", start):
         return "off"
-    if is_collada(data):
-        return "dae"
     if start.startswith(b"PK\3\4"):
         return "3mf" if any(name.lower().endswith("3dmodel.model") for name in archive_names(data)) else None
     if len(data) >= 84 and len(data) == 84 + 50 * struct.unpack_from("<I", data, 80)[0]:

@@ -198,18 +198,18 @@ def texture_atlas(
         with GLRenderer() as own:
             return texture_atlas(human, views, size, outfit, symmetry, own)
     human = with_coordinates(human)
-    finer = subdivide(human.mesh, _rounds(human.mesh))
-    mesh = finer.mesh
+    poses = [view.vertices.astype(float) for view in views]
+    mesh, poses, owner = subdivide(human.mesh, poses, _rounds(human.mesh))
     assert mesh.uv is not None and mesh.uv_triangles is not None
     surface = Surface.of(mesh)
-    points = [surface.places(finer.points(view.vertices.astype(float))) for view in views]
+    points = [surface.places(pose) for pose in poses]
     sights, notes = _useful(see_surface(human, surface, list(zip(views, points, strict=True)), renderer))
     side = size if size is not None else _side(mesh, max(sight.resolution for sight in sights))
     texels = rasterise_uv(mesh.uv, mesh.uv_triangles, side)
     alignment = _align(sights, notes)
     blended = _blend(surface, texels, sights, alignment)
     image = _filled_image(surface, texels, blended, side, symmetry)
-    best, seen = _chosen(surface, finer.owner, sights, [views.index(sight.view) for sight in sights])
+    best, seen = _chosen(surface, owner, sights, [views.index(sight.view) for sight in sights])
     gains = np.ones((len(views), 3))
     gains[[views.index(sight.view) for sight in sights]] = alignment.gains
     names = tuple(view.name for view in views)

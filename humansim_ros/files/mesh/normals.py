@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -92,61 +92,32 @@ def pack_images(
     return atlas, boxes
 
 
-@dataclass(frozen=True, eq=False)
-class Subdivision:
-    """A finer mesh of triangles that was made by dividing another mesh. ``owner``: (N,) triangle of the first
-    mesh that contains each triangle of the finer mesh. ``edges``: for each round, pairs of vertices (E, 2). A
-    new vertex lies between each pair."""
-
-    mesh: Mesh
-    owner: Indices
-    edges: tuple[Indices, ...]
-
-    def points(self, points: Array) -> Array:
-        """Vertices of the finer mesh from vertices (V, 3) of the first mesh, which may be posed."""
-        for pairs in self.edges:
-            points = np.concatenate([points, points[pairs].mean(axis=1)])
-        return points
-
-
-def subdivide(mesh: Mesh, rounds: int) -> Subdivision:
-    """Divide each triangle into four, ``rounds`` times. Texture coordinates are divided, too. Raises
-    MeshError."""
-    triangles = np.asarray(mesh.triangles, np.intp)
-    uv_triangles = None if mesh.uv_triangles is None else np.asarray(mesh.uv_triangles, np.intp)
-    vertices, uv, owner = mesh.vertices, mesh.uv, np.arange(len(triangles))
-    edges: list[Indices] = []
+def subdivide(mesh: Mesh, poses: Sequence[Array], rounds: int) -> tuple[Mesh, list[Array], Indices]:
+    """Divide each triangle of a mesh with texture coordinates into four, ``rounds`` times. Returns the finer
+    mesh, its vertices in the poses, and the triangle (N,) of ``mesh`` that contains each triangle. ``poses``:
+    vertices (V, 3) of the mesh in other poses."""
+    assert mesh.uv is not None and mesh.uv_triangles is not None
+    triangles, uv_triangles = (np.asarray(each, np.intp) for each in (mesh.triangles, mesh.uv_triangles))
+    points, uv, owner = [mesh.vertices, *poses], mesh.uv, np.arange(len(triangles))
     for _ in range(rounds):
-        triangles, pairs = _divided(triangles, len(vertices))
-        vertices = np.concatenate([vertices, vertices[pairs].mean(axis=1)])
-        edges.append(pairs)
-        if uv is not None and uv_triangles is not None:
-            uv_triangles, uv_pairs = _divided(uv_triangles, len(uv))
-            uv = np.concatenate([uv, uv[uv_pairs].mean(axis=1)])
+        triangles, points = _divided(triangles, points)
+        uv_triangles, [uv] = _divided(uv_triangles, [uv])
         owner = np.tile(owner, 4)
-    finer = replace(
-        mesh,
-        vertices=vertices,
-        faces=padded(triangles),
-        uv=uv,
-        uv_faces=None if uv_triangles is None else padded(uv_triangles),
-        colors=None,
-        shading=None,
-        materials=None,
-        off_body=None,
-    )
-    return Subdivision(finer, owner, tuple(edges))
+    faces, uv_faces = padded(triangles), padded(uv_triangles)
+    finer = Mesh(points[0], faces, uv, uv_faces, texture=mesh.texture, skin=mesh.skin, hair=mesh.hair)
+    return finer, points[1:], owner
 
 
-def _divided(triangles: Indices, count: int) -> tuple[Indices, Indices]:
-    """Divide N triangles of ``count`` points. Returns triangles (4 N, 3), and pairs (E, 2) of points: a new
-    point lies between each pair."""
+def _divided(triangles: Indices, points: Sequence[Array]) -> tuple[Indices, list[Array]]:
+    """Divide N triangles into 4 N. New points, which lie between two corners, come after the ``points``: one
+    or more arrays (V, ...) with a row for each corner."""
     sides = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     pairs, number = np.unique(sides, axis=0, return_inverse=True)
-    ab, bc, ca = (count + number.reshape(-1, 3)).T
+    ab, bc, ca = (len(points[0]) + number.reshape(-1, 3)).T
     a, b, c = triangles.T
     parts = ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))
-    return np.concatenate([np.stack(part, axis=1) for part in parts]), pairs
+    finer = np.concatenate([np.stack(part, axis=1) for part in parts])
+    return finer, [np.concatenate([each, each[pairs].mean(axis=1)]) for each in points]
 
 
 #: Number of texels that are computed at once.

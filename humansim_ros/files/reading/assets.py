@@ -32,7 +32,7 @@ def resource_path(relative: str | os.PathLike[str]) -> Path:
     root = resource_root()
     path = root / relative
     if not path.exists():
-        raise ResourceError(f"humansim_ros has no such file{_suggestion(path)}", path=path)
+        raise ResourceError(f"humansim_ros has {missing_file(path)}", path=path)
     return path
 
 
@@ -87,16 +87,6 @@ def _pip_records() -> Iterator[Path]:
     for file in files:
         if file.parts[-3:] == (*_SHARE.parts, "package.xml"):
             yield Path(str(file.locate())).resolve().parent
-
-
-def _suggestion(path: Path) -> str:
-    if not path.parent.is_dir():
-        return ""
-    names = sorted(entry.name for entry in path.parent.iterdir())
-    import difflib
-
-    close = difflib.get_close_matches(path.name, names, n=3) or names[:8]
-    return f"; there is {', '.join(close)}" if close else ""
 
 
 AssetKind = Literal["humans", "motions"]

@@ -27,10 +27,13 @@ def laughs(how: str) -> str:
 
 CHAIN = "a0: &a0 [0]\n" + "".join(f"a{n}: &a{n} [*a{n - 1}]\n" for n in range(1, 60))
 HOSTILE = {
-    "aliases": (laughs("[{}]"), 6, "*a4 repeats more than"),
-    "merge keys": (laughs("{{<<: [{}]}}"), 6, "*a4 repeats more than"),
-    "itself": ("a: &a\n  b: [*a]\n", 2, "*a contains itself"),
-    "a chain": (CHAIN, 49, "more than 50 nested levels"),
+    "aliases": (laughs("[{}]"), 6, "more than 100000 keys and values, with all"),
+    "merge keys": (laughs("{{<<: [{}]}}"), 6, "more than 100000 keys and values, with all"),
+    "itself": ("a: &a\n  b: [*a]\n", 1, "contains itself"),
+    "a chain": (CHAIN, 48, "more than 50 nested levels"),
+    "a deep list": ("a: " + "[" * 51 + "]" * 51, 1, "more than 50 nested levels"),
+    "a very deep list": ("a: " + "[" * 5000, None, "more than 50 nested levels"),
+    "a key of many": (laughs("[{}]") + "? [*a9]\n: 1\n", 6, "more than 100000 keys and values, with all"),
     "a great many": ("a: [" + "0," * 150_000 + "]", 1, "more than 100000 keys and values"),
 }
 READERS = (load_config, scene_processes, read_description, read_calibration, load_table, load_limits)
@@ -43,7 +46,11 @@ CASES = [
 
 
 @pytest.mark.daily(
-    "aliases-load_config", "merge keys-read_calibration", "itself-load_table", "a chain-read_description"
+    "aliases-load_config",
+    "a deep list-load_config",
+    "merge keys-read_calibration",
+    "itself-load_table",
+    "a chain-read_description",
 )
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "read"), CASES)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -21,90 +22,25 @@ _MAX_NODES = 100_000
 _MAX_DEPTH = 50
 #: Most characters of a number or date, since the time for 1:1:1:1 … grows with its length.
 _MAX_NUMBER_LENGTH = 1000
+_TOO_MANY = f"more than {_MAX_NODES} keys and values, with all repetitions"
+_TOO_DEEP = f"more than {_MAX_DEPTH} nested levels"
 _TEXT, _BOOLEAN = "tag:yaml.org,2002:str", "tag:yaml.org,2002:bool"
 
 
-#: A longer text (characters) is parsed by libyaml: a scene of 1,000 cameras takes a third of the time.
-_LONG = 20_000
+class Loader(yaml.SafeLoader):
+    """SafeLoader with a limit on the number of nodes in the text."""
 
-
-class _Limits(yaml.composer.Composer):
-    """Composer with limits on size and depth, since nested aliases multiply both."""
-
-    def _begin(self) -> None:
-        # count of nodes so far, level of this node, and largest level within it
-        self._nodes, self._level, self._deepest = 0, 0, 0
-        # count of nodes and of levels of each node with an anchor
-        self._anchored: dict[yaml.Node | None, tuple[int, int]] = {}
+    def __init__(self, text: str) -> None:
+        super().__init__(text)
+        self._nodes = 0
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
         """Compose a node, and count it."""
-        event: Any = self.peek_event()  # type: ignore[attr-defined]  # of the parser
-        before, outer = self._nodes, self._deepest
-        self._level += 1
-        self._deepest = self._level
-        self._check(event)
-        node = super().compose_node(parent, index)
-        if isinstance(event, yaml.AliasEvent):
-            if node not in self._anchored:
-                self._refuse(f"*{event.anchor} contains itself", event)
-            nodes, levels = self._anchored[node]
-            self._nodes += nodes
-            self._deepest += levels - 1
-        else:
-            self._nodes += 1
-        self._check(event)
-        if isinstance(node, yaml.ScalarNode) and node.tag != _TEXT and len(node.value) > _MAX_NUMBER_LENGTH:
-            self._refuse("this number is too long", event)
-        if node is not None and getattr(event, "anchor", None) is not None:
-            self._anchored[node] = self._nodes - before, self._deepest - self._level + 1
-        self._deepest = max(outer, self._deepest)
-        self._level -= 1
-        return node
-
-    def _check(self, event: yaml.Event) -> None:
+        self._nodes += 1
         if self._nodes > _MAX_NODES:
-            what = f"*{event.anchor} repeats " if isinstance(event, yaml.AliasEvent) else ""
-            self._refuse(f"{what}more than {_MAX_NODES} keys and values", event)
-        if self._deepest > _MAX_DEPTH:
-            self._refuse(f"more than {_MAX_DEPTH} nested levels", event)
-
-    def _refuse(self, reason: str, event: yaml.Event) -> None:
-        mark: Any = event.start_mark
-        raise yaml.composer.ComposerError(None, None, reason, mark)
-
-
-class Loader(_Limits, yaml.SafeLoader):
-    """SafeLoader with limits."""
-
-    def __init__(self, text: str) -> None:
-        yaml.SafeLoader.__init__(self, text)
-        self._begin()
-
-
-if yaml.__with_libyaml__:
-    _CParser: Any = yaml.cyaml.CParser  # type: ignore[attr-defined]
-
-    class _FastLoader(_Limits, _CParser, yaml.constructor.SafeConstructor, yaml.resolver.Resolver):
-        """Like Loader, with the parser of libyaml, which is faster but has other words in its messages."""
-
-        def __init__(self, text: str) -> None:
-            _CParser.__init__(self, text)
-            yaml.composer.Composer.__init__(self)
-            yaml.constructor.SafeConstructor.__init__(self)
-            yaml.resolver.Resolver.__init__(self)
-            self._begin()
-
-
-def _tree(text: str, kind: type[Loader]) -> tuple[Any, yaml.Node | None]:
-    """Loader of a YAML text, and the root node of the text (None if the text is empty)."""
-    # libyaml accepts tabs that YAML does not
-    if kind is Loader and len(text) > _LONG and "\t" not in text and yaml.__with_libyaml__:
-        with suppress(yaml.YAMLError, ValueError):  # the other parser reports the error
-            fast = _FastLoader(text)
-            return fast, fast.get_single_node()
-    loader = kind(text)
-    return loader, loader.get_single_node()
+            mark: Any = self.peek_event().start_mark
+            raise yaml.composer.ComposerError(None, None, _TOO_MANY, mark)
+        return super().compose_node(parent, index)
 
 
 def read_yaml(
@@ -146,9 +82,12 @@ def parse_yaml(
             a name such as ``off``, which YAML reads as false.
     """
     with _yaml_errors(text, error, path):
-        loader, tree = _tree(text, kind)
-        _check_keys(tree, error, path, names=kind is Loader)
-        return None if tree is None else loader.construct_document(tree), tree
+        loader = kind(text)
+        tree = loader.get_single_node()
+        if tree is None:
+            return None, None
+        _Check(error, path, names=kind is Loader).size(tree)
+        return loader.construct_document(tree), tree
     raise AssertionError
 
 
@@ -169,6 +108,8 @@ def _yaml_errors(text: str, error: type[HumansimError], path: str | os.PathLike[
     except (ValueError, ArithmeticError, LookupError, AttributeError, TypeError) as reason:
         # PyYAML raises these for values that do not match their tag, and for impossible dates
         raise error(f"not valid YAML: {reason}", path=path) from None
+    except RecursionError:
+        raise error(f"not valid YAML: {_TOO_DEEP}", path=path) from None
 
 
 def line_of(node: yaml.Node | None, keys: Sequence[str | int]) -> int | None:
@@ -190,28 +131,57 @@ def line_of(node: yaml.Node | None, keys: Sequence[str | int]) -> int | None:
     return line
 
 
-def _check_keys(
-    root: yaml.Node | None, error: type[HumansimError], path: str | os.PathLike[str], names: bool
-) -> None:
-    """Raise ``error`` for a repeated key, since PyYAML would silently take the last value. ``names``: also
-    raise it for a key that YAML 1.1 reads as a boolean, since the key may be the name of a camera or a
-    human."""
-    pending, visited = [root], set[int]()
-    while pending:
-        node = pending.pop()
-        if id(node) in visited or not isinstance(node, yaml.CollectionNode):
-            continue
-        visited.add(id(node))
-        if isinstance(node, yaml.SequenceNode):
-            pending += node.value
-            continue
+@dataclass
+class _Check:
+    """Check of the nodes of a file, which raises ``error``. Aliases and merge keys repeat nodes, so that a
+    short file can stand for any number of nodes. ``names``: refuse keys that YAML 1.1 reads as booleans,
+    since such a key may be the name of a camera or a human."""
+
+    error: type[HumansimError]
+    path: str | os.PathLike[str]
+    names: bool
+    #: Number of nodes and of levels of each node; None for a node around the one that is checked.
+    sizes: dict[yaml.Node, tuple[int, int] | None] = field(default_factory=dict)
+
+    def size(self, node: yaml.Node, level: int = 1) -> tuple[int, int]:
+        """Number of nodes and of levels of a node, with all repetitions. ``level``: level of the node."""
+        if node not in self.sizes:
+            self.sizes[node] = None
+            if (
+                isinstance(node, yaml.ScalarNode)
+                and node.tag != _TEXT
+                and len(node.value) > _MAX_NUMBER_LENGTH
+            ):
+                raise self.refused(node, "not valid YAML: this number is too long")
+            inner: list[yaml.Node] = node.value if isinstance(node, yaml.SequenceNode) else []
+            if isinstance(node, yaml.MappingNode):
+                self.check_keys(node)
+                inner = [each for pair in node.value for each in pair]
+            if level + bool(inner) > _MAX_DEPTH:
+                raise self.refused(node, _TOO_DEEP)
+            sizes = [self.size(each, level + 1) for each in inner]
+            self.sizes[node] = 1 + sum(count for count, _ in sizes), 1 + max((n for _, n in sizes), default=0)
+        if (size := self.sizes[node]) is None:
+            raise self.refused(node, "it contains itself, by an alias")
+        if size[0] > _MAX_NODES:
+            raise self.refused(node, _TOO_MANY)
+        if level + size[1] - 1 > _MAX_DEPTH:
+            raise self.refused(node, _TOO_DEEP)
+        return size
+
+    def check_keys(self, mapping: yaml.MappingNode) -> None:
+        """Refuse a repeated key, since PyYAML would silently take the last value."""
         keys: set[str] = set()
-        for key, value in node.value:
-            if isinstance(key.value, str) and key.value in keys and key.value != "<<":
-                line = key.start_mark.line + 1
-                raise error("repeated key", path=path, line=line, key=key.value)
-            if names and key.tag == _BOOLEAN:
+        for key, _ in mapping.value:
+            if not isinstance(key, yaml.ScalarNode):
+                continue
+            if key.value in keys and key.value != "<<":
+                raise self.refused(key, "repeated key", key.value)
+            if self.names and key.tag == _BOOLEAN:
                 text = f'YAML reads {key.value} as a boolean, not as a name: quote the name "{key.value}"'
-                raise error(text, path=path, line=key.start_mark.line + 1, key=key.value)
-            keys.add(str(key.value))
-            pending.append(value)
+                raise self.refused(key, text, key.value)
+            keys.add(key.value)
+
+    def refused(self, node: yaml.Node, message: str, key: str | None = None) -> HumansimError:
+        """Error at the line of a node."""
+        return self.error(message, path=self.path, line=node.start_mark.line + 1, key=key)

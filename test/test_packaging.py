@@ -266,7 +266,6 @@ def test_resource_root_is_found_through_ament(tmp_path: Path, monkeypatch: pytes
     monkeypatch.setattr(
         "humansim_ros.files.reading.assets.__file__", "/nowhere/humansim_ros/files/reading/assets.py"
     )
-    monkeypatch.setattr("humansim_ros.files.reading.assets._pip_records", lambda: iter(()))
     monkeypatch.setattr("sys.prefix", "/nowhere")
     monkeypatch.setenv("AMENT_PREFIX_PATH", f"/opt/ros/jazzy:{tmp_path}")
     assert resource_root.__wrapped__() == share

@@ -42,15 +42,13 @@ from humansim_ros.files.mesh.gltf_format import (
     Skin,
     SparseValues,
 )
+from humansim_ros.files.mesh.mesh import MAX_BYTES, read_format
 from humansim_ros.files.reading.files import parse_json, read_bytes, resolve_inside
 from humansim_ros.files.reading.images import MAX_IMAGE_BYTES, DecodedImages
-from humansim_ros.files.reading.programs import converted_fbx, is_collada, is_fbx
 from humansim_ros.files.yaml.schema import schema_error
 from humansim_ros.geometry import find_cycle, levels, quaternion_to_matrix
 from humansim_ros.types import Array
 
-#: Maximum size of a file.
-MAX_BYTES = 1 << 29
 #: Most values in an accessor, and in an accessor without data, which stands for zeros.
 MAX_VALUES, _MAX_ZEROS = 100_000_000, 10_000_000
 #: Most values in the JSON part. Each value needs some fifty bytes of memory.
@@ -80,12 +78,7 @@ class Gltf:
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Gltf:
         """Read a .gltf or .glb file, or an FBX or COLLADA file, which is converted."""
-        data = read_bytes(path, MeshError, "glTF", MAX_BYTES)
-        if is_collada(data) or Path(path).suffix.lower() == ".dae":
-            from humansim_ros.files.mesh.collada import converted_collada
-
-            return cls.parse(path, converted_collada(path, data))
-        return cls.parse(path, converted_fbx(path, MeshError, data) if is_fbx(data) else data)
+        return cls.parse(path, read_format(path, "glTF")[1])
 
     @classmethod
     def parse(cls, path: str | os.PathLike[str], data: bytes) -> Gltf:

@@ -44,12 +44,12 @@ def read_material(gltf: Gltf, number: int | None, has_uv: bool) -> Material:
         elif (info.texCoord, info.extensions) != mapping:
             ignored.append(f"the {what}, because the colour has other texture coordinates")
         else:
-            image = read_image(gltf, info)
+            image = _decoded(gltf, info, gltf.decoded_images.get)
             if image is not None:
                 images[what] = image
     alpha_map = None
     if material.alphaMode != "OPAQUE" and base is not None and has_uv:
-        alpha_map = _read_alpha(gltf, base)
+        alpha_map = _decoded(gltf, base, gltf.decoded_images.alpha)
     for part in ignored:
         warn_about(gltf.path, f"material {material.name or number!r}: ignored: {part}")
     wraps = (_REPEATED, _REPEATED) if leading is None else gltf.wraps(leading.index)
@@ -74,22 +74,11 @@ def read_material(gltf: Gltf, number: int | None, has_uv: bool) -> Material:
     )
 
 
-def read_image(gltf: Gltf, info: TextureInfo) -> Image | None:
-    """Image (H, W, 3) of a texture; None for no image. A damaged image raises MeshError, which names the
-    key."""
-    return _decoded(gltf, info, gltf.decoded_images.get)
-
-
-def _read_alpha(gltf: Gltf, info: TextureInfo) -> Image | None:
-    """Alpha channel (H, W) of a texture; None for no alpha. Raises MeshError in the same way as
-    :func:`read_image`."""
-    return _decoded(gltf, info, gltf.decoded_images.alpha)
-
-
 def _decoded(
     gltf: Gltf, info: TextureInfo, decode: Callable[[int, Callable[[], bytes]], Image | None]
 ) -> Image | None:
-    """Call ``decode`` for the image of a texture. Add path and key to errors of ``decode``."""
+    """Image of a texture, decoded by a method of :class:`DecodedImages`; None if there is none. A damaged
+    image raises MeshError, which names the key."""
     source = gltf.texture_image(info.index)
     if source is None:
         return None
@@ -469,10 +458,10 @@ def _texture(gltf: Gltf, number: int | None) -> NDArray[np.uint8]:
     pbr = gltf.material(number).pbrMetallicRoughness
     factor = np.clip(np.array(pbr.baseColorFactor[:3]), 0.0, 1.0)
     srgb = encode_srgb(factor)
-    image = None if pbr.baseColorTexture is None else read_image(gltf, pbr.baseColorTexture)
-    if image is None:
+    image = None if (base := pbr.baseColorTexture) is None else _decoded(gltf, base, gltf.decoded_images.get)
+    if base is None or image is None:
         return plain_tile(srgb)
     if (factor < 1).any():
-        source = None if pbr.baseColorTexture is None else gltf.texture_image(pbr.baseColorTexture.index)
+        source = gltf.texture_image(base.index)
         image = gltf.decoded_images.tinted(source, image, srgb)
     return image

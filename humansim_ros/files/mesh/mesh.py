@@ -326,10 +326,10 @@ MESH_SUFFIXES: dict[str, MeshFormat] = {
 MAX_BYTES = 1 << 29
 
 
-def read_format(path: str | os.PathLike[str]) -> tuple[MeshFormat, bytes]:
+def read_format(path: str | os.PathLike[str], what: str = "mesh") -> tuple[MeshFormat, bytes]:
     """Format and content of a mesh file. FBX and COLLADA files are converted to glTF. Raises MeshError if the
-    file is missing, empty or too large, or cannot be converted."""
-    data = read_bytes(path, MeshError, "mesh", MAX_BYTES)
+    file is missing, empty or too large, or cannot be converted. ``what``: kind of file for messages."""
+    data = read_bytes(path, MeshError, what, MAX_BYTES)
     kind, suffix = _format_of(data), Path(path).suffix.lower()
     if is_fbx(data) or (kind is None and suffix == ".fbx"):
         return "gltf", converted_fbx(path, MeshError, data)

@@ -23,8 +23,7 @@ import humansim_ros
 from humansim_ros.errors import HIDING, HumansimError, ResourceError, unknown
 from humansim_ros.files.reading.files import exists, expand_user, missing_file
 
-_NAME = "humansim_ros"
-_SHARE = Path("share", _NAME)
+_SHARE = Path("share", "humansim_ros")
 
 
 def resource_path(relative: str | os.PathLike[str]) -> Path:
@@ -71,22 +70,8 @@ def _candidates() -> Iterator[Path]:
     for parent in package.parents:
         yield parent / _SHARE
     yield Path(sys.prefix) / _SHARE
-    yield from _pip_records()
     for prefix in filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)):
         yield Path(prefix) / _SHARE
-
-
-def _pip_records() -> Iterator[Path]:
-    # imported here, since most installations are found without it
-    import importlib.metadata
-
-    try:
-        files = importlib.metadata.files(_NAME) or []
-    except importlib.metadata.PackageNotFoundError:
-        return
-    for file in files:
-        if file.parts[-3:] == (*_SHARE.parts, "package.xml"):
-            yield Path(str(file.locate())).resolve().parent
 
 
 AssetKind = Literal["humans", "motions"]

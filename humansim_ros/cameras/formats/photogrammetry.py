@@ -17,12 +17,13 @@ from collections.abc import Mapping
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.cameras.camera.camera import Camera, pinhole
-from humansim_ros.cameras.camera.lens import MODELS, Lens
+from humansim_ros.cameras.camera.lens import Lens
 from humansim_ros.cameras.formats.base import (
     FLIP,
     MAX_CAMERAS,
@@ -30,12 +31,19 @@ from humansim_ros.cameras.formats.base import (
     Keys,
     RawCamera,
     SourceLocation,
-    camera_at,
     without_suffix,
 )
 from humansim_ros.cameras.formats.checks import size_of_named_image
 from humansim_ros.cameras.formats.conventions import fitted_lens
-from humansim_ros.cameras.formats.table import Values, calibration_format, image_names, number, row
+from humansim_ros.cameras.formats.table import (
+    Cameras,
+    Values,
+    calibration_format,
+    image_names,
+    nested,
+    number,
+    row,
+)
 from humansim_ros.errors import CameraError, warn_about
 from humansim_ros.files.reading import read_text
 from humansim_ros.types import Array, ImageSize
@@ -264,71 +272,58 @@ _ALICE: Mapping[str, _Coefficients] = {
 }
 
 
-def _coefficients(file: CalibrationFile, keys: Keys, lens: _Coefficients) -> tuple[float, ...]:
-    """Coefficients in the order of ROS. In the file, they are in the order of ``lens``."""
+def _coefficients(file: CalibrationFile, keys: Keys, lens: _Coefficients) -> dict[str, Any]:
+    """Coefficients by name, and model. In the file, they are in the order of ``lens``."""
     names, model = lens
-    given = dict(zip(names, file.numbers((len(names),), *keys), strict=True))
-    return tuple(given.get(name, 0.0) for name in MODELS[str(model)])
+    return {**dict(zip(names, file.numbers((len(names),), *keys).tolist(), strict=True)), "model": model}
 
 
 def _by_id(file: CalibrationFile, section: str, key: str, *below: str) -> dict[str, Keys]:
     """Key paths of the items of a section, extended by ``below``, by the value of ``key`` in each item."""
-    items = enumerate(file.items(section))
-    return {
-        str(item.get(key) if isinstance(item, Mapping) else None): (section, index, *below)
-        for index, item in items
-    }
+    return {str(file.get(*at, key)): (*at, *below) for at in file.paths(section)}
 
 
-def _view(
-    file: CalibrationFile,
-    at: Keys,
-    key: str,
-    lenses: Mapping[str, RawCamera],
-    pose: Keys | None,
-    turned: bool,
-) -> RawCamera:
-    """Camera of a view. ``key``: key of its lens. ``pose``: key path of R and C with x = R (X - C); R may be
-    ``turned`` (in column order)."""
+def _lens_of(file: CalibrationFile, at: Keys, key: str, lenses: Mapping[str, Keys]) -> Keys:
+    """Key path of the lens of a view. ``key``: key of the lens in the view."""
     lens = str(file.get(*at, key))
     if lens not in lenses:
         raise file.error(f"there are no intrinsics {lens[:40]}", *at, key)
-    camera = lenses[lens]
-    if pose is None:
-        return camera
-    r, center = file.numbers((3, 3), *pose, "rotation"), file.numbers((3,), *pose, "center")
-    locations = {**camera.locations, **file.locations(pose, R="rotation", t="center")}
-    return replace(camera, R=r.T if turned else r, center=center, locations=locations)
+    return lenses[lens]
 
 
-def _read_openmvg(file: CalibrationFile) -> dict[str, RawCamera]:
+def _pose_of(file: CalibrationFile, at: Keys | None, turned: bool = False) -> dict[str, Any]:
+    """R and C with x = R (X - C); R may be ``turned`` (in column order). Empty without a key path."""
+    if at is None:
+        return {}
+    r, center = file.numbers((3, 3), *at, "rotation"), file.numbers((3,), *at, "center")
+    return {"R_w2c": nested(r.T if turned else r), "center": nested(center)}
+
+
+def _openmvg(file: CalibrationFile) -> Cameras:
     below = ("value", "ptr_wrapper", "data")
-    lenses = {key: _openmvg_lens(file, at) for key, at in _by_id(file, "intrinsics", "key", *below).items()}
-    poses = _by_id(file, "extrinsics", "key", "value")
-    cameras: dict[str, RawCamera] = {}
-    for index, _ in enumerate(file.items("views")):
-        at: Keys = ("views", index, *below)
+    lenses, poses = _by_id(file, "intrinsics", "key", *below), _by_id(file, "extrinsics", "key", "value")
+    cameras = []
+    for index, path in enumerate(file.paths("views")):
+        at = (*path, *below)
         view = file.mapping(*at)
-        camera = _view(file, at, "id_intrinsic", lenses, poses.get(str(view.get("id_pose"))), False)
         name = without_suffix(str(view.get("filename") or view.get("id_view") or index))
-        file.add(cameras, name, camera, *at)
+        lens = _openmvg_lens(file, _lens_of(file, at, "id_intrinsic", lenses))
+        cameras.append({"name": name, **lens, **_pose_of(file, poses.get(str(view.get("id_pose"))))})
     if not cameras:
         raise file.error("the file has no views", "views")
     return cameras
 
 
-def _openmvg_lens(file: CalibrationFile, at: Keys) -> RawCamera:
+def _openmvg_lens(file: CalibrationFile, at: Keys) -> dict[str, Any]:
     data = file.mapping(*at)
-    inner: Keys = ("value0",) if isinstance(data.get("value0"), Mapping) else ()
-    focal = file.number(*at, *inner, "focal_length")
-    k = pinhole(focal, focal, *file.numbers((2,), *at, *inner, "principal_point"))
-    places = {"K": (*inner, "focal_length"), "size": (*inner, "width height")}
-    distortion: tuple[float, ...] = ()
-    model = None
+    inner = (*at, "value0") if isinstance(data.get("value0"), Mapping) else at
+    focal = file.number(*inner, "focal_length")
+    cx, cy = file.numbers((2,), *inner, "principal_point").tolist()
+    camera = {"K": [focal, focal, cx, cy], "size": file.size((*inner, "width"), (*inner, "height"))}
     for key, lens in _OPENMVG.items():
         if data.get(key) is not None:
-            distortion, model = _coefficients(file, (*at, key), lens), lens[1]
-    return camera_at(file, at, places, K=k, distortion=distortion, model=model)
+            camera |= _coefficients(file, (*at, key), lens)
+    return camera
 
 
 def _check_square(name: str, camera: Camera) -> None:
@@ -342,36 +337,25 @@ def _openmvg_values(own: Values, camera: Camera) -> Values:
     return {"lens": lens, key: [own[name] for name in _OPENMVG[key][0]]}
 
 
-OPENMVG = calibration_format(
-    "openmvg",
-    lambda file: file.get("sfm_data_version") is not None and isinstance(file.get("views"), list),
-    _read_openmvg,
-    values=_openmvg_values,
-)
+OPENMVG = calibration_format("openmvg", arrange=_openmvg, values=_openmvg_values)
 
 
-def _is_meshroom(file: CalibrationFile) -> bool:
-    views, lenses = file.get("views"), file.get("intrinsics")
-    named = isinstance(views, list) and any(isinstance(view, dict) and "viewId" in view for view in views)
-    return named and isinstance(lenses, list)
-
-
-def _read_meshroom(file: CalibrationFile) -> dict[str, RawCamera]:
-    paths = _by_id(file, "intrinsics", "intrinsicId")
-    lenses = {key: _meshroom_lens(file, at) for key, at in paths.items()}
+def _meshroom(file: CalibrationFile) -> Cameras:
+    lenses = _by_id(file, "intrinsics", "intrinsicId")
     poses = _by_id(file, "poses", "poseId", "pose", "transform")
-    cameras: dict[str, RawCamera] = {}
+    cameras: dict[str, dict[str, Any]] = {}
     for index, at in enumerate(file.paths("views")):
         view = file.mapping(*at)
         number = view.get("viewId")
-        camera = _view(file, at, "intrinsicId", lenses, poses.get(str(view.get("poseId", number))), True)
         path = str(view.get("path") or number or index).replace("\\", "/")
         name = without_suffix(path.rsplit("/", 1)[-1])
-        file.add(cameras, name if name not in cameras else f"{name}_{number}", camera, *at)
-    return cameras
+        lens = _meshroom_lens(file, _lens_of(file, at, "intrinsicId", lenses))
+        pose = _pose_of(file, poses.get(str(view.get("poseId", number))), turned=True)
+        cameras[name if name not in cameras else f"{name}_{number}"] = {**lens, **pose}
+    return [{"name": name, **camera} for name, camera in cameras.items()]
 
 
-def _meshroom_lens(file: CalibrationFile, at: Keys) -> RawCamera:
+def _meshroom_lens(file: CalibrationFile, at: Keys) -> dict[str, Any]:
     version = tuple(int(v) for v in file.optional_numbers("version")) or (1, 2, 6)
     width, height = file.size((*at, "width"), (*at, "height"))
     if file.get(*at, "pxFocalLength") is not None:
@@ -397,11 +381,9 @@ def _meshroom_lens(file: CalibrationFile, at: Keys) -> RawCamera:
     key = next(
         (k for k in ("distortionParams", "distortionParameters") if file.get(*at, k)), "distortionParams"
     )
+    camera = {"K": [fx, fy, *point.tolist()], "size": (width, height)}
     given = lens[1] is not None and len(file.optional_numbers(*at, key))
-    places = {"K": "focalLength", "distortion": key, "size": "width height"}
-    own = {"K": pinhole(fx, fy, point[0], point[1]), "size": (width, height)}
-    coefficients = _coefficients(file, (*at, key), lens) if given else ()
-    return camera_at(file, at, places, **own, distortion=coefficients, model=lens[1] if given else None)
+    return {**camera, **_coefficients(file, (*at, key), lens)} if given else camera
 
 
 def _meshroom_values(own: Values, camera: Camera) -> Values:
@@ -416,7 +398,7 @@ def _meshroom_values(own: Values, camera: Camera) -> Values:
     return {"lens": kind, "focal": own["fx"] / own["width"] * 36.0, "ratio": own["fy"] / own["fx"], **texts}
 
 
-MESHROOM = calibration_format("meshroom", _is_meshroom, _read_meshroom, values=_meshroom_values)
+MESHROOM = calibration_format("meshroom", arrange=_meshroom, values=_meshroom_values)
 
 
 # -- Bundler

@@ -185,7 +185,7 @@ class Found:
 
     @property
     def roles(self) -> set[str]:
-        """Parameters of which at least one camera has a value."""
+        """Parameters that at least one camera has."""
         return {role for entries in self.cameras.values() for role in entries}
 
     def having(self, roles: frozenset[str]) -> list[Identity]:

@@ -20,7 +20,7 @@ import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.cameras.camera.camera import Camera, pinhole
+from humansim_ros.cameras.camera.camera import Camera
 from humansim_ros.errors import CameraError
 from humansim_ros.files.yaml import line_of
 from humansim_ros.geometry import quaternion_to_matrix
@@ -28,9 +28,6 @@ from humansim_ros.types import Array, ImageSize
 
 Key = str | int
 Keys = tuple[Key, ...]
-#: Where a value is in the mapping of a camera: a key, or a key path. The last key may be several keys with
-#: blanks between them, so that each of these keys holds one number of the value.
-Place = str | Keys
 
 #: Largest magnitude of a number. Cameras have smaller numbers, and the cubes of larger numbers overflow.
 LARGEST = 1e15
@@ -44,10 +41,6 @@ FLIP = OPENGL[:3, :3]
 _LENGTH_SLACK = 1e-2
 #: Most cameras of a file.
 MAX_CAMERAS = 10_000
-#: Fields of a pose; and fields with a location that is stored under the name of another field.
-_POSE, _SHOWN = ("R", "rvec", "t", "center"), {"rvec": "R", "center": "t"}
-#: Shapes of the fields of a camera.
-_SHAPES = {"K": (3, 3), "R": (3, 3), "t": (3,), "center": (3,), "rectification": (3, 3), "rectified": (3, 4)}
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _NOT_FINITE = re.compile(r"[+-]?\.?(?:nan|inf|infinity)", re.IGNORECASE)
 #: End of the name of an image. Some formats name cameras after their images.
@@ -452,32 +445,6 @@ def _name(camera: Any, otherwise: str) -> str:
     return otherwise
 
 
-def reader_of(
-    is_camera: Predicate,
-    is_part: Predicate,
-    read_camera: Callable[[CalibrationFile, Keys], RawCamera],
-    named: bool = False,
-) -> tuple[Callable[[CalibrationFile], bool], Callable[[CalibrationFile], dict[str, RawCamera]]]:
-    """Make the functions ``matches`` and ``read`` of a format.
-
-    Args:
-        is_camera: See :func:`find_cameras`.
-        is_part: See :func:`find_cameras`.
-        read_camera: Reads the camera at a key path.
-        named: Whether the value ``name`` of a camera is its name, if it is there. Otherwise the key of the
-            camera is its name.
-    """
-
-    def read(file: CalibrationFile) -> dict[str, RawCamera]:
-        cameras: dict[str, RawCamera] = {}
-        for key, at in find_cameras(file, is_camera, is_part):
-            name = str(file.get(*at, "name") or "").strip() if named else ""
-            file.add(cameras, name or key, read_camera(file, at), *at)
-        return cameras
-
-    return lambda file: bool(find_cameras(file, is_camera, is_part)), read
-
-
 def has_keys(*needed: set[str]) -> Predicate:
     """Make a function that tells whether a value is a mapping with a key of each set in ``needed``."""
     return lambda value: isinstance(value, dict) and all(keys & value.keys() for keys in needed)
@@ -509,61 +476,6 @@ def opencv_model(distortion: Array) -> str:
 def vector_of(rotation: Array) -> Array:
     """Rotation vector (3,) of a matrix (3, 3), radians."""
     return np.asarray(Rotation.from_matrix(rotation).as_rotvec(), dtype=float)
-
-
-def camera_at(file: CalibrationFile, at: Keys, places: Mapping[str, Place], **own: Any) -> RawCamera:
-    """Read a camera.
-
-    Args:
-        file: File that is being read.
-        at: Key path of the camera.
-        places: Where the values of the camera are, by field of :class:`RawCamera`. K is a matrix, or four
-            numbers. ``rvec`` is R, as a matrix or a rotation vector. A camera without R, t and center has no
-            pose.
-        own: Fields of the camera with their values, which are not read from ``places``. Without a model, the
-            number of coefficients decides.
-    """
-    paths: dict[str, list[Keys]] = {}
-    for part, place in places.items():
-        *above, last = (place,) if isinstance(place, str) else place
-        names: list[Key] = [*last.split(" ")] if isinstance(last, str) else [last]
-        paths[part] = [(*at, *above, name) for name in names]
-    # the key, or the mapping above several keys
-    shown = {part: keys[0] if len(keys) == 1 else keys[0][:-1] for part, keys in paths.items()}
-    posed = any(file.has(*shown[part]) for part in _POSE if part in shown)
-    values: dict[str, Any] = {}
-    for part, keys in paths.items():
-        name = "R" if part == "rvec" else part
-        if name not in own and (posed or part not in _POSE):
-            values[name] = _value(file, part, keys)
-    values |= own
-    if "distortion" in values and "model" not in values:
-        values["model"] = opencv_model(values["distortion"])
-    if "distortion" in paths and "distortion" not in own:
-        file.check_count(values["model"], values["distortion"], paths["distortion"][0])
-    values["distortion"] = tuple(values.get("distortion", ()))
-    locations = {"": file.location(*at)}
-    for part, keys in paths.items():
-        at_key = keys[0] if shown[part] == at else shown[part]
-        locations[_SHOWN.get(part, part)] = file.location(*at_key)
-    return RawCamera(**values, locations=locations)
-
-
-def _value(file: CalibrationFile, part: str, keys: list[Keys]) -> Any:
-    """Read the field ``part`` of :class:`RawCamera` at one key path, or number by number."""
-    if part == "distortion":
-        if len(keys) == 1:
-            return file.optional_numbers(*keys[0])
-        return np.array([file.number(*key, otherwise=0.0) for key in keys])
-    if part == "size":
-        return file.pair_size(*keys[0]) if len(keys) == 1 else file.size(keys[0], keys[1])
-    if part == "rvec":
-        return file.rotation(*keys[0])
-    if len(keys) == 1:
-        optional = part.startswith("rectif") and not file.has(*keys[0])
-        return None if optional else file.numbers(_SHAPES[part], *keys[0])
-    numbers = np.array([file.number(*key) for key in keys])
-    return pinhole(*numbers) if part == "K" else numbers.reshape(_SHAPES[part])
 
 
 #: Names of units in a file, and metres per unit.

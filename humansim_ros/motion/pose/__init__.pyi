@@ -28,7 +28,6 @@ from humansim_ros.motion.pose.reaches import Palm as Palm
 from humansim_ros.motion.pose.reaches import PoseStage as PoseStage
 from humansim_ros.motion.pose.reaches import Reach as Reach
 from humansim_ros.motion.pose.reaches import Reaches as Reaches
-from humansim_ros.motion.pose.reaches import SceneQuery as SceneQuery
 from humansim_ros.motion.pose.reaches import in_round as in_round
 from humansim_ros.motion.pose.reports import describe_motion as describe_motion
 from humansim_ros.motion.pose.reports import headings as headings

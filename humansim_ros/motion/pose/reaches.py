@@ -1,19 +1,18 @@
-"""Hands that reach for something and stay there, as corrections of the arms of a motion. Reaches ask a
-:class:`SceneQuery` where humans, objects and cameras of the scene are."""
+"""Hands that reach for something and stay there, as corrections of the arms of a motion. Goals of reaches may
+ask a scene where its humans, objects and cameras are."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Set
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cached_property
-from typing import Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
 
 from humansim_ros.geometry import (
     AROUND,
-    ObjectPose,
     cross_products,
     matrix_to_quaternion,
     perpendicular,
@@ -42,40 +41,6 @@ class PoseStage(IntEnum):
 BODY = frozenset({PoseStage.MOTION, PoseStage.FLOOR, PoseStage.ARMS, PoseStage.SPACE})
 #: The same stages, but with the arms of the motion: no reaches.
 WITHOUT_REACH = BODY - {PoseStage.ARMS}
-
-
-class SceneQuery(Protocol):
-    """Tells where humans, objects and cameras of a scene are, by name, with the present content of the scene.
-
-    No answer depends on itself. If two people look at each other, each looks at the place of the other's eyes
-    before the other head turns. If two hands meet, they meet between the arms as posed without a reach.
-    """
-
-    @property
-    def version(self) -> int:
-        """Number of changes of the scene so far. Answers from before the last change are out of date."""
-
-    def is_human(self, name: str) -> bool:
-        """Whether a human has this name."""
-
-    def joints(self, human: str, times: Array, stages: Set[PoseStage]) -> Array:
-        """Frames (N, J, 4, 4) of the joints of a human at scene times (N,). The array is shared."""
-
-    def eyes(self, human: str, times: Array, turned: bool) -> Array:
-        """Points (N, 3) between the eyes of a human at scene times (N,). ``turned``: whether the head is
-        turned to the target that the human looks at."""
-
-    def skeleton(self, human: str) -> Skeleton:
-        """Skeleton of a human."""
-
-    def size(self, human: str, seconds: float) -> float:
-        """Factor by which keyframes scale a human at a scene time."""
-
-    def object_pose(self, name: str, seconds: float) -> ObjectPose:
-        """Pose of an object, static or moving, at a scene time."""
-
-    def camera_position(self, name: str, times: Array) -> Array:
-        """Centres (N, 3) of a camera at scene times (N,)."""
 
 
 #: Place of the palm between wrist and finger tips, and height of its skin over the line between them, as
@@ -119,8 +84,9 @@ class HandGoal:
         return HandGoal(place, palm, fingers)
 
 
-#: Function that returns the goal of a hand at scene times (N,), and may ask where other things are.
-GoalAt = Callable[[Array, SceneQuery], HandGoal]
+#: Function that returns the goal of a hand at scene times (N,). It may ask the second argument where other
+#: things are: the ``World`` of a scene.
+GoalAt = Callable[[Array, Any], HandGoal]
 
 
 @dataclass(frozen=True)
@@ -298,7 +264,7 @@ class Reaches:
         }
 
     def apply(
-        self, poses: JointPoses, times: Array, others: SceneQuery, space: KeyframeSpace | None = None
+        self, poses: JointPoses, times: Array, others: Any, space: KeyframeSpace | None = None
     ) -> JointPoses:
         """Correct poses. The result has no velocities. If no hand reaches, the poses do not change.
 
@@ -340,7 +306,7 @@ class Reaches:
         self,
         poses: JointPoses,
         seconds: float,
-        others: SceneQuery,
+        others: Any,
         space: Callable[[Array], KeyframeSpace | None],
     ) -> JointPoses:
         """Correct a pose (N = 1) with velocities, at a scene time.

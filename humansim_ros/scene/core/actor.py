@@ -7,7 +7,7 @@ from collections import defaultdict
 from collections.abc import Mapping, Set
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +37,6 @@ from humansim_ros.motion.pose import (
     Placement,
     PoseStage,
     Retargeter,
-    SceneQuery,
     WalkPath,
     WorldMotion,
     playing_warnings,
@@ -50,6 +49,9 @@ from humansim_ros.scene.core.layers import BodyPoses, Fitted, PoseLayer, layer_t
 from humansim_ros.scene.core.source import STANDING, SceneSource
 from humansim_ros.scene.truth.human_state import HumanState
 from humansim_ros.types import Array
+
+if TYPE_CHECKING:
+    from humansim_ros.scene.core.world import World
 
 #: Former names of settings of layers.
 _FORMER = {"face": "face", "hands": "hands", "reaches": "reach"}
@@ -81,7 +83,7 @@ class Actor:
     ahead: float = 0.0
     levels: Simplification | None = None
     layers: tuple[PoseLayer, ...] = ()
-    others: SceneQuery | None = field(default=None, repr=False, compare=False)
+    others: World | None = field(default=None, repr=False, compare=False)
 
     @classmethod
     def build(
@@ -350,7 +352,7 @@ class Actor:
             joints = layer.place(joints, times, self)
         return joints
 
-    def asking(self) -> SceneQuery:
+    def asking(self) -> World:
         """Knows the others of the scene. Raises MotionError if the human is in no scene."""
         if self.others is None:
             raise MotionError(f"{self.name} is in no scene: nobody knows where the others are")

@@ -32,7 +32,10 @@ _REMEMBERED = 64
 
 
 class World:
-    """Answers a :class:`~humansim_ros.motion.pose.reaches.SceneQuery`.
+    """Tells layers where humans, objects and cameras of a scene are, by name, with its present content.
+
+    No answer depends on itself. If two people look at each other, each looks at the place of the other's eyes
+    before the other head turns. If two hands meet, they meet between the arms as posed without a reach.
 
     It is pickled without its content, so that a human does not bring the others along. A pickled scene fills
     its world again.
@@ -67,7 +70,7 @@ class World:
         return name in self.people
 
     def joints(self, human: str, times: Array, stages: Set[PoseStage]) -> Array:
-        """Frames (N, J, 4, 4) of the joints of a human at scene times (N,)."""
+        """Frames (N, J, 4, 4) of the joints of a human at scene times (N,). The array is shared."""
         key = self.version, human, stages, times.tobytes()
         found = self._answers.pop(key, None)
         if found is None:
@@ -79,7 +82,8 @@ class World:
         return found
 
     def eyes(self, human: str, times: Array, turned: bool) -> Array:
-        """Points (N, 3) between the eyes of a human at scene times (N,)."""
+        """Points (N, 3) between the eyes of a human at scene times (N,). ``turned``: whether the head is
+        turned to the target that the human looks at."""
         stages = WITHOUT_REACH | {PoseStage.HEAD} if turned else WITHOUT_REACH
         return self.human(human).rays(self.joints(human, times, stages))[0]
 

@@ -22,7 +22,6 @@ from humansim_ros.motion.pose import (
     Reach,
     Reaches,
     ReachingHand,
-    SceneQuery,
     in_round,
 )
 from humansim_ros.scene.config.config import LIVE, HumanConfig, MotionConfig
@@ -31,6 +30,7 @@ from humansim_ros.scene.core.features import Draft
 from humansim_ros.scene.core.findings import CheckedFeature, Finding, SceneSamples, numbers
 from humansim_ros.scene.core.layers import PoseLayer
 from humansim_ros.scene.core.objects import SceneObject
+from humansim_ros.scene.core.world import World
 from humansim_ros.scene.features.reach import ReachConfig
 from humansim_ros.types import Array
 
@@ -83,7 +83,7 @@ class PointGoal:
     palm: tuple[float, float, float] | None
     fingers: tuple[float, float, float] | None
 
-    def __call__(self, times: Array, others: SceneQuery) -> HandGoal:
+    def __call__(self, times: Array, others: World) -> HandGoal:
         """The goal at scene times (N,)."""
         place, palm, fingers = (
             None if each is None else np.broadcast_to(np.array(each, dtype=float), (len(times), 3))
@@ -107,7 +107,7 @@ class ObjectGoal:
     name: str
     size: Array
 
-    def __call__(self, times: Array, others: SceneQuery) -> HandGoal:
+    def __call__(self, times: Array, others: World) -> HandGoal:
         """The goal at scene times (N,)."""
         poses = [others.object_pose(self.name, time) for time in times.tolist()]
         turns = quaternion_to_matrix(np.array([pose.rotation for pose in poses]))
@@ -136,7 +136,7 @@ class JointGoal:
     joint: str
     own: PointGoal
 
-    def __call__(self, times: Array, others: SceneQuery) -> HandGoal:
+    def __call__(self, times: Array, others: World) -> HandGoal:
         """The goal at scene times (N,)."""
         index = others.skeleton(self.other).joint_names.index(self.joint)
         middle = others.joints(self.other, times, BODY)[:, index, :3, 3]
@@ -156,7 +156,7 @@ class _ArmAt:
     length: float
 
     @classmethod
-    def of(cls, others: SceneQuery, name: str, side: str, times: Array) -> _ArmAt:
+    def of(cls, others: World, name: str, side: str, times: Array) -> _ArmAt:
         skeleton, joints = others.skeleton(name), others.joints(name, times, WITHOUT_REACH)
         left, right = (joints[:, skeleton.bone(f"{each}_shoulder"), :3, 3] for each in "lr")
         upper, lower, hand = (skeleton.bone(f"{side[0]}_{part}") for part in ("shoulder", "elbow", "wrist"))
@@ -187,7 +187,7 @@ class MeetingGoal:
     repeat: float
     shake: float
 
-    def __call__(self, times: Array, others: SceneQuery) -> HandGoal:
+    def __call__(self, times: Array, others: World) -> HandGoal:
         """The goal at scene times (N,)."""
         (own_side, other_side) = (side for _, side in self.hands)
         # in the order of their names, so that both find the same bits

@@ -22,7 +22,8 @@ _JOINTS_END = "<!-- end of the joint names -->"
 
 def with_joint_names(page: str) -> str:
     """docs/joints.md with the table of joint names of today."""
-    from humansim_ros.motion.body.skeleton import JOINT_NAMES, SETS, WITHOUT_JOINT
+    from humansim_ros.files.reading import read_table
+    from humansim_ros.motion.body.skeleton import JOINT_NAMES, SETS
 
     def row(cells: Iterable[str]) -> str:
         return f"| {' | '.join(cells)} |"
@@ -36,7 +37,10 @@ def with_joint_names(page: str) -> str:
         others = (code(joint.in_set(column)) for column in SETS)
         lines.append(row((code(joint.name), joint.place, joint.bone, *others)))
     lines += ["", "Without a joint here:", ""]
-    lines += [f"- {SETS[column]}: {', '.join(map(code, names))}" for column, names in WITHOUT_JOINT.items()]
+    for column in ("smpl", "coco", "body_25"):
+        used = {getattr(joint, column) for joint in JOINT_NAMES}
+        others = (code(name) for name in read_table("joints")[column] if name not in used)
+        lines.append(f"- {SETS[column]}: {', '.join(others)}")
     before, _, rest = page.partition(_JOINTS_BEGIN)
     _, _, after = rest.partition(_JOINTS_END)
     return f"{before}{_JOINTS_BEGIN}\n\n" + "\n".join(lines) + f"\n\n{_JOINTS_END}{after}"

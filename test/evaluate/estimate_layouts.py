@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from humansim_ros.motion.body.skeleton import BODY_25, COCO
+from humansim_ros.files.reading import read_table
 from humansim_ros.types import Array
 
+COCO, BODY_25 = (tuple(read_table("joints")[name]) for name in ("coco", "body_25"))
 FRAMES, RATE, SIZE, FOCAL = 12, 30.0, (320, 240), 270.0
 PEOPLE, CAMERAS = ("anna", "ben"), {"camera_1": (0.0, -5.0), "camera_2": (0.6, -4.5)}
 #: The 17 points of COCO of a person who stands and looks along -y, metres.

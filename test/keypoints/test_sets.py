@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 
 from humansim_ros.errors import KeypointError
-from humansim_ros.motion.body.skeleton import BODY_25, COCO, JOINT_NAMES, SMPL, side_of
+from humansim_ros.files.reading import read_table
+from humansim_ros.motion.body.skeleton import JOINT_NAMES, SMPL, side_of
 from humansim_ros.people import KEYPOINT_SETS, keypoint_set
 from humansim_ros.people.keypoints.locator import MIXES, skin_points
 from humansim_ros.people.keypoints.sets import KeypointSet
 
+COCO, BODY_25 = (tuple(read_table("joints")[name]) for name in ("coco", "body_25"))
 #: Numbers of some keypoints in the publications of each set, far apart in its order.
 PUBLISHED = {
     "coco17": (17, {0: "nose", 5: "left_shoulder", 10: "right_wrist", 16: "right_ankle"}),

@@ -20,9 +20,7 @@ from humansim_ros.geometry import from_y_axis, invert_rigid, levels, quaternion_
 from humansim_ros.types import Array
 
 _TABLE = read_table("joints")
-#: Joints of other sets, in the order of their numbers.
-COCO: tuple[str, ...] = tuple(_TABLE["coco"])
-BODY_25: tuple[str, ...] = tuple(_TABLE["body_25"])
+#: Joints of SMPL, in the order of their numbers.
 SMPL: tuple[str, ...] = tuple(_TABLE["smpl"])
 _SMPL_FINGERS = tuple(
     f"{side}_{finger}{number}"
@@ -110,11 +108,6 @@ class JointName:
 #: All joints: first those of the general skeleton (trunk from below, left side, right side), then those of
 #: :data:`DETAIL_BONES` with their ends.
 JOINT_NAMES = tuple(JointName(**{**row, "near": tuple(row.get("near", ()))}) for row in _TABLE["joints"])
-#: Joints of other sets that have no counterpart, by field of :class:`JointName`.
-WITHOUT_JOINT = {
-    column: tuple(name for name in names if name not in {getattr(row, column) for row in JOINT_NAMES})
-    for column, names in (("smpl", SMPL), ("coco", COCO), ("body_25", BODY_25))
-}
 
 
 @dataclass(frozen=True, repr=False)

@@ -207,9 +207,8 @@ def sample_track(gltf: Gltf, key: tuple[int, str], track: Track, times: Array) -
     if interpolation == "CUBICSPLINE":
         before = np.minimum(before, len(keys) - 2)
         out = np.empty((len(times), values.shape[-1]))
-        for s in np.unique(
-            before
-        ):  # a polynomial for each pair, since the tangents at both sides of a key differ
+        # a polynomial for each pair, since the tangents at both sides of a key differ
+        for s in np.unique(before):
             ends = [keys[s], keys[s] + (keys[s + 1] - keys[s])]
             spline = CubicHermiteSpline(ends, values[s : s + 2, 1], [values[s, 2], values[s + 1, 0]])
             out[before == s] = spline(times[before == s])

@@ -88,9 +88,6 @@ def describe_motion(
     Raises:
         MotionError: A given value does not fit the motion.
     """
-    for axis in (up, facing):
-        if axis is not None:
-            axis_vector(axis)
     summary, found = dict.fromkeys(_OF_PERSON), list(reader_warnings)
     unknown = None
     try:

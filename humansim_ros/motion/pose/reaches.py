@@ -41,8 +41,6 @@ class PoseStage(IntEnum):
 BODY = frozenset({PoseStage.MOTION, PoseStage.FLOOR, PoseStage.ARMS, PoseStage.SPACE})
 #: The same stages, but with the arms of the motion: no reaches.
 WITHOUT_REACH = BODY - {PoseStage.ARMS}
-
-
 #: Place of the palm between wrist and finger tips, and height of its skin over the line between them, as
 #: shares of the length of a hand. The height is between the hollow (0.02) and the balls (0.12) of the palms
 #: of built-in humans.

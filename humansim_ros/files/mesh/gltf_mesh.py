@@ -136,7 +136,7 @@ def read_gltf(path: str | os.PathLike[str], data: bytes) -> Mesh | SkinnedMesh:
         skeleton.names,
         skeleton.parents,
         skeleton.bind[:, :3, 3],
-        normalise_weights(weights),
+        weights,
     )
 
 
@@ -318,13 +318,12 @@ def _piece(gltf: Gltf, primitive: Primitive, key: str, attachment: _Attachment) 
     if attachment.joints is not None and (attachment.pose is None or "JOINTS_0" in primitive.attributes):
         weights = _weights(gltf, primitive, key, attachment.joints, len(points), attachment.n_joints)
         if attachment.pose is not None:
-            scaled = normalise_weights(weights)
-            vertices = _posed(points, scaled, attachment.pose)
+            vertices = _posed(points, weights, attachment.pose)
             if own_normals is not None:
                 pose = attachment.pose.copy()
                 pose[:, :3, :3] = np.swapaxes(np.linalg.pinv(pose[:, :3, :3]), 1, 2)
                 pose[:, :3, 3] = 0.0
-                normals = _posed(own_normals, scaled, pose)
+                normals = _posed(own_normals, weights, pose)
             mirrored, weights = np.median(np.linalg.det(attachment.pose[:, :3, :3])) < 0, None
     elif attachment.parent_joint is not None:
         ones = np.ones(len(points))
@@ -383,8 +382,8 @@ def _posed(points: Array, weights: csr_matrix, pose: Array) -> Array:
 def _weights(
     gltf: Gltf, primitive: Primitive, key: str, joints: NDArray[np.intp], n_vertices: int, n_joints: int
 ) -> csr_matrix:
-    """Weights (V, J) of a primitive, summed over its sets. ``joints``: number in J of each joint of the
-    skin."""
+    """Weights (V, J) of a primitive, summed over its sets; rows sum to one. ``joints``: number in J of each
+    joint of the skin."""
     total = csr_matrix((n_vertices, n_joints))
     count = 0
     while f"JOINTS_{count}" in primitive.attributes and f"WEIGHTS_{count}" in primitive.attributes:
@@ -394,19 +393,14 @@ def _weights(
             _same_length(gltf, array, n_vertices, key)
         if bones.max() >= len(joints) and (values[bones >= len(joints)] > 0).any():
             raise MeshError(f"a weight is for joint {bones.max()} of {len(joints)}", path=gltf.path, key=key)
-        if (values < 0).any():
-            raise MeshError("a weight is negative", path=gltf.path, key=key)
         columns = joints[np.minimum(bones, len(joints) - 1)]
         rows = np.repeat(np.arange(n_vertices), 4)
         total = total + csr_matrix((values.ravel(), (rows, columns.ravel())), shape=(n_vertices, n_joints))
         count += 1
     if not count:
         raise MeshError("a skinned mesh without joints and weights", path=gltf.path, key=key)
-    unweighted = np.flatnonzero(np.asarray(total.sum(axis=1)).ravel() <= 0)
-    if len(unweighted):
-        message = f"vertex {unweighted[0]} follows no joint: its weights sum to zero"
-        raise MeshError(message, path=gltf.path, key=key)
-    return total
+    with located(path=gltf.path, key=key):
+        return normalise_weights(total)
 
 
 def _same_length(gltf: Gltf, values: NDArray[np.generic], count: int, key: str) -> None:

@@ -192,7 +192,7 @@ def rig(
     """Fit a skeleton to a mesh and compute weights. A mesh that has weights keeps them."""
     from pydantic import ValidationError
 
-    from humansim_ros.files.yaml import schema_error
+    from humansim_ros.files.yaml import schema_errors
     from humansim_ros.people.loading import MeshHuman, make_human
 
     check_output(output, ".npz")
@@ -202,7 +202,7 @@ def rig(
     try:
         described = MeshHuman.model_validate({"mesh": str(mesh), **options, **given})
     except ValidationError as reason:
-        fault = schema_error(reason, MeshHuman, HumansimError)
+        fault = schema_errors(reason, MeshHuman, HumansimError)[0]
         raise HumansimError(f"--{fault.key}: {fault.message}" if fault.key else fault.message) from None
     _write(make_human(mesh, described), output, picture)
 

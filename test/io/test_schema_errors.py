@@ -15,7 +15,7 @@ from humansim_ros.cameras import SensorConfig
 from humansim_ros.cameras.camera.placement import _File as FloorPoints
 from humansim_ros.errors import HumansimError
 from humansim_ros.files.mesh.gltf_format import Document
-from humansim_ros.files.yaml.schema import Axis, Section, schema_error, show_value
+from humansim_ros.files.yaml.schema import Axis, Section, schema_errors, show_value
 from humansim_ros.motion.matching.joint_tables import JointTable
 from humansim_ros.motion.pose.limits import LimitTable
 from humansim_ros.people.loading.loading import MeshHuman, ParametricHuman
@@ -69,7 +69,7 @@ def faults(model: type[BaseModel], value: Any) -> HumansimError | None:
     try:
         model.model_validate(value)
     except ValidationError as reason:
-        return schema_error(reason, model, HumansimError)
+        return schema_errors(reason, model, HumansimError)[0]
     return None
 
 

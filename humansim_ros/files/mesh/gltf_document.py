@@ -45,7 +45,7 @@ from humansim_ros.files.mesh.gltf_format import (
 from humansim_ros.files.mesh.mesh import MAX_BYTES, read_format
 from humansim_ros.files.reading.files import parse_json, read_bytes, resolve_inside
 from humansim_ros.files.reading.images import MAX_IMAGE_BYTES, DecodedImages
-from humansim_ros.files.yaml.schema import schema_error
+from humansim_ros.files.yaml.schema import schema_errors
 from humansim_ros.geometry import find_cycle, levels, quaternion_to_matrix
 from humansim_ros.types import Array
 
@@ -98,7 +98,7 @@ class Gltf:
         try:
             document = Document.model_validate(content)
         except ValidationError as reason:
-            fault = schema_error(reason, Document, MeshError)
+            fault = schema_errors(reason, Document, MeshError)[0]
             raise MeshError(f"not a glTF 2 file: {fault.message}", path=path, key=fault.key) from None
         if not (version := document.asset.version).startswith("2."):
             message = f"glTF {version[:20]!r} is not 2.0: export it again"

@@ -11,7 +11,6 @@ from humansim_ros.files.yaml.schema import TopicName as TopicName
 from humansim_ros.files.yaml.schema import alone_in_list as alone_in_list
 from humansim_ros.files.yaml.schema import needed as needed
 from humansim_ros.files.yaml.schema import one_or_more as one_or_more
-from humansim_ros.files.yaml.schema import schema_error as schema_error
 from humansim_ros.files.yaml.schema import schema_errors as schema_errors
 from humansim_ros.files.yaml.schema import show_value as show_value
 from humansim_ros.files.yaml.schema import unknown_key as unknown_key

@@ -92,29 +92,12 @@ def validated(
         tree: YAML nodes of the file, for the line.
 
     Raises:
-        HumansimError: ``error`` with key and line, made by :func:`schema_error`.
+        HumansimError: ``error`` with key and line, made by :func:`schema_errors`.
     """
     try:
         return model.model_validate(data)
     except ValidationError as reason:
-        raise schema_error(reason, model, error, path, tree) from None
-
-
-def schema_error(
-    reason: ValidationError,
-    model: type[BaseModel],
-    error: type[HumansimError],
-    path: str | os.PathLike[str] | None = None,
-    tree: yaml.Node | None = None,
-) -> HumansimError:
-    """Make an error with key and line for the first fault that the validation of a model has found. The
-    message says which value is needed and which was found.
-
-    Args:
-        reason: Exception of the validation.
-        model, error, path, tree: The same as in :func:`validated`.
-    """
-    return schema_errors(reason, model, error, path, tree)[0]
+        raise schema_errors(reason, model, error, path, tree)[0] from None
 
 
 def schema_errors(
@@ -124,10 +107,12 @@ def schema_errors(
     path: str | os.PathLike[str] | None = None,
     tree: yaml.Node | None = None,
 ) -> list[HumansimError]:
-    """Make an error for each key that the validation of a model has found wrong.
+    """Make an error with key and line for each key that the validation of a model has found wrong. The
+    messages say which value is needed and which was found.
 
     Args:
-        reason, model, error, path, tree: The same as in :func:`schema_error`.
+        reason: Exception of the validation.
+        model, error, path, tree: The same as in :func:`validated`.
     """
     groups: dict[tuple[Any, ...], list[Any]] = {}
     for fault in reason.errors(include_url=False):
@@ -503,7 +488,7 @@ class _SectionType(ModelMetaclass):
         try:
             return super().__call__(*values, **keys)
         except ValidationError as reason:
-            raise schema_error(reason, cast("type[BaseModel]", cls), SceneError) from None
+            raise schema_errors(reason, cast("type[BaseModel]", cls), SceneError)[0] from None
 
 
 class Section(Checked, metaclass=_SectionType):

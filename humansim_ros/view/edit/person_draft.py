@@ -15,7 +15,7 @@ from pydantic import ValidationError
 from humansim_ros.errors import HumansimError, HumansimWarning, MeshError
 from humansim_ros.files.mesh import Mesh, SkinnedMesh, read_mesh_or_figure
 from humansim_ros.files.reading import exists, write_file
-from humansim_ros.files.yaml import schema_error
+from humansim_ros.files.yaml import schema_errors
 from humansim_ros.motion.body import Skeleton, side_of
 from humansim_ros.people.humans import Human, write_human
 from humansim_ros.people.loading import MeshHuman, fit_mesh, load_human, make_human
@@ -72,7 +72,7 @@ class PersonDraft:
         try:
             settings = MeshHuman.model_validate(dict(options))
         except ValidationError as reason:
-            raise schema_error(reason, MeshHuman, MeshError) from None
+            raise schema_errors(reason, MeshHuman, MeshError)[0] from None
         path = inside(folder, settings.mesh)
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
@@ -172,7 +172,7 @@ class PersonDraft:
         try:
             settings = MeshHuman.model_validate({**self.options, **changes})
         except ValidationError as reason:
-            raise schema_error(reason, MeshHuman, MeshError) from None
+            raise schema_errors(reason, MeshHuman, MeshError)[0] from None
         path = inside(self.folder, settings.mesh)
         found = {
             name: str(inside(self.folder, one.texture))

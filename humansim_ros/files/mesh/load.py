@@ -224,6 +224,8 @@ def _three_mf(data: bytes) -> _Parts:
 
 
 def _built(archive: zipfile.ZipFile) -> _Parts:
+    """Put the objects of an archive where its items and their components place them."""
+
     @cache
     def model(file: str) -> tuple[Element, dict[str | None, Element]]:
         """Root element of a file, and its objects."""

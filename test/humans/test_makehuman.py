@@ -23,7 +23,7 @@ from humansim_ros.geometry import WORLD_FROM_BODY, transform
 from humansim_ros.motion.body.skeleton import DETAIL_BONES, FINGERS
 from humansim_ros.people.humans.human import Human
 from humansim_ros.people.loading.loading import ParametricHuman, load_human, read_description
-from humansim_ros.people.makehuman.building import build, build_unpainted
+from humansim_ros.people.makehuman.building import build
 from humansim_ros.people.makehuman.data import MakeHumanData, find_data, read_base
 from humansim_ros.people.makehuman.shape import MakeHumanConfig, Outfit, target_strengths, with_stature
 from humansim_ros.people.makehuman.skeleton import (
@@ -299,7 +299,7 @@ def test_a_shirt_spans_the_hollow_under_a_large_bust(source: MakeHumanData) -> N
     config = MakeHumanConfig(gender=0.0, age=85, weight=0.9, cup_size=1.0, firmness=0.0)
     naked = read_base(source, target_strengths(source, config))
     skin = naked.vertices[naked.vertex_groups["body"]]
-    clothes = build_unpainted(source, config)[0]["vertices"]
+    clothes = build(source, config, {}, fine=False)["vertices"]
 
     def deepest(points: Any) -> float:
         """Depth of the middle of the chest relative to its sides, metres."""

@@ -28,10 +28,8 @@ from humansim_ros.people.makehuman.population import (
     PeopleConfig,
     Sex,
     bmi_of,
-    cut_model_of,
     draw_people,
     draw_person,
-    model_of,
     person_config,
     person_name,
     read_person,
@@ -39,7 +37,7 @@ from humansim_ros.people.makehuman.population import (
     stature_of,
     volume,
 )
-from humansim_ros.people.makehuman.shape import Dress, MakeHumanConfig, target_strengths, with_stature
+from humansim_ros.people.makehuman.shape import MakeHumanConfig, target_strengths, with_stature
 from humansim_ros.render import Body, View
 from humansim_ros.types import Array
 
@@ -299,9 +297,9 @@ def test_a_target_that_the_package_does_not_contain(source: MakeHumanData) -> No
 def test_people_of_one_choice_have_one_topology(
     source: MakeHumanData, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It is cut once; faces, texture layout and the model for the levels of detail are the same."""
+    """It is cut once; faces and texture layout are the same."""
     first, second = draw_person(1, 0), draw_person(1, 4)
-    people = [replace(second, clothes=first.clothes), model_of(first)]
+    people = [replace(second, clothes=first.clothes), first]
     cut: list[Choice] = []
     made = PersonTopology.of_choice
     monkeypatch.setattr(
@@ -317,16 +315,6 @@ def test_people_of_one_choice_have_one_topology(
             np.testing.assert_array_equal(other[name], built[0][name])
         assert np.abs(other["vertices"] - built[0]["vertices"]).max() > 0.01
         assert not np.array_equal(other["texture_own"], built[0]["texture_own"])
-
-
-def test_people_who_are_cut_alike_share_a_model() -> None:
-    people = [draw_person(5, number) for number in range(40)]
-    models = [cut_model_of(person) for person in people]
-    for person, model in zip(people, models, strict=True):
-        mine, its = (Dress.of(each.clothes).cut for each in (person, model))
-        assert mine == its and cut_model_of(model) == model
-        assert model.clothes.beard == "none" and not model.clothes.wears
-    assert len({model.clothes for model in models}) < 0.6 * len({person.clothes for person in people})
 
 
 @pytest.mark.nightly

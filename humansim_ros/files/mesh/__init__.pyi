@@ -33,8 +33,4 @@ from humansim_ros.files.mesh.normals import subdivide as subdivide
 from humansim_ros.files.mesh.normals import welded as welded
 from humansim_ros.files.mesh.obj import material_files as material_files
 from humansim_ros.files.mesh.simplification import Simplification as Simplification
-from humansim_ros.files.mesh.simplification import bounded_errors as bounded_errors
 from humansim_ros.files.mesh.simplification import compact as compact
-from humansim_ros.files.mesh.simplification import patches as patches
-from humansim_ros.files.mesh.simplification import simplify as simplify
-from humansim_ros.files.mesh.simplification import simplify_within as simplify_within

@@ -269,15 +269,6 @@ def build(
     }
 
 
-def build_unpainted(source: MakeHumanData, config: MakeHumanConfig) -> tuple[dict[str, NDArray[Any]], int]:
-    """Build the arrays of a human file without looks and shapes: surface, bones and weights. The bare soles
-    are at height 0, so that the surface does not depend on the shoes. Returns also the number of vertices of
-    body, eyes and the clothes that are cut from them. Vertices of worn things come after these."""
-    choice = Choice(Dress.of(config).cut, TEXTURE_SIZE)
-    figure = _Figure.of(source, config, choice, barefoot=True)
-    return figure.arrays(np.zeros(3)), len(figure.mesh.vertices)
-
-
 @dataclass(frozen=True)
 class _Figure:
     """A dressed person before it is painted.
@@ -301,11 +292,8 @@ class _Figure:
     solid: Mapping[str, NDArray[Any]]
 
     @classmethod
-    def of(
-        cls, source: MakeHumanData, config: MakeHumanConfig, choice: Choice, barefoot: bool = False
-    ) -> _Figure:
-        """Dress a person. ``barefoot``: compute weights for the height without clothes and hair, so that
-        clothes and hair do not change the weights of other parts."""
+    def of(cls, source: MakeHumanData, config: MakeHumanConfig, choice: Choice) -> _Figure:
+        """Dress a person."""
         common = topology(source, choice)
         scalp = common.scalp
         config, scale = with_stature(source, config)
@@ -318,7 +306,7 @@ class _Figure:
         dressed = dress(mesh, common.reference, own, common.ear_cover, balls)
         offsets = unskin_offsets(scale * mesh.shapes, mesh.weights, body.motion)
         dressed = unskin(dressed, mesh.weights, body.motion) - body.floor
-        height = float(np.ptp((body.naked if barefoot else dressed)[:, 1]))
+        height = float(np.ptp(dressed[:, 1]))
         weights = _worn_weights(common, mesh, dressed, body.bones, height)
         wearer = Wearer(mesh, dressed, weights, common.ear_cover, common.reference, own)
         parts = worn_parts(config, wearer)

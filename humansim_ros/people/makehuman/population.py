@@ -11,7 +11,7 @@ import random
 from bisect import bisect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import accumulate, product
+from itertools import accumulate
 from statistics import NormalDist
 from typing import Any, Literal
 
@@ -23,15 +23,11 @@ from humansim_ros.files.yaml import ByteColor, validated
 from humansim_ros.people.makehuman.data import Base, MakeHumanData
 from humansim_ros.people.makehuman.limits import PeopleConfig
 from humansim_ros.people.makehuman.shape import (
-    CHOICES,
-    HAIR,
     WORN,
     Attire,
-    Dress,
     MakeHumanConfig,
     Outfit,
     Race,
-    check_clothes,
     draw_clothes,
     draw_fabric,
     read_body,
@@ -190,30 +186,6 @@ def read_person(name: str) -> Person:
             f"{', '.join(PeopleConfig.model_fields)}, as in person#7-3,age=20..60,women=0.5"
         ) from None
     return draw_people(seed, number, validated(PeopleConfig, values, MeshError))
-
-
-def model_of(person: Person) -> Person:
-    """Return a person of average age with a mesh that has the same faces. Results that depend only on the
-    faces are computed for this person."""
-    model = draw_person(0, ages=(30, 30), sex="male", stature=1.76)
-    return replace(model, clothes=person.clothes)
-
-
-def cut_model_of(person: Person) -> Person:
-    """Do the same as :func:`model_of` for all people with bodies that are cut alike. The model wears the
-    first clothes with this cut."""
-    base = HAIR[person.clothes.hair].base
-    hair = next(name for name, style in HAIR.items() if style.base == base)
-    own = person.clothes.model_copy(update={"hair": hair, "beard": "none", "wears": ()})
-    for names in product(*(CHOICES[key] for key in _CUTTING)):
-        plain = own.model_copy(update=dict(zip(_CUTTING, names, strict=True)))
-        if check_clothes(plain) is None and Dress.of(plain).cut == Dress.of(own).cut:
-            return model_of(replace(person, clothes=plain))
-    return model_of(replace(person, clothes=own))
-
-
-#: Clothes that decide how the body is cut, in the order in which they are tried.
-_CUTTING = ("top", "sleeves", "bottom", "shoes")
 
 
 def draw_person(

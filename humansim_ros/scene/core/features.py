@@ -165,7 +165,7 @@ class Draft:
 
 
 def _with_levels(actor: Actor, source: SceneSource) -> Actor:
-    """A human with levels of detail, unless keyframes change its size."""
+    """A human with levels of detail, if the package has them and keyframes do not change its size."""
     if actor.keyframes is not None:
         return actor
     human = actor.human

@@ -7,7 +7,7 @@ from collections import defaultdict
 from collections.abc import Mapping, Set
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,9 +50,6 @@ from humansim_ros.scene.core.source import STANDING, SceneSource
 from humansim_ros.scene.truth.human_state import HumanState
 from humansim_ros.types import Array
 
-if TYPE_CHECKING:
-    from humansim_ros.scene.core.world import World
-
 #: Former names of settings of layers.
 _FORMER = {"face": "face", "hands": "hands", "reaches": "reach"}
 
@@ -71,7 +68,7 @@ class Actor:
         ahead: Time that the motion is ahead after a change while it played, seconds of its file.
         levels: Simpler versions of the mesh, for colours of small people; None for the whole mesh alone.
         layers: What changes the pose of the motion, in the order of the stages.
-        others: Knows the others of its scene by name, for gazes and reaches.
+        others: The ``World`` of its scene, which knows the others by name, for gazes and reaches; or None.
     """
 
     name: str
@@ -83,7 +80,7 @@ class Actor:
     ahead: float = 0.0
     levels: Simplification | None = None
     layers: tuple[PoseLayer, ...] = ()
-    others: World | None = field(default=None, repr=False, compare=False)
+    others: Any = field(default=None, repr=False, compare=False)
 
     @classmethod
     def build(
@@ -352,8 +349,8 @@ class Actor:
             joints = layer.place(joints, times, self)
         return joints
 
-    def asking(self) -> World:
-        """Knows the others of the scene. Raises MotionError if the human is in no scene."""
+    def asking(self) -> Any:
+        """The ``World`` of its scene. Raises MotionError if the human is in no scene."""
         if self.others is None:
             raise MotionError(f"{self.name} is in no scene: nobody knows where the others are")
         return self.others

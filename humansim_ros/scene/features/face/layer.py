@@ -40,6 +40,7 @@ from humansim_ros.motion.pose import PoseStage
 from humansim_ros.people.humans import Human
 from humansim_ros.scene.core.actor import Actor
 from humansim_ros.scene.core.layers import BodyPoses, PoseLayer
+from humansim_ros.scene.core.world import World
 from humansim_ros.scene.features.face import FaceKey
 from humansim_ros.types import Array
 
@@ -228,7 +229,7 @@ def seen(human: Actor, target: GazeTarget, times: Array, turned: bool) -> Array:
     """
     if not isinstance(target, str):
         return np.broadcast_to(np.array(target), (len(times), 3))
-    others = human.asking()
+    others: World = human.asking()
     if others.is_human(target):
         return others.eyes(target, times, turned)
     return others.camera_position(target, times)

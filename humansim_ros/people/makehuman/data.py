@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
 from humansim_ros.errors import MeshError
-from humansim_ros.files.reading import open_file, read_blocks, read_npz, resource_path
+from humansim_ros.files.reading import open_file, read_bytes, read_npz, resource_path
 from humansim_ros.types import Array
 
 #: Value of the note ``source`` for bodies that are made from these data.
@@ -278,10 +278,7 @@ class PackedData(MakeHumanData):
     @functools.cached_property
     def version(self) -> str:
         """Digest of the file."""
-        digest = hashlib.sha256()
-        for block in read_blocks(self.folder, MeshError, "MakeHuman"):
-            digest.update(block)
-        return digest.hexdigest()
+        return hashlib.sha256(read_bytes(self.folder, MeshError, "MakeHuman", _MAX_BYTES)).hexdigest()
 
     @property
     def bone_weights(self) -> Array:

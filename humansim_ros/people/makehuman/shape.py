@@ -302,26 +302,12 @@ def _pick(shares: _Shares, value: float) -> Any:
 
 Race = Literal["african", "asian", "caucasian"]
 _RACES: tuple[Race, ...] = ("african", "asian", "caucasian")
+_SLIDER_TABLE = read_table("makehuman_sliders")
 #: Named values of the sliders.
-_SLIDERS: dict[str, tuple[tuple[float, str], ...]] = {
-    "gender": ((0.0, "female"), (1.0, "male")),
-    "age": ((1.0, "baby"), (10.0, "child"), (25.0, "young"), (90.0, "old")),
-    "muscle": ((0.0, "minmuscle"), (0.5, "averagemuscle"), (1.0, "maxmuscle")),
-    "weight": ((0.0, "minweight"), (0.5, "averageweight"), (1.0, "maxweight")),
-    "proportions": ((0.0, "uncommonproportions"), (0.5, ""), (1.0, "idealproportions")),
-    "height": ((0.0, "minheight"), (0.5, ""), (1.0, "maxheight")),
-    "cup_size": ((0.0, "mincup"), (0.5, "averagecup"), (1.0, "maxcup")),
-    "firmness": ((0.0, "minfirmness"), (0.5, "averagefirmness"), (1.0, "maxfirmness")),
-}
+_SLIDERS: Mapping[str, Sequence[tuple[float, str]]] = _SLIDER_TABLE["values"]
 #: Path prefix of the targets of each combination, and the sliders in their names.
-_COMBINATIONS = (
-    ("macrodetails/", ("race", "gender", "age")),
-    ("macrodetails/universal-", ("gender", "age", "muscle", "weight")),
-    ("macrodetails/proportions/", ("gender", "age", "muscle", "weight", "proportions")),
-    ("macrodetails/height/", ("gender", "age", "muscle", "weight", "height")),
-    ("breast/", ("gender", "age", "muscle", "weight", "cup_size", "firmness")),
-)
-_HEIGHT = _COMBINATIONS[3:4]
+_COMBINATIONS: Mapping[str, Sequence[str]] = _SLIDER_TABLE["combinations"]
+_HEIGHT = {name: sliders for name, sliders in _COMBINATIONS.items() if "height" in sliders}
 #: Range of the scale factor that reaches a stature beyond the height slider.
 _TALLEST, _SHORTEST = 1.35, 0.7
 
@@ -399,11 +385,11 @@ def target_strengths(source: MakeHumanData, config: MakeHumanConfig) -> dict[str
 
 
 def _combined(
-    source: MakeHumanData, config: MakeHumanConfig, combinations: Sequence[tuple[str, Sequence[str]]]
+    source: MakeHumanData, config: MakeHumanConfig, combinations: Mapping[str, Sequence[str]]
 ) -> dict[str, float]:
     """Strengths of targets, by name, for combinations of sliders."""
     strengths: dict[str, float] = {}
-    for start, sliders in combinations:
+    for start, sliders in combinations.items():
         for values in itertools.product(*(_shares(slider, config) for slider in sliders)):
             target = start + "-".join(name for name, _ in values)
             # an unnamed value or a missing target means the average

@@ -653,3 +653,11 @@ def test_the_second_file_must_have_extrinsics_of_the_same_cameras(tmp_path: Path
         read_calibration(inner, extrinsics=outer)
     with pytest.raises(CameraError, match="no such"):
         read_calibration(inner, extrinsics=tmp_path / "missing.json")
+
+
+def test_xml_of_any_program_is_read_by_its_keys(tmp_path: Path) -> None:
+    text = "<rig><left><K>700 0 310 0 690 245 0 0 1</K><width>640</width><height>480</height></left></rig>"
+    (tmp_path / "rig.xml").write_text(text)
+    (camera,) = read_calibration(tmp_path / "rig.xml").values()
+    assert camera.size == (640, 480)
+    assert camera.K.tolist() == [[700, 0, 310], [0, 690, 245], [0, 0, 1]]

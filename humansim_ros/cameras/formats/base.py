@@ -7,12 +7,12 @@ conversion.
 
 from __future__ import annotations
 
+import io
 import re
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import count, islice
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +42,6 @@ _LENGTH_SLACK = 1e-2
 #: Most cameras of a file.
 MAX_CAMERAS = 10_000
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
-_NOT_FINITE = re.compile(r"[+-]?\.?(?:nan|inf|infinity)", re.IGNORECASE)
 #: End of the name of an image. Some formats name cameras after their images.
 _IMAGE_SUFFIX = re.compile(r"(?<=.)\.(?:png|jpe?g|bmp|tiff?|pgm|ppm|webp)\Z", re.IGNORECASE | re.DOTALL)
 
@@ -320,16 +319,10 @@ class CalibrationFile:
 
     def all_lines(self) -> Iterator[tuple[int, str]]:
         """Number (from 1) and text of each line. Blanks at both ends are removed."""
-        start = 0
-        for number in count(1):
-            end = self.text.find("\n", start)
-            line = self.text[start : end if end >= 0 else None].strip()
+        for number, line in enumerate(io.StringIO(self.text), 1):
             if len(line) > _LONGEST_LINE:
                 raise CameraError("this line is too long for a calibration file", path=self.path, line=number)
-            yield number, line
-            if end < 0:
-                return
-            start = end + 1
+            yield number, line.strip()
 
 
 def is_number(word: str) -> bool:
@@ -343,18 +336,12 @@ def to_number(value: Any) -> float:
     Raises:
         ValueError: The value is not a finite number. The message has the reason.
     """
-    if isinstance(value, str):
-        word = value.strip()
-        if _NUMBER.fullmatch(word) is None:
-            finite = _NOT_FINITE.fullmatch(word) is None
-            raise ValueError(
-                f"{_short(word)!r} is not a number" if finite else "a number is not finite (NaN or infinity)"
-            )
-        value = float(word)
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
+    if isinstance(value, bool) or not isinstance(value, (str, int, float)):
         raise ValueError(f"{_short(value)!r} is not a number")
     try:
         number = float(value)
+    except ValueError:
+        raise ValueError(f"{_short(value)!r} is not a number") from None
     except OverflowError:
         number = np.inf
     if not np.isfinite(number):
@@ -411,38 +398,32 @@ def find_cameras(file: CalibrationFile, is_camera: Predicate, is_part: Predicate
         names. If several groups (such as devices with streams) have cameras of the same names, the name of
         the group is put before each name.
     """
-    if is_camera(file.document):
-        return [(_name(file.document, Path(file.path).stem), ())]
-    found = list(_search(file.document, (), _DEPTH, is_camera, is_part))
-    counts = Counter(name for name, _ in found)
-    grouped = any(count > 1 for count in counts.values()) and len({keys[:-1] for _, keys in found}) > 1
-    return [(f"{keys[-2]}_{name}" if grouped else name, keys) for name, keys in found]
+    paths = [()] if is_camera(file.document) else _search(file, (), is_camera, is_part)
+    names = [_name(file, keys) for keys in paths]
+    grouped = len({*names}) < len(names) and len({keys[:-1] for keys in paths}) > 1
+    return [
+        (f"{keys[-2]}_{name}" if grouped else name, keys) for name, keys in zip(names, paths, strict=True)
+    ]
 
 
-def _search(
-    value: Any, keys: Keys, depth: int, is_camera: Predicate, is_part: Predicate
-) -> Iterator[tuple[str, Keys]]:
-    """Names and key paths of the cameras in a mapping or list, at most ``depth`` keys deep."""
-    if not isinstance(value, (dict, list)):
-        return
-    named = isinstance(value, dict)
-    items: list[tuple[Key, Any]] = list(value.items() if isinstance(value, dict) else enumerate(value))
-    if any(is_camera(item) for _, item in items):
-        for key, item in items:
-            if is_camera(item) or is_part(item):
-                yield str(key) if named else _name(item, str(key)), (*keys, key)
-    elif named and depth > 0:
-        for key, item in items:
-            yield from _search(item, (*keys, key), depth - 1, is_camera, is_part)
+def _search(file: CalibrationFile, at: Keys, is_camera: Predicate, is_part: Predicate) -> list[Keys]:
+    """Key paths of the cameras in a mapping or list, at most ``_DEPTH`` keys deep."""
+    value = file.get(*at)
+    keys = value if isinstance(value, dict) else range(len(value)) if isinstance(value, list) else ()
+    items = {(*at, key): file.get(*at, key) for key in keys}
+    if any(map(is_camera, items.values())):
+        return [path for path, item in items.items() if is_camera(item) or is_part(item)]
+    deeper = items if isinstance(value, dict) and len(at) < _DEPTH else ()
+    return [path for one in deeper for path in _search(file, one, is_camera, is_part)]
 
 
-def _name(camera: Any, otherwise: str) -> str:
-    """Name that the values of a camera state; ``otherwise`` if they state no name."""
-    for key in _NAMES:
-        value = camera.get(key)
-        if isinstance(value, (str, int)) and not isinstance(value, bool) and str(value).strip():
-            return str(value).strip()
-    return otherwise
+def _name(file: CalibrationFile, keys: Keys) -> str:
+    """Name of a camera: its key; in a list, the name that its values state, or else its index."""
+    if keys and isinstance(file.get(*keys[:-1]), dict):
+        return str(keys[-1])
+    values = (file.get(*keys, key) for key in _NAMES)
+    stated = (str(v).strip() for v in values if isinstance(v, (str, int)) and not isinstance(v, bool))
+    return next(filter(None, stated), str(keys[-1]) if keys else Path(file.path).stem)
 
 
 def has_keys(*needed: set[str]) -> Predicate:

@@ -118,18 +118,6 @@ def _read_npz(path: str | os.PathLike[str]) -> CalibrationFile:
     return CalibrationFile(str(path), "", document, syntax="npz")
 
 
-#: Root elements of XML with attributes, and the elements that identify them.
-_ROOTS = {
-    "calibration": ("cameras/camera", "projection"),
-    "document": ("chunk",),
-    "chunk": ("sensors",),
-    "Cameras": ("Camera",),
-    "calibrationProfile": ("Calibration/Cameras/Camera",),
-    "rig": ("camera/camera_model",),
-    "multi_camera_reconstructor": ("single_camera_calibration",),
-}
-
-
 class Matrix(dict[str, Any]):
     """Matrix of OpenCV: rows, cols, dt, data."""
 
@@ -257,13 +245,7 @@ def _parse_xml(path: str, text: str) -> Any:
         raise CameraError("a calibration file must not have document types or entities", path=path) from None
     except (ValueError, LookupError) as reason:  # the encoding is unknown
         raise CameraError(f"not valid XML: {reason}", path=path) from None
-    if root.tag in _ROOTS and any(root.find(place) is not None for place in _ROOTS[root.tag]):
-        return {root.tag: _attributes(root, path)}
-    if root.tag != "opencv_storage":
-        known = "OpenCV, Qualisys, Theia3D, Vicon, Motive, Metashape, Calibu and flydra"
-        message = f"XML with <{root.tag[:40]}> is not a known calibration format; known is XML of {known}"
-        raise CameraError(message, path=path)
-    return _value(root, path)
+    return _value(root, path) if root.tag == "opencv_storage" else {root.tag: _attributes(root, path)}
 
 
 def _attributes(element: Element, path: str, depth: int = 0) -> dict[str, Any]:

@@ -254,5 +254,5 @@ def test_impossible_scanners_are_errors_with_their_key(keys: dict[str, Any], key
 
 
 def test_a_scanner_has_a_name_of_its_own() -> None:
-    with pytest.raises(HumansimError, match="camera has this name"):
+    with pytest.raises(HumansimError, match="lidar is the node of the camera lidar"):
         Scene.from_dict({"cameras": {"lidar": FRONT}, "scanners": {"lidar": {**SPARSE, **HERE}}})

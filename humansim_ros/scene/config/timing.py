@@ -55,7 +55,11 @@ class CameraTiming:
             share = scene_rate / rate
             step = max(1, round(share))
             if not isclose(share, step, rel_tol=_RATE_ROUNDING):
-                raise SceneError(_unfit_rate(scene_rate, rate), key="rate")
+                around = " or ".join(
+                    f"{scene_rate / n:.6g}" for n in sorted({max(1, floor(share)), ceil(share)})
+                )
+                text = f"{rate:g} Hz does not divide the rate of the scene, {scene_rate:g} Hz: give {around}"
+                raise SceneError(f"{text}, or the scene a multiple of the rates of its cameras", key="rate")
         frames = offset * scene_rate
         first = round(frames)
         if abs(frames - first) > _OFFSET_ROUNDING:
@@ -103,21 +107,6 @@ class CameraTiming:
     def time(self, number: int) -> int:
         """Scene time of a picture, nanoseconds."""
         return frame_time(self.frame(number), self.scene_rate)
-
-
-def _unfit_rate(scene_rate: float, rate: float) -> str:
-    """Text about a rate that does not divide the rate of the scene."""
-    if rate > scene_rate:
-        return (
-            f"{rate:g} Hz is above the rate of the scene, {scene_rate:g} Hz: give the scene this rate, and "
-            "the other cameras theirs"
-        )
-    around = sorted({floor(scene_rate / rate), ceil(scene_rate / rate)})
-    fitting = " or ".join(f"{scene_rate / step:.6g}" for step in around)
-    return (
-        f"{rate:g} Hz does not divide the rate of the scene, {scene_rate:g} Hz: the nearest that do are "
-        f"{fitting}. Else set the rate of the scene to a common multiple of the rates of its cameras"
-    )
 
 
 def frame_time(index: int, rate: float) -> int:

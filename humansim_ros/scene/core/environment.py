@@ -27,7 +27,7 @@ from humansim_ros.files.reading import (
 from humansim_ros.geometry import from_degrees
 from humansim_ros.render.device import ImageBackdrop, Panorama, ambient
 from humansim_ros.render.interface import Backdrop, Lighting, tone_mapped
-from humansim_ros.scene.config.config import LightConfig, SceneConfig, WorldMeshConfig
+from humansim_ros.scene.config.config import SceneConfig, WorldMeshConfig
 from humansim_ros.scene.core.looks import random_light
 from humansim_ros.scene.core.source import SceneSource
 from humansim_ros.scene.features.room import RoomConfig
@@ -89,7 +89,7 @@ class Environment:
         meshes = tuple(mesh for n, item in files for mesh in _load_meshes(item, source, f"world.meshes.{n}"))
         random = config.randomise is not None and config.randomise.light
         light = random_light(config.light, config.randomise) if random and config.randomise else config.light
-        lighting = replace(_lighting(light), shadow_catcher=world.shadow_catcher)
+        lighting = Lighting(**light.model_dump(), shadow_catcher=world.shadow_catcher)
         backdrop: Backdrop | None = None
         if world.environment is not None:
             with in_section("world.environment"):
@@ -111,10 +111,6 @@ class Environment:
     def meshes(self) -> tuple[Mesh, ...]:
         """Meshes of the room and of the mesh files."""
         return (*self.furnishing.build(), *self.mesh_files)
-
-
-def _lighting(light: LightConfig) -> Lighting:
-    return Lighting(**light.model_dump())
 
 
 def _load_meshes(config: WorldMeshConfig, source: SceneSource, key: str) -> list[Mesh]:

@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import count
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +43,8 @@ from humansim_ros.types import Array, Float32Array, Image
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+T = TypeVar("T")
 
 #: Pictures of a camera from the present one to each of the adjacent ones.
 _DIRECTIONS = dict(zip(ADJACENT_NAMES, (1, -1), strict=True))
@@ -328,7 +330,7 @@ class Simulation:
                 from, or has been closed; or OpenGL failed.
         """
         self.renderer.check_usable()  # before playback is set to the frame, which another thread may be using
-        asked = self._cameras(cameras)
+        asked = _chosen("camera", self.scene.scene_cameras, cameras)
         chosen = {name: camera for name, camera in asked.items() if index in camera.timing}
         adjacent = self._states.adjacent(index, {camera.timing.step for camera in chosen.values()})
         faults = {name: camera.faults.at(index) for name, camera in chosen.items() if camera.faults}
@@ -337,7 +339,8 @@ class Simulation:
             for name, camera in chosen.items()
             if camera.faults and faults[name].picture and "rgb" in self.channels
         }
-        sweeps = {name: self._states.sweeps(name, index) for name in self._chosen_scanners(scanners)}
+        swept = _chosen("scanner", self.scene.scanners, scanners)
+        sweeps = {name: self._states.sweeps(name, index) for name in swept}
         state = self._states.at(index)
         shots = {}
         for name, camera in chosen.items():
@@ -388,18 +391,6 @@ class Simulation:
         self.renderer.check_usable()
         return shot.measured_depth(self.renderer, sensor)
 
-    def _chosen_scanners(self, names: Collection[str] | None) -> list[str]:
-        known = self.scene.scanners
-        if missing := set(names or ()) - known.keys():
-            raise SceneError(unknown("scanner", min(missing), known))
-        return [name for name in known if names is None or name in names]
-
-    def _cameras(self, names: Collection[str] | None) -> dict[str, SceneCamera]:
-        known = self.scene.scene_cameras
-        if missing := set(names or ()) - known.keys():
-            raise SceneError(unknown("camera", min(missing), known))
-        return {name: camera for name, camera in known.items() if names is None or name in names}
-
     def close(self) -> None:
         """Free the renderer."""
         self.renderer.close()
@@ -409,6 +400,13 @@ class Simulation:
         state = self._states.at(index)
         faults = NO_FAULTS if camera.faults is None else camera.faults.at(index)
         return replace(state.shot(camera, ("rgb",)), faults=faults).take(self.renderer).rgb
+
+
+def _chosen(kind: str, known: Mapping[str, T], names: Collection[str] | None) -> dict[str, T]:
+    """Cameras or scanners of some names, all if None. Raises SceneError for a name that is not known."""
+    if missing := set(names or ()) - known.keys():
+        raise SceneError(unknown(kind, min(missing), known))
+    return {name: each for name, each in known.items() if names is None or name in names}
 
 
 class _DepthCaptures(OnAccess[DepthCapture]):

@@ -203,21 +203,17 @@ class CameraShot:
         """Bodies and camera at the stamp, for use as the next or previous frame of another shot."""
         return AdjacentFrame(self.state.bodies, self.camera.camera_at(self.pose_at(0.0)))
 
-    @cached_property
-    def request(self) -> RenderRequest | None:
-        """The view at the stamp. None if only views of other times are rendered."""
-        coloured = self.frozen is None and not self._times.any()
-        rendered = [channel for channel in self.channels if coloured or channel != "rgb"]
-        if not rendered:
-            return None
-        around = self.next_frame, self.previous_frame
-        backdrop = self.camera.backdrop
-        return RenderRequest(self.state.bodies, self.posed, rendered, self.moving, *around, backdrop)
-
     def take(self, renderer: Renderer) -> View:
         """Render what the camera sees during its exposure, and apply its sensor to rgb. ``renderer``:
         renderer of the scene."""
-        view = View() if self.request is None else renderer.render(self.request)
+        coloured = self.frozen is None and not self._times.any()
+        view, rendered = View(), [channel for channel in self.channels if coloured or channel != "rgb"]
+        if rendered:
+            around = self.next_frame, self.previous_frame
+            backdrop = self.camera.backdrop
+            view = renderer.render(
+                RenderRequest(self.state.bodies, self.posed, rendered, self.moving, *around, backdrop)
+            )
         if self.frozen is not None:
             return view.with_channels(rgb=self.frozen)
         if "rgb" not in self.channels:

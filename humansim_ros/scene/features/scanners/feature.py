@@ -37,7 +37,6 @@ from humansim_ros.errors import SceneError, in_section
 from humansim_ros.files.mesh import Mesh
 from humansim_ros.geometry import ObjectPose, compose_poses, from_degrees
 from humansim_ros.render.interface import Body, check_bodies
-from humansim_ros.scene.config.config import SceneConfig
 from humansim_ros.scene.core.features import Draft
 from humansim_ros.scene.core.findings import CheckedFeature, Finding, SceneSamples, misplaced
 from humansim_ros.scene.core.objects import Robot, Route, robot_of_mount
@@ -195,21 +194,6 @@ def _route(config: ScannerConfig, source: SceneSource) -> Route:
             return Route.read(config.trajectory, source)
     turn = from_degrees(config.rotation_deg)
     return Route(Trajectory(np.zeros(1), np.array([config.position]), turn.as_quat()[None]))
-
-
-def build_scanners(
-    config: SceneConfig, source: SceneSource, robot: Robot | None = None
-) -> dict[str, SceneScanner]:
-    """Scanners of a scene by name. ``robot``: carries the scanners that are mounted on it. Raises
-    HumansimError, which names the key."""
-    with in_section("scanners"):
-        for name in config.scanners:
-            if name in config.cameras:
-                raise SceneError("a camera has this name already", key=name)
-        return {
-            name: SceneScanner.build(name, section, source, robot)
-            for name, section in config.scanners.items()
-        }
 
 
 #: Speed in m/s above which a body has jumped, and the step of the vertices by which it is measured.
@@ -523,7 +507,11 @@ class Scanners(CheckedFeature):
 
     def furnish(self, draft: Draft) -> None:
         """Add the scanners."""
-        draft.scanners = build_scanners(draft.config, draft.source, draft.robot)
+        with in_section("scanners"):
+            draft.scanners = {
+                name: SceneScanner.build(name, section, draft.source, draft.robot)
+                for name, section in draft.config.scanners.items()
+            }
 
     def check(self, samples: SceneSamples) -> Iterator[Finding]:
         """Find scanners that are in something, or that never meet anybody."""

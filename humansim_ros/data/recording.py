@@ -23,6 +23,7 @@ from humansim_ros.data.bags.topics import BagTopic, Qos, described
 from humansim_ros.data.bags.writer import BagWriter, check_unlocked
 from humansim_ros.data.engine.frame_job import Costs, FrameProgress, FrameResult
 from humansim_ros.data.engine.workers import run_frames
+from humansim_ros.data.formats.source import scene_hash
 from humansim_ros.data.messages.cdr import serialised
 from humansim_ros.data.messages.images import ImageCompression
 from humansim_ros.data.messages.topic import Topic
@@ -33,7 +34,7 @@ from humansim_ros.files.reading import parse_json, size_text
 from humansim_ros.render.device import OpenGLContext
 from humansim_ros.render.frame import GLRenderer, PyrenderRenderer
 from humansim_ros.render.interface import Renderer
-from humansim_ros.scene.core import Frame, Scene, Simulation, scene_hash
+from humansim_ros.scene.core import Frame, Scene, Simulation
 
 ImageFormat: TypeAlias = Literal["raw", "jpeg", "png"]
 DepthFormat: TypeAlias = Literal["raw", "png"]

@@ -419,7 +419,7 @@ def test_a_camera_of_which_nothing_is_recorded_is_not_rendered(
 
 
 def test_the_hash_of_a_scene_covers_its_files(tmp_path: Path) -> None:
-    from humansim_ros.scene.core.scene import scene_hash
+    from humansim_ros.data.formats.source import scene_hash
 
     (tmp_path / "way.txt").write_text("0 3 0 1 0.5 0.5 -0.5 -0.5\n5 3 1 1 0.5 0.5 -0.5 -0.5\n")
     text = SCENE + "  moving: {size: [64, 48], trajectory: way.txt}\n"

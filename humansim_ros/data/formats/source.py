@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import platform
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -14,9 +15,11 @@ import numpy as np
 from humansim_ros import __version__
 from humansim_ros.data.formats.formats import ANY_SWEEPS, SWEEPS, ExportFormat, needed_channels
 from humansim_ros.data.formats.writer import ExportScene
-from humansim_ros.errors import ExportError
+from humansim_ros.errors import ExportError, SceneError
+from humansim_ros.files.reading import read_blocks
 from humansim_ros.render.device import OpenGLContext
-from humansim_ros.scene.core import Frame, Scene, SceneCamera, Simulation, scene_hash
+from humansim_ros.scene.config import map_files
+from humansim_ros.scene.core import Frame, Scene, SceneCamera, Simulation
 
 
 class FrameReader(Protocol):
@@ -179,3 +182,19 @@ def _seeds(value: Any, key: str) -> Iterator[tuple[str, int]]:
                 yield f"{key}{name}", part
             else:
                 yield from _seeds(part, f"{key}{name}.")
+
+
+def scene_hash(scene: Scene) -> str:
+    """Hash of a scene: its settings, and the content of the files that they name."""
+    digest = hashlib.sha256(scene.config.model_dump_json().encode())
+
+    def add(name: str) -> str:
+        path = scene.source.folder / name.split("#")[0]
+        if path.is_file():
+            digest.update(f"{name}\n".encode())
+            for block in read_blocks(path, SceneError, "scene"):
+                digest.update(block)
+        return name
+
+    map_files(scene.config.model_dump(exclude_none=True), add)
+    return digest.hexdigest()

@@ -21,7 +21,7 @@ from humansim_ros.ros.processes.lockstep_settings import TimeOptions
 from humansim_ros.ros.processes.node_processes import NodeProcess, scene_processes
 from humansim_ros.ros.processes.runtime import make_executor, prepare_transport
 from humansim_ros.ros.processes.supervisor import Supervisor
-from humansim_ros.scene.core import Scene, in_step
+from humansim_ros.scene.core import Scene, SceneCamera
 
 #: Frames per second that the motion player tries to send. Cameras cannot render so many, so they work at full
 #: speed.
@@ -332,3 +332,9 @@ class CpuTime:
     def total(self) -> float:
         """CPU seconds of all processes."""
         return sum(self.processes.values())
+
+
+def in_step(cameras: Mapping[str, SceneCamera]) -> list[str]:
+    """Names of the cameras that have the highest rate, and take their pictures in the same frames."""
+    fastest = min((camera.timing for camera in cameras.values()), key=lambda timing: timing.step)
+    return [name for name, camera in cameras.items() if camera.timing == fastest]

@@ -22,7 +22,8 @@ from humansim_ros.ros.processes.lockstep_settings import TimeOptions
 from humansim_ros.ros.processes.node_processes import scene_processes
 from humansim_ros.ros.processes.runtime import prepare_transport
 from humansim_ros.ros.processes.supervisor import Supervisor
-from humansim_ros.scene.core import Scene, in_step
+from humansim_ros.ros.tools.bench import in_step
+from humansim_ros.scene.core import Scene
 from humansim_ros.scene.pictures import views
 from humansim_ros.types import Image
 

@@ -2,7 +2,6 @@ from humansim_ros.scene.core.actor import Actor as Actor
 from humansim_ros.scene.core.camera import CameraPose as CameraPose
 from humansim_ros.scene.core.camera import SceneCamera as SceneCamera
 from humansim_ros.scene.core.camera import build_cameras as build_cameras
-from humansim_ros.scene.core.camera import in_step as in_step
 from humansim_ros.scene.core.camera import read_cameras as read_cameras
 from humansim_ros.scene.core.camera import rig_camera_names as rig_camera_names
 from humansim_ros.scene.core.camera import rig_placement as rig_placement
@@ -34,7 +33,6 @@ from humansim_ros.scene.core.playback import Change as Change
 from humansim_ros.scene.core.playback import Playback as Playback
 from humansim_ros.scene.core.scene import DEMO_SCENE as DEMO_SCENE
 from humansim_ros.scene.core.scene import Scene as Scene
-from humansim_ros.scene.core.scene import scene_hash as scene_hash
 from humansim_ros.scene.core.simulation import Frame as Frame
 from humansim_ros.scene.core.simulation import SceneStates as SceneStates
 from humansim_ros.scene.core.simulation import Simulation as Simulation

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -440,12 +440,6 @@ def build_cameras(
                     raise SceneError(f"there is another camera {right.name}, its second camera", key="stereo")
                 cameras[right.name] = right
     return {name: _completed(camera, config, robot) for name, camera in cameras.items()}
-
-
-def in_step(cameras: Mapping[str, SceneCamera]) -> list[str]:
-    """Names of the cameras that have the highest rate, and take their pictures in the same frames."""
-    fastest = min((camera.timing for camera in cameras.values()), key=lambda timing: timing.step)
-    return [name for name, camera in cameras.items() if camera.timing == fastest]
 
 
 def _completed(camera: SceneCamera, config: SceneConfig, robot: Robot | None) -> SceneCamera:

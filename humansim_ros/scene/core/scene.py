@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -16,13 +15,13 @@ from numpy.typing import NDArray
 from humansim_ros.cameras.camera import Camera
 from humansim_ros.errors import SceneError
 from humansim_ros.files.mesh import Mesh
-from humansim_ros.files.reading import hiding_quotes, read_blocks, resource_path
+from humansim_ros.files.reading import hiding_quotes, resource_path
 from humansim_ros.motion.body import Motion
 from humansim_ros.people.humans import Human, joint_surfaces
 from humansim_ros.people.loading import forget_people_data
 from humansim_ros.pictures import Pictured
 from humansim_ros.render.interface import Body
-from humansim_ros.scene.config.config import SceneConfig, check_config, load_config, map_files
+from humansim_ros.scene.config.config import SceneConfig, check_config, load_config
 from humansim_ros.scene.config.timing import CameraTiming, frame_time
 from humansim_ros.scene.core.actor import Actor
 from humansim_ros.scene.core.camera import SceneCamera
@@ -293,19 +292,3 @@ class Scene(Pictured):
     def moving_objects(self) -> dict[str, SceneObject]:
         """Objects with keyframes by name."""
         return {name: item for name, item in self.objects.items() if item.moves}
-
-
-def scene_hash(scene: Scene) -> str:
-    """Hash of a scene: its settings, and the content of the files that they name."""
-    digest = hashlib.sha256(scene.config.model_dump_json().encode())
-
-    def add(name: str) -> str:
-        path = scene.source.folder / name.split("#")[0]
-        if path.is_file():
-            digest.update(f"{name}\n".encode())
-            for block in read_blocks(path, SceneError, "scene"):
-                digest.update(block)
-        return name
-
-    map_files(scene.config.model_dump(exclude_none=True), add)
-    return digest.hexdigest()

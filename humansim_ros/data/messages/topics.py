@@ -418,7 +418,7 @@ class CameraTopics:
         self.transforms: list[Topic[Any]] = [self.extrinsics]
         if camera.mount is not None:
             place, robot = camera.mount
-            self.transforms = [fixed_transform(place, robot.base_frame, frame)]
+            self.transforms = [fixed_transform(place, robot.config.base_frame, frame)]
         if self.depth_sensor is not None:
             self.transforms.append(self.depth_sensor.extrinsics)
         self.twist, self.pose = moving_camera_topics(name)
@@ -770,7 +770,7 @@ class ScannerTopics:
         )
         self.transform: Topic[ObjectPose] = self.extrinsics
         if scanner.mount is not None:
-            place, base = scanner.route.at(0.0), scanner.mount.base_frame
+            place, base = scanner.route.at(0.0), scanner.mount.config.base_frame
             self.transform = fixed_transform(place, base, frame)
         self.legends = [
             _sent_once(f"{name}/{kind}/legend", String, build)

@@ -67,11 +67,8 @@ class CameraTiming:
             text = f"{offset:g} s is no whole number of frames of the scene, which last 1/{scene_rate:g} s"
             raise SceneError(f"{text}: give {around}, or the scene a higher rate", key="offset")
         if first >= step:
-            longest = (step - 1) / scene_rate
-            text = (
-                f"an offset is shorter than the {step / scene_rate:.6g} s between two pictures of the camera"
-            )
-            raise SceneError(f"{text}, so at most {longest:.6g}, not {offset:g}", key="offset")
+            text = f"{offset:g} s is not shorter than the time between two pictures of the camera"
+            raise SceneError(f"{text}: give at most {(step - 1) / scene_rate:.6g}", key="offset")
         return cls(scene_rate, step, first)
 
     def __str__(self) -> str:

@@ -381,11 +381,6 @@ class Robot:
     route: Route | None = None
 
     @property
-    def base_frame(self) -> str:
-        """Name of the frame ``base_link`` in messages."""
-        return self.config.base_frame
-
-    @property
     def takes_commands(self) -> bool:
         """Whether it follows ``cmd_vel``."""
         return self.route is None and self.config.odometry is None

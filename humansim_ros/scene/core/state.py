@@ -116,14 +116,13 @@ class SceneState:
         if seconds == 0:
             return self.bodies
         if seconds not in self._moved:
-            self._moved[seconds] = self._bodies_moved(seconds)
+            bodies = [
+                actor.body(actor.moved(self.humans[name], seconds)) for name, actor in self.actors.items()
+            ]
+            for name, item in self.scene.moving_objects.items():
+                bodies.append(item.body(self.objects[name].moved(seconds)))
+            self._moved[seconds] = bodies + self.scene.static_bodies
         return self._moved[seconds]
-
-    def _bodies_moved(self, seconds: float) -> Sequence[Body]:
-        bodies = [actor.body(actor.moved(self.humans[name], seconds)) for name, actor in self.actors.items()]
-        for name, item in self.scene.moving_objects.items():
-            bodies.append(item.body(self.objects[name].moved(seconds)))
-        return bodies + self.scene.static_bodies
 
     def _pose_at(self, camera: SceneCamera, seconds: float) -> CameraPose:
         pose = self.calibrated_pose(camera).moved(seconds)

@@ -30,17 +30,6 @@ def read_robot(config: SceneConfig, source: SceneSource) -> Robot | None:
         return Robot(robot, Route.read(robot.trajectory, source))
 
 
-def robot_object(robot: Robot, source: SceneSource) -> SceneObject:
-    """The robot as an object without label. Raises HumansimError, which names the key, relative to its
-    section."""
-    config = robot.config
-    color = {} if config.color is None else {"color": config.color}
-    section = ObjectConfig(mesh=config.mesh, size=config.size, **color)
-    item = SceneObject.build(ROBOT, section, source, None, 0)
-    start = replace(robot.body_at(0.0), size=item.initial_pose.size)
-    return replace(item, initial_pose=start, pose_at=robot.body_at, key=ROBOT)
-
-
 def path_trajectory(config: PathConfig) -> Trajectory:
     """Trajectory of ``base_link`` along the points of a path: lines, and turns on the spot before them."""
     points = list(config.points)
@@ -75,10 +64,14 @@ class RobotBody(Feature):
 
     def prepare(self, draft: Draft) -> None:
         """Add the robot, which may carry cameras and scanners."""
-        draft.robot = read_robot(draft.config, draft.source)
-        assert draft.robot is not None
+        draft.robot = robot = read_robot(draft.config, draft.source)
+        assert robot is not None
+        color = {} if robot.config.color is None else {"color": robot.config.color}
+        section = ObjectConfig(mesh=robot.config.mesh, size=robot.config.size, **color)
         with in_section(ROBOT):
-            draft.robot_body = robot_object(draft.robot, draft.source)
+            item = SceneObject.build(ROBOT, section, draft.source, None, 0)
+        start = item.placed(robot.body_at(0.0))
+        draft.robot_body = replace(item, initial_pose=start, pose_at=robot.body_at, key=ROBOT)
 
     def furnish(self, draft: Draft) -> None:
         """Add the body of the robot."""

@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 import yaml
-from scipy.spatial.transform import Rotation
 
 from humansim_ros.cameras.camera.camera import Camera
 from humansim_ros.errors import CameraError
@@ -217,13 +216,6 @@ class CalibrationFile:
             raise self.error(message, *keys, line=line)
         return quaternion_to_matrix(xyzw / length)
 
-    def rotation(self, *keys: Key) -> Array:
-        """Matrix (3, 3) from the 9 numbers (in row order) or the rotation vector (radians) at a key path."""
-        values = self.some_numbers(*keys)
-        if len(values) == 3:
-            return np.asarray(Rotation.from_rotvec(values).as_matrix(), dtype=float)
-        return self.numbers((3, 3), *keys)
-
     def check_count(self, model: str, distortion: Array, keys: Keys) -> None:
         """Raise CameraError if the number of coefficients (N,) at a key path does not fit the model."""
         counts = _FILE_COUNTS[model]
@@ -238,19 +230,13 @@ class CalibrationFile:
         empty."""
         return np.zeros(0) if self.get(*keys) in (None, []) else self.some_numbers(*keys)
 
-    def pose_matrix(self, *keys: Key, rows: int, tolerance: float = 1e-9) -> Array:
-        """Matrix (``rows``, 4) of R and t at a key path. ``rows``: 3 or 4. Raises CameraError if a fourth row
-        differs from 0 0 0 1 by more than a tolerance."""
-        matrix = self.numbers((rows, 4), *keys)
-        if rows == 4 and not np.allclose(matrix[3], [0, 0, 0, 1], atol=tolerance):
+    def pose_matrix(self, *keys: Key, tolerance: float = 1e-9) -> Array:
+        """Matrix (4, 4) of R and t at a key path. Raises CameraError if its last row differs from 0 0 0 1 by
+        more than a tolerance."""
+        matrix = self.numbers((4, 4), *keys)
+        if not np.allclose(matrix[3], [0, 0, 0, 1], atol=tolerance):
             raise self.error("needs 0 0 0 1 as the last row of its 4 x 4 numbers", *keys)
         return matrix
-
-    def locations(self, at: Keys, **parts: str | Keys) -> dict[str, SourceLocation]:
-        """Locations of a camera and of its values. ``at``: key path of the camera. ``parts``: by field, the
-        key or key path of a value below ``at``."""
-        paths = {part: (key,) if isinstance(key, str) else key for part, key in parts.items()}
-        return {"": self.location(*at), **{part: self.location(*at, *keys) for part, keys in paths.items()}}
 
     def size(self, width: Sequence[Key], height: Sequence[Key]) -> ImageSize:
         """Image size from the key paths of its width and height."""
@@ -447,16 +433,6 @@ def model_of(name: str) -> str | None:
     """Model in :data:`humansim_ros.cameras.camera.lens.MODELS` for a name in files; None for an unknown
     name."""
     return _ALIASES.get(re.sub("[^a-z0-9]", "", name.lower()))
-
-
-def opencv_model(distortion: Array) -> str:
-    """Lens model of OpenCV for coefficients (N,). Their number, without zeros at the end, decides."""
-    return "plumb_bob" if len(np.trim_zeros(distortion, "b")) <= 5 else "rational_polynomial"
-
-
-def vector_of(rotation: Array) -> Array:
-    """Rotation vector (3,) of a matrix (3, 3), radians."""
-    return np.asarray(Rotation.from_matrix(rotation).as_rotvec(), dtype=float)
 
 
 #: Names of units in a file, and metres per unit.

@@ -255,7 +255,7 @@ def _blender_camera(file: CalibrationFile, at: Keys) -> dict[str, Any]:
 def _blender_pose(file: CalibrationFile, at: Keys) -> tuple[Array, Array]:
     """Rotation from the axes of a camera to the world, and the centre of the camera."""
     if file.has(*at, "matrix_world"):
-        pose = file.pose_matrix(*at, "matrix_world", rows=4, tolerance=1e-6)
+        pose = file.pose_matrix(*at, "matrix_world", tolerance=1e-6)
         lengths = np.linalg.norm(pose[:3, :3], axis=0)
         if lengths.min() <= 0:
             raise file.error("has an axis of length 0", *at, "matrix_world")

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from humansim_ros.cameras.camera.camera import pinhole
 from humansim_ros.cameras.camera.lens import MODELS
@@ -31,7 +32,6 @@ from humansim_ros.cameras.formats.base import (
     RawCamera,
     SourceLocation,
     model_of,
-    opencv_model,
     without_suffix,
 )
 from humansim_ros.cameras.formats.conventions import find_model, model_of_four, resolved
@@ -399,11 +399,10 @@ def _lens(
         if not four and len(np.trim_zeros(coefficients, "b")) < 4:
             coefficients = np.resize([*coefficients, 0.0, 0.0, 0.0, 0.0, 0.0], 5)
         stated = False if fisheye else None
-        model = (
-            model_of_four(entries["distortion"].file, keys, coefficients, k, stated)
-            if four
-            else opencv_model(coefficients)
-        )
+        if four:
+            model = model_of_four(entries["distortion"].file, keys, coefficients, k, stated)
+        else:
+            model = "plumb_bob" if not coefficients[5:].any() else "rational_polynomial"
         file.check_count(model, coefficients, keys)
         return tuple(coefficients), model
     known = find_model(file, word, coefficients, entries["model"].keys, keys)
@@ -467,4 +466,6 @@ def _rotation(entry: Entry) -> Array:
         return quaternion_to_matrix((values if order[0] == "x" else np.roll(values, -1)) / length)
     if entry.key == "rxyz" and np.linalg.norm(values) > 2 * np.pi:
         raise entry.error("is no rotation vector in radians: give a matrix, not angles")
-    return entry.file.rotation(*entry.keys)
+    if len(values) == 3:
+        return np.asarray(Rotation.from_rotvec(values).as_matrix(), dtype=float)
+    return entry.numbers(3, 3)

@@ -25,7 +25,7 @@ import cv2
 import numpy as np
 
 from humansim_ros.cameras.camera.camera import Camera
-from humansim_ros.cameras.formats.base import CalibrationFile, RawCamera, vector_of
+from humansim_ros.cameras.formats.base import CalibrationFile, RawCamera
 from humansim_ros.cameras.formats.conventions import find_model
 from humansim_ros.cameras.formats.spellings import POSE, Found, find_parameters, plain
 from humansim_ros.cameras.formats.syntax import Matrix, name_of_half, other_half, read_document
@@ -156,11 +156,11 @@ def _kalibr(file: CalibrationFile) -> Cameras:
         # if the first camera has extrinsics of the IMU, the chain starts at the IMU
         key = file.first((name,), *_IMU) or "T_cn_cnm1"
         if key in _IMU and (pose is None or file.has(names[0], key)):
-            pose = file.pose_matrix(name, key, rows=4)
+            pose = file.pose_matrix(name, key)
             pose = invert_rigid(_rigid(pose)) if key == "T_imu_cam" else pose
         else:
             key = "T_cn_cnm1"
-            pose = np.eye(4) if pose is None else file.pose_matrix(name, key, rows=4) @ pose
+            pose = np.eye(4) if pose is None else file.pose_matrix(name, key) @ pose
         if file.need(name, "camera_model") != "pinhole":
             message = f"{file.get(name, 'camera_model')!r} is not a supported camera model; only pinhole is"
             raise file.error(message, name, "camera_model")
@@ -302,7 +302,7 @@ def _entries(cameras: Mapping[str, Camera]) -> dict[str, _Value]:
             f"K_{name}": camera.K,
             f"distortion_model_{name}": str(camera.model),
             f"dist_{name}": np.array([camera.distortion]),
-            f"R_{name}": vector_of(camera.R)[:, None],
+            f"R_{name}": np.asarray(cv2.Rodrigues(camera.R)[0], dtype=float),
             f"Rot_{name}": camera.R,
             f"T_{name}": camera.t[:, None],
         }

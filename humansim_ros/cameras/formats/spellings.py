@@ -208,10 +208,8 @@ def size_of(entries: Mapping[str, Entry]) -> ImageSize | None:
     if "size" in entries:
         return entries["size"].file.pair_size(*entries["size"].keys)
     if "shape" in entries:
-        high, wide = entries["shape"].numbers()[:2]
-        if any(side != int(side) or side <= 0 for side in (high, wide)):
-            raise entries["shape"].error("needs height and width, whole numbers above zero")
-        return int(wide), int(high)
+        shape = entries["shape"]
+        return shape.file.size_of(shape.numbers()[1::-1], *shape.keys)
     return None
 
 

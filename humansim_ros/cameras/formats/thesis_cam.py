@@ -282,7 +282,8 @@ def _camera(file: CalibrationFile, name: str) -> RawCamera:
         for key, shape in (("rectification", (3, 3)), ("rectified", (3, 4)))
         if file.has(*at, key)
     }
-    locations = file.locations(at, **{part: part for part in _PARTS}, model="distortion_model")
+    locations = {part: file.location(*at, part) for part in _PARTS}
+    locations |= {"": file.location(*at), "model": file.location(*at, "distortion_model")}
     return RawCamera(k, r, t, None, size, tuple(distortion), model, **rectified, locations=locations)
 
 

@@ -1,4 +1,4 @@
-"""Pictures of objects in notebooks. The folder ``drawing`` makes the pictures."""
+"""Pictures of objects in notebooks. The package ``scene.pictures`` draws the pictures."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class Pictured:
     def _repr_png_(self) -> bytes | None:
         """PNG file for IPython. If it cannot be drawn, warns and returns None, so that IPython shows text."""
         try:
-            png: bytes = drawing("notebooks").notebook_png(self)
+            png: bytes = drawing("sheets").notebook_png(self)
         except Exception as reason:  # a cell with this object as its value must not fail
             text = f"{type(reason).__name__}: {reason}"
             warnings.warn(f"{type(self).__name__} has no picture: {text}", HumansimWarning, stacklevel=2)
@@ -24,5 +24,6 @@ class Pictured:
 
 
 def drawing(module: str) -> Any:
-    """Load a module of ``drawing`` on first use, since ``drawing`` imports the folders that call this."""
+    """Load a module of ``scene.pictures`` on first use, since these modules import the packages that call
+    this."""
     return import_module(f"humansim_ros.scene.pictures.{module}")

@@ -24,8 +24,8 @@ from humansim_ros import (
 )
 from humansim_ros.errors import ChannelError, HumansimError, RenderError
 from humansim_ros.pictures import Pictured
-from humansim_ros.scene.pictures import notebooks
-from humansim_ros.scene.pictures.notebooks import plot_frame
+from humansim_ros.scene.pictures import sheets
+from humansim_ros.scene.pictures.sheets import Tile, plot_frame
 from humansim_ros.scene.pictures.views import joint_colors
 
 formatters = pytest.importorskip("IPython.core.formatters")
@@ -94,9 +94,9 @@ def test_notebooks_show_a_small_picture_of_each_object(scene: Scene, frame: Fram
 
 @pytest.mark.gl
 def test_a_frame_shows_each_camera_in_its_colours_with_the_joints(frame: Frame) -> None:
-    picture = notebooks.picture(frame)
-    tile, scale = picture[:239, :319], 319 / 320
-    expected = cv2.resize(frame.views["front"].rgb, (319, 239), interpolation=cv2.INTER_AREA)
+    picture = sheets.picture(frame)
+    tile, scale = picture[:238, :318], 318 / 320
+    expected = cv2.resize(frame.views["front"].rgb, (318, 238), interpolation=cv2.INTER_AREA)
     close = np.abs(tile.astype(int) - expected).max(axis=-1) < 30
     assert close.mean() > 0.9
     joints = frame.joints["front"]["anna"]
@@ -104,21 +104,21 @@ def test_a_frame_shows_each_camera_in_its_colours_with_the_joints(frame: Frame) 
     green = [np.abs(tile[y, x].astype(int) - GREEN).max() < 80 for x, y in pixels]
     assert np.mean(green) > 0.6
     # the left camera's sensor has bgr8: the picture has the colours of the scene
-    shown_left = picture[:239, 321:].astype(float)
-    right = cv2.resize(frame.views["left"].rgb[..., ::-1], (319, 239), interpolation=cv2.INTER_AREA)
+    shown_left = picture[:238, 322:].astype(float)
+    right = cv2.resize(frame.views["left"].rgb[..., ::-1], (318, 238), interpolation=cv2.INTER_AREA)
     wrong = right[..., ::-1]
     assert np.abs(shown_left - right).mean() < 4 and np.abs(wrong.astype(int) - right).max() > 60
 
 
 def test_a_grid_of_many_images_shows_the_first_and_says_how_many_more() -> None:
     images = [np.full((30, 40, 3), 20 * number, np.uint8) for number in range(12)]
-    names = [f"camera {number}" for number in range(12)]
-    sheet = notebooks._grid(images, names)
+    tiles = [Tile(image, f"camera {number}") for number, image in enumerate(images)]
+    sheet = sheets._grid(tiles)
     assert sheet.shape[1] <= 640
     middles = [(2 * part + 1) / 6 for part in range(3)]
     found = [sheet[int(y * sheet.shape[0]), int(x * sheet.shape[1]), 0] for y in middles for x in middles]
     assert found == [20 * number for number in range(9)]
-    assert (notebooks._grid(images[:9], names[:9]) != sheet).any()
+    assert (sheets._grid(tiles[:9]) != sheet).any()
 
 
 def test_an_object_without_picture_is_shown_as_text(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -129,7 +129,7 @@ def test_an_object_without_picture_is_shown_as_text(monkeypatch: pytest.MonkeyPa
         data, _ = formatters.DisplayFormatter().format(camera)
     assert data == {"text/plain": repr(camera)}
     # whatever goes wrong: no OpenGL, no memory, a broken library
-    monkeypatch.setitem(sys.modules, "humansim_ros.scene.pictures.notebooks", None)
+    monkeypatch.setitem(sys.modules, "humansim_ros.scene.pictures.sheets", None)
     with pytest.warns(HumansimWarning, match="no picture"):
         assert formatters.DisplayFormatter().format(read_motion("walk"))[0].keys() == {"text/plain"}
 
@@ -189,7 +189,7 @@ def test_a_plot_without_the_channels_of_joints_has_lines_only(scene: Scene) -> N
         plain.plot("depth")
     with pytest.raises(RenderError, match="no such channel: colour"):
         plain.plot("colour")
-    notebooks.picture(plain)
+    sheets.picture(plain)
 
 
 def test_without_matplotlib_a_plot_says_which_line_installs_it(monkeypatch: pytest.MonkeyPatch) -> None:

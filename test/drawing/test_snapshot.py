@@ -17,7 +17,7 @@ from humansim_ros.errors import HumansimError, RenderError, SceneError
 from humansim_ros.render import ALL_CHANNELS
 from humansim_ros.render.interface import CHANNEL_TABLE
 from humansim_ros.render.pictures import write_png
-from humansim_ros.scene.pictures.snapshots import MAX_SIDE, _Layout, snapshot
+from humansim_ros.scene.pictures.sheets import MAX_SIDE, _Layout, snapshot
 from humansim_ros.scene.pictures.top_view import top_view
 from humansim_ros.scene.pictures.views import color_channel, color_image
 

@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
 from humansim_ros import Scene  # noqa: E402
-from humansim_ros.scene.pictures.snapshots import snapshot  # noqa: E402
+from humansim_ros.scene.pictures.sheets import snapshot  # noqa: E402
 
 _SCENE = {
     "humans": {

@@ -24,13 +24,13 @@ from humansim_ros.ros.processes.runtime import prepare_transport
 from humansim_ros.ros.processes.supervisor import Supervisor
 from humansim_ros.ros.tools.bench import in_step
 from humansim_ros.scene.core import Scene
-from humansim_ros.scene.pictures import views
+from humansim_ros.scene.pictures import Tile, color_channel, color_image, sheet
 from humansim_ros.types import Image
 
 #: After the start, each topic must send a first message within this time, seconds.
 _START_LIMIT = 60.0
-#: Width and height of the image of one camera in the video, pixels.
-_VIDEO_SIZE = (480, 360)
+#: Width and height of an image in the video, and width of an image in the contact sheet, pixels.
+_VIDEO_SIZE, _TILE_WIDTH = (480, 360), 480
 #: Most frames that are stored while images of some cameras are missing; and most memory for them, bytes.
 _MAX_INCOMPLETE, _MAX_BYTES = 20, 1 << 29
 #: Most frames for which stamps of images are stored.
@@ -258,7 +258,7 @@ class _Recorder:
         if (message.encoding, message.width, message.height) != (encoding, width, height):
             raise RosError(f"this is no image of {width}x{height} pixels in {encoding}")
         pixels = read_image(message)
-        return views.color_image(pixels, encoding) if kind == "image_raw" else pixels
+        return color_image(pixels, encoding) if kind == "image_raw" else pixels
 
     def _joints(self, topic: str, data: bytes) -> NDArray[Any]:
         """Joints of a serialised message. Raises RosError unless they belong to humans of the scene."""
@@ -280,22 +280,27 @@ def _has_wrong_clock(scene: Scene, camera: str) -> bool:
 def _contact_sheet(scene: Scene, recorder: _Recorder) -> Image:
     if not recorder.sheet or not recorder.thumbnails.whole():
         raise HumansimError("no frame was received from all cameras: the machine is too slow for this scene")
-    rows = []
+    width, height = scene.cameras[recorder.cameras[0]].size
+    size = _TILE_WIDTH, round(_TILE_WIDTH * height / width)
+    tiles = []
     for camera in recorder.cameras:
         image, depth, part, points = (
             recorder.sheet[f"/{camera}/{kind}"] for kind in ("image_raw", *_ENCODINGS, "joints")
         )
-        overlay = image
+        joints = []
         for actor in scene.actors.values():
             own = points[points["human"] == actor.instance]
-            skeleton = actor.human.skeleton
-            names, parents = skeleton.joint_names, skeleton.joint_parents
             pixels = np.stack([own["u"], own["v"]], axis=-1)
             pixels[np.abs(pixels) > _FAR_OUTSIDE] = np.nan
-            overlay = views.draw_joints(overlay, pixels, own["visible"], names, parents)
-        rows.append([image, overlay, views.color_depth(depth), views.color_labels(part)])
-    titles = ("image_raw", "image_raw with joints", "depth/image", "part/image")
-    return views.contact_sheet(rows, titles, recorder.cameras)
+            joints.append((actor.human.skeleton, pixels, own["visible"]))
+        tiles += [
+            Tile(image, f"{camera}/image_raw"),
+            Tile(image, f"{camera}/image_raw with {camera}/joints", joints=joints),
+            Tile(color_channel("depth", depth), f"{camera}/depth/image", "depth"),
+            Tile(color_channel("part", part), f"{camera}/part/image", "part"),
+        ]
+    title = "The received images, and the received joints drawn over them"
+    return sheet(title, [tile.draw(size) for tile in tiles], columns=4)
 
 
 def _video(scene: Scene, recorder: _Recorder) -> Iterator[Image]:

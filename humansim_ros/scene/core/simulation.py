@@ -239,7 +239,7 @@ class Frame(Pictured):
             RenderError: There is no channel of this name.
             ChannelError: The frame has not this channel.
         """
-        figure: Figure = drawing("notebooks").plot_frame(self, channel, joints)
+        figure: Figure = drawing("sheets").plot_frame(self, channel, joints)
         return figure
 
     def visible_vertices(self, camera: str) -> dict[str, NDArray[np.bool_]]:

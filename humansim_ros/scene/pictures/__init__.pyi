@@ -11,7 +11,9 @@ from humansim_ros.scene.pictures.people import titled_rows as titled_rows
 from humansim_ros.scene.pictures.people import write_motion_image as write_motion_image
 from humansim_ros.scene.pictures.rigs import coverage_image as coverage_image
 from humansim_ros.scene.pictures.rigs import rig_image as rig_image
-from humansim_ros.scene.pictures.snapshots import snapshot as snapshot
+from humansim_ros.scene.pictures.sheets import Tile as Tile
+from humansim_ros.scene.pictures.sheets import sheet as sheet
+from humansim_ros.scene.pictures.sheets import snapshot as snapshot
 from humansim_ros.scene.pictures.views import channel_picture as channel_picture
 from humansim_ros.scene.pictures.views import color_channel as color_channel
 from humansim_ros.scene.pictures.views import color_depth as color_depth

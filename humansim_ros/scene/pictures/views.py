@@ -1,4 +1,4 @@
-"""Make views visible: colours for depth and labels, joints drawn over images, contact sheets."""
+"""Make views visible: colours for depth and labels, and joints drawn over images."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.motion.body import DETAIL_BONES, side_of
-from humansim_ros.render.pictures import distinct_hues, draw_disc, draw_line, draw_text, hsv_colors
+from humansim_ros.render.pictures import distinct_hues, draw_disc, draw_line, hsv_colors
 from humansim_ros.scene.truth.camera_truth import OUTSIDE, VISIBLE
 from humansim_ros.types import Color, Image
 
@@ -23,11 +23,6 @@ _HIDDEN_COLOR: Color = (255, 150, 40)
 _SIDE_COLORS: dict[int, Color] = {1: (80, 170, 255), -1: (255, 110, 150), 0: (250, 220, 90)}
 #: Size of the discs of fingers, toes, jaw and eyes, relative to the discs of other joints.
 _DETAIL_SIZE = 0.5
-#: Grey of the title row and of the gaps of a contact sheet.
-_SHEET = 28
-_GAP = 4
-#: Width of the images of a contact sheet, pixels.
-_SHEET_WIDTH = 480
 
 
 def color_depth(depth: NDArray[np.float32]) -> Image:
@@ -169,26 +164,3 @@ def draw_joints(
 def joint_colors(names: Sequence[str]) -> tuple[list[Color], Color, Color]:
     """Colours: of the line from each joint (J,) to its parent, of visible joints, and of hidden joints."""
     return [_SIDE_COLORS[side_of(name)] for name in names], _VISIBLE_COLOR, _HIDDEN_COLOR
-
-
-def contact_sheet(rows: Sequence[Sequence[Image]], titles: Sequence[str], labels: Sequence[str]) -> Image:
-    """Arrange images (H, W, 3) in a grid. ``titles``: titles of the columns. ``labels``: labels of the
-    rows."""
-    lines = []
-    for row in rows:
-        heights = (round(image.shape[0] * _SHEET_WIDTH / image.shape[1]) for image in row)
-        tiles = [
-            cv2.resize(image, (_SHEET_WIDTH, height), interpolation=cv2.INTER_AREA)
-            for image, height in zip(row, heights, strict=True)
-        ]
-        gap = np.full((tiles[0].shape[0], _GAP, 3), _SHEET, np.uint8)
-        lines.append(np.concatenate([part for tile in tiles for part in (tile, gap)][:-1], axis=1))
-    for line, label in zip(lines, labels, strict=True):
-        position = (12, line.shape[0] - 14)
-        draw_text(line, label, position, 0.6, (0, 0, 0), 4)
-        draw_text(line, label, position, 0.6, (255, 255, 255))
-    head = np.full((40, lines[0].shape[1], 3), _SHEET, np.uint8)
-    for column, title in enumerate(titles):
-        draw_text(head, title, (column * (_SHEET_WIDTH + _GAP) + 12, 27), 0.62, (235, 235, 235))
-    gap = np.full((_GAP, lines[0].shape[1], 3), _SHEET, np.uint8)
-    return np.concatenate([head, *[part for line in lines for part in (line, gap)]])

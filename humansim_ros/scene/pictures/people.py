@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -71,23 +72,6 @@ class AnimatedFigure:
     floor: float = 0.0
     heading: float = 0.0
     cell: float = 0.5
-
-
-class Artist(Protocol):
-    """Draws an animated figure at a time in seconds."""
-
-    @property
-    def figure(self) -> AnimatedFigure:
-        """The figure that is drawn."""
-        ...
-
-    def draw(self, time: float) -> Image:
-        """Draw the figure at a time in seconds."""
-        ...
-
-    def close(self) -> None:
-        """Release the renderer, if there is one."""
-        ...
 
 
 class _TrackingCamera:
@@ -170,7 +154,22 @@ def _draw_segment(image: Image, camera: Camera, ends: Array, color: Color, width
         draw_line(image, pixels, color, width)
 
 
-class StickFigureArtist:
+class Artist(ABC):
+    """Draws an animated figure, in images of ``size`` (width, height)."""
+
+    def __init__(self, figure: AnimatedFigure, size: tuple[int, int], viewpoint: Viewpoint) -> None:
+        self.figure = figure
+        self._tracking = _TrackingCamera(figure, size, viewpoint)
+
+    @abstractmethod
+    def draw(self, time: float) -> Image:
+        """Draw the figure at a time in seconds."""
+
+    def close(self) -> None:  # noqa: B027
+        """Release the renderer, if there is one."""
+
+
+class StickFigureArtist(Artist):
     """Draws the joints of a motion and the links between joints: left blue, right red."""
 
     def __init__(
@@ -183,9 +182,8 @@ class StickFigureArtist:
     ) -> None:
         """Make an artist (:meth:`of_world` and :meth:`of_file` are simpler). ``parents``: parent of each
         joint, (J,); -1 for a root. ``sides``: side of each joint, (J,): 1 left, -1 right, 0 neither."""
-        self.figure = figure
+        super().__init__(figure, size, viewpoint)
         self._parents, self._sides = parents, sides
-        self._tracking = _TrackingCamera(figure, size, viewpoint)
 
     @classmethod
     def of_world(
@@ -262,12 +260,9 @@ class StickFigureArtist:
                 draw_disc(image, pixels[joint], 2.5, colors[joint])
         return image
 
-    def close(self) -> None:
-        """Do nothing; there is no renderer."""
 
-
-class SkinnedArtist:
-    """Draws the human that a motion drives, in images of ``size`` (width, height)."""
+class SkinnedArtist(Artist):
+    """Draws the human that a motion drives."""
 
     def __init__(
         self, human: Human, world: WorldMotion, size: tuple[int, int], viewpoint: Viewpoint = "three-quarter"
@@ -281,14 +276,14 @@ class SkinnedArtist:
             tails = posed[..., :3, 3] + posed[..., :3, 1] * skeleton.lengths[:, None]
             return np.concatenate([posed[..., :3, 3], tails], axis=1)
 
-        self.figure = AnimatedFigure(
+        figure = AnimatedFigure(
             points,
             world.duration,
             world.motion.frame_time,
             1.05 * float(skeleton.tails[:, 1].max()),
             heading=_heading(world),
         )
-        self._tracking = _TrackingCamera(self.figure, size, viewpoint)
+        super().__init__(figure, size, viewpoint)
         # the sun is in front of the human for any heading
         sun = Rotation.from_euler("z", self.figure.heading).apply(Lighting.sun)
         self._renderer = GLRenderer([], Lighting(sun=tuple(sun), background=PAPER))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -27,7 +27,6 @@ from humansim_ros.scene.pictures.top_view import (
     Plan,
     coverage_colors,
     draw_label,
-    draw_name,
     draw_view,
     round_cell,
     view_border,
@@ -48,8 +47,6 @@ _AHEAD = 4.0
 _FARTHEST = 1e5
 #: Pixels between two tested positions of a coverage image.
 _STEP = 2
-#: Distance in pixels below which cameras share a label.
-_SHARED_LABEL = 14
 
 
 def rig_image(cameras: Mapping[str, Camera], points: Array | None = None) -> Image:
@@ -138,14 +135,14 @@ class _Rig:
 
 
 def _from_above(rig: _Rig, points: Array) -> Image:
-    image = _panel()
+    image = np.full((_SIDE, _SIDE, 3), PAPER, np.uint8)
     plan = Plan.fitting(rig.low[:2], rig.high[:2], (_SIDE, _SIDE), _MARGIN)
     plan.draw_axes(image)
     for border, color in zip(rig.borders, rig.colors, strict=True):
         fill_polygon(image, plan.pixels(border), color, _OPACITY)
-    _draw_map_axes(image, plan, rig)
+    _draw_map_axes(image, rig, "xy", plan.pixels)
     _draw_crosses(image, plan.pixels(points))
-    _draw_cameras_above(image, plan, rig, rig.colors)
+    plan.draw_cameras(image, rig.cameras, rig.borders, rig.colors)
     return image
 
 
@@ -153,24 +150,6 @@ def _draw_crosses(image: Image, pixels: Array) -> None:
     for pixel in pixels:
         for arm in ((5, 5), (5, -5)):
             draw_line(image, [pixel - arm, pixel + arm], INK, 2)
-
-
-def _draw_cameras_above(image: Image, plan: Plan, rig: _Rig, colors: Sequence[Color]) -> None:
-    labels: list[tuple[Array, Array, list[str]]] = []
-    for (name, camera), border, color in zip(rig.cameras.items(), rig.borders, colors, strict=True):
-        center, pixels = plan.pixels(camera.center), plan.pixels(border)
-        if not plan.has(center):
-            continue
-        draw_view(image, center, pixels, color)
-        near = [names for other, _, names in labels if np.linalg.norm(other - center) < _SHARED_LABEL]
-        if near:
-            near[0].append(name)
-        else:
-            labels.append((center, center - pixels.mean(0), [name]))
-    for center, backward, names in labels:
-        # cameras above or close to each other share a label
-        text = names[0] + (f" +{len(names) - 1}" if len(names) > 1 else "")
-        draw_name(image, text, center, backward, _MARGIN)
 
 
 def _draw_names(image: Image, names: Sequence[str], pixels: Array, depth: Array) -> None:
@@ -184,21 +163,20 @@ def _draw_names(image: Image, names: Sequence[str], pixels: Array, depth: Array)
             draw_label(image, names[number], position, 0.4, anchor="middle", boxed=True)
 
 
-def _draw_map_axes(image: Image, plan: Plan, rig: _Rig) -> None:
-    if not rig.near_origin:
-        return
+def _draw_map_axes(image: Image, rig: _Rig, axes: str, project: Callable[[Array], Array]) -> None:
+    """Draw axes of ``map``, such as ``xy``. ``project``: function of points (2, 3) that returns pixels."""
     size = round_cell(float((rig.high - rig.low)[:2].max()))
-    for axis in (0, 1):
-        ends = np.zeros((2, 2))
+    for axis, name in enumerate(axes if rig.near_origin else ""):
+        ends = np.zeros((2, 3))
         ends[1, axis] = size
-        pixels = plan.pixels(ends)
+        pixels = project(ends)
         draw_line(image, pixels, _AXES[axis], 2)
-        draw_label(image, "xy"[axis], pixels[1] + np.array([5, -5]), 0.45, _AXES[axis])
+        draw_label(image, name, pixels[1] + np.array([5, -5]), 0.45, _AXES[axis])
 
 
 def _from_side(rig: _Rig, points: Array) -> tuple[Image, float]:
     """Draw the cameras from the side. Returns the image, and the size of a square of the floor in metres."""
-    image = _panel()
+    image = np.full((_SIDE, _SIDE, 3), PAPER, np.uint8)
     cell = round_cell(float((rig.high - rig.low)[:2].max()))
     start, stop = np.floor(rig.low[:2] / cell), np.ceil(rig.high[:2] / cell)
     centers = np.array([camera.center for camera in rig.cameras.values()])
@@ -210,12 +188,7 @@ def _from_side(rig: _Rig, points: Array) -> tuple[Image, float]:
             ends[:, axis] = step * cell
             ends[:, 1 - axis] = start[1 - axis] * cell, stop[1 - axis] * cell
             draw_line(image, eye.project(ends)[0], SHADE if step == 0 else GRID)
-    for axis, color in enumerate(_AXES if rig.near_origin else ()):
-        ends = np.zeros((2, 3))
-        ends[1, axis] = cell
-        pixels = eye.project(ends)[0]
-        draw_line(image, pixels, color, 2)
-        draw_label(image, "xyz"[axis], pixels[1] + np.array([5, -5]), 0.45, color)
+    _draw_map_axes(image, rig, "xyz", lambda ends: eye.project(ends)[0])
     _draw_crosses(image, eye.project(points)[0])
     names = list(rig.cameras)
     for number in np.argsort(-eye.project(centers)[1]):
@@ -231,12 +204,12 @@ def _from_side(rig: _Rig, points: Array) -> tuple[Image, float]:
 
 
 def _coverage_panel(rig: _Rig, plan: Plan, covered: Coverage) -> Image:
-    image = _panel()
+    image = np.full((_SIDE, _SIDE, 3), PAPER, np.uint8)
     most = max(1, int(covered.counts.max()))
     levels, colors, color_of_count = coverage_colors(most)
     plan.draw_field(image, covered.x, covered.y, color_of_count[covered.counts], _STEP)
     plan.draw_axes(image)
-    _draw_cameras_above(image, plan, rig, [INK] * len(rig.colors))
+    plan.draw_cameras(image, rig.cameras, rig.borders, [INK] * len(rig.colors))
     legend = np.full((_SIDE, 150, 3), PAPER, np.uint8)
     draw_text(legend, "cameras", (14, 20), 0.42)
     draw_label(legend, "m2", (138, 20), 0.42, anchor="right")
@@ -289,10 +262,6 @@ def _colors(count: int) -> list[Color]:
     number = np.arange(count)
     colors = hsv_colors(number * 180 // max(count, 6), 190, np.where(number % 2, 150, 195))
     return [(int(r), int(g), int(b)) for r, g, b in colors]
-
-
-def _panel() -> Image:
-    return np.full((_SIDE, _SIDE, 3), PAPER, np.uint8)
 
 
 def _sheet(title: str, headings: Sequence[str], panels: Sequence[Image]) -> Image:

@@ -153,15 +153,10 @@ def _draw_things(image: Image, plan: Plan, scene: Scene, seconds: float) -> None
 def _draw_cameras(image: Image, plan: Plan, cameras: Mapping[str, Camera]) -> None:
     """Draw the cameras with their fields of view and their names."""
     reach = _REACH * float(plan.extent.max()) * min(1.0, float(np.sqrt(12 / max(1, len(cameras)))))
-    names: list[tuple[str, Array, Array]] = []
-    for name, camera in cameras.items():
-        center, border = plan.pixels(camera.center), plan.pixels(view_border(camera, reach))
-        if plan.has(center):
-            fill_polygon(image, border, INK, 0.12)
-            draw_view(image, center, border, INK)
-            names.append((name, center, center - border.mean(axis=0)))
-    for name, center, backward in names:
-        draw_name(image, name, center, backward, plan.margin)
+    borders = [view_border(camera, reach) for camera in cameras.values()]
+    for border in borders:
+        fill_polygon(image, plan.pixels(border), INK, 0.12)
+    plan.draw_cameras(image, cameras, borders, [INK] * len(borders))
 
 
 def _draw_people(image: Image, plan: Plan, scene: Scene, paths: Mapping[str, Array], seconds: float) -> None:
@@ -216,6 +211,8 @@ _UNSEEN: Color = (214, 216, 220)
 _LEVELS = 10
 #: Points along each side of a distorted image.
 _BORDER_POINTS = 16
+#: Distance in pixels below which cameras share a label.
+_SHARED_LABEL = 14
 
 
 @dataclass(frozen=True)
@@ -295,6 +292,32 @@ class Plan:
                 position = pixels[1] + np.array([0, 16]) if axis == 0 else pixels[0] + np.array([-6, 4])
                 draw_label(image, label, position, 0.36, anchor="middle" if axis == 0 else "right")
 
+    def draw_cameras(
+        self, image: Image, cameras: Mapping[str, Camera], borders: Sequence[Array], colors: Sequence[Color]
+    ) -> None:
+        """Draw the cameras on the plan, with their names. Cameras above or close to each other share a label.
+
+        Args:
+            image: Image that is drawn on.
+            cameras: Cameras by name.
+            borders: Border (B, 3) of the view of each camera.
+            colors: Colour of each camera.
+        """
+        labels: list[tuple[Array, Array, list[str]]] = []
+        for (name, camera), border, color in zip(cameras.items(), borders, colors, strict=True):
+            center, pixels = self.pixels(camera.center), self.pixels(border)
+            if not self.has(center):
+                continue
+            draw_view(image, center, pixels, color)
+            near = [names for other, _, names in labels if np.linalg.norm(other - center) < _SHARED_LABEL]
+            if near:
+                near[0].append(name)
+            else:
+                labels.append((center, center - pixels.mean(0), [name]))
+        for center, backward, names in labels:
+            text = names[0] + (f" +{len(names) - 1}" if len(names) > 1 else "")
+            _draw_name(image, text, center, backward, self.margin)
+
 
 def draw_view(image: Image, center: Array, border: Array, color: Color) -> None:
     """Draw a camera and its field of view.
@@ -311,7 +334,7 @@ def draw_view(image: Image, center: Array, border: Array, color: Color) -> None:
     draw_disc(image, center, 4, color)
 
 
-def draw_name(image: Image, text: str, center: Array, backward: Array, margin: int) -> None:
+def _draw_name(image: Image, text: str, center: Array, backward: Array, margin: int) -> None:
     """Draw a camera's name behind the camera, or above the camera if there is no room behind.
 
     Args:

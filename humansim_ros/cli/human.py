@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterator
+from contextlib import closing
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -362,8 +363,10 @@ def texture(
     if picture is not None:
         from humansim_ros.photographs import draw_sheet
         from humansim_ros.render.pictures import write_png
+        from humansim_ros.scene.pictures import HumanArtist
 
-        write_png(picture, draw_sheet(textured))
+        with closing(HumanArtist(textured.human, shaded=False)) as artist:
+            write_png(picture, draw_sheet(textured, artist.draw))
         print_text(f"wrote {picture}")
 
 

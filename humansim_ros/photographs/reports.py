@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import cv2
@@ -9,12 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.files.mesh import Mesh, padded
+from humansim_ros.motion.body import side_of
 from humansim_ros.people.humans import Human
 from humansim_ros.photographs.person_fit import PersonFit
 from humansim_ros.photographs.silhouettes import Faces, intersection_over_union, render_faces
 from humansim_ros.photographs.surface import TexturedPerson
 from humansim_ros.photographs.views import Photo, PhotoSet
 from humansim_ros.render.pictures import (
+    BRIGHT_SIDE_COLORS,
     GRID,
     INK,
     PAPER,
@@ -23,10 +26,11 @@ from humansim_ros.render.pictures import (
     draw_line,
     draw_text,
     hsv_colors,
+    row,
     text_size,
     title_bar,
+    titled_rows,
 )
-from humansim_ros.scene.pictures import HumanArtist, joint_colors, row, titled_rows
 from humansim_ros.types import Array, Color, Image
 
 #: Colours of the body before and after a step of the fit, of given points, and of points that are left out.
@@ -172,11 +176,11 @@ def _draw_body(tile: _Tile, fit: PersonFit, frame: int, photo: Photo, face: Face
     skeleton = fit.body.skeleton
     pixels = tile.pixels(photo.camera.project(fit.joints(frame))[0])
     seen = dict(zip(skeleton.joint_names, pixels, strict=True))
-    colors, _, _ = joint_colors(skeleton.joint_names)
     for outline in outlines:
         closed = tile.pixels(np.concatenate([outline[:, 0], outline[:1, 0]]))
         draw_line(tile.image, closed, _BEFORE if first else _AFTER, 2)
-    for name, parent, color in zip(skeleton.joint_names, skeleton.joint_parents, colors, strict=True):
+    for name, parent in zip(skeleton.joint_names, skeleton.joint_parents, strict=True):
+        color = BRIGHT_SIDE_COLORS[side_of(name)]
         ends = [seen[name]] if parent is None else [seen[parent], seen[name]]
         if np.isfinite(ends).all():
             draw_line(tile.image, ends, _BEFORE if first else color, 1 if first else 2)
@@ -315,17 +319,15 @@ def _medians(fit: PersonFit) -> Array:
     return np.array([np.nanmedian(own) if np.isfinite(own).any() else np.nan for own in used])
 
 
-def draw_sheet(person: TexturedPerson) -> Image:
+def draw_sheet(person: TexturedPerson, draw: Callable[[Human, float], Image]) -> Image:
     """Draw a textured person from eight sides, the view that colours each triangle, the texture and the
-    gains. Triangles that no view has seen are darker."""
-    human = person.human
-    artist = HumanArtist(human, shaded=False)
-    try:
-        textured = [artist.draw(human, angle) for angle in _AZIMUTHS]
-        chosen = _view_colors(person)
-        views = [artist.draw(chosen, angle) for angle in _AZIMUTHS]
-    finally:
-        artist.close()
+    gains. Triangles that no view has seen are darker.
+
+    ``draw``: function that draws a human, unlit, from an azimuth in degrees. All its images have one size.
+    """
+    human, chosen = person.human, _view_colors(person)
+    textured = [draw(human, angle) for angle in _AZIMUTHS]
+    views = [draw(chosen, angle) for angle in _AZIMUTHS]
     rows = [
         row(textured, [f"{angle} degrees" for angle in _AZIMUTHS]),
         row(views, ["view of each triangle", *[""] * (len(_AZIMUTHS) - 1)]),

@@ -6,7 +6,7 @@ Images are (H, W, 3) sRGB. Pixels are (x, y); the centre of the top-left pixel i
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,8 @@ INK: Color = (60, 64, 72)
 GRID: Color = (205, 209, 215)
 #: Colours of the left side (1), the right side (-1) and the middle (0) of a body, on a light background.
 SIDE_COLORS: dict[int, Color] = {1: (38, 116, 200), -1: (206, 62, 92), 0: INK}
+#: Bright colours of left, right and middle, for photographs.
+BRIGHT_SIDE_COLORS: dict[int, Color] = {1: (80, 170, 255), -1: (255, 110, 150), 0: (250, 220, 90)}
 #: Height in pixels of a title bar.
 TITLE_HEIGHT = 34
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
@@ -99,6 +101,22 @@ def title_bar(text: str, width: int, scale: float = 0.55) -> Image:
     bar = np.full((TITLE_HEIGHT, width, 3), 255, np.uint8)
     draw_text(bar, text, (10, 23), scale)
     return bar
+
+
+def titled_rows(title: str, rows: Sequence[Image]) -> Image:
+    """Put rows of images below each other, under a title. Gaps have the background colour."""
+    width = max(each.shape[1] for each in rows)
+    wide = [np.full((each.shape[0], width, 3), PAPER, np.uint8) for each in rows]
+    for whole, each in zip(wide, rows, strict=True):
+        whole[:, : each.shape[1]] = each
+    return np.concatenate([title_bar(title, width), *wide])
+
+
+def row(images: Sequence[Image], labels: Sequence[str]) -> Image:
+    """Put images side by side, each with a label in its corner."""
+    for image, label in zip(images, labels, strict=True):
+        draw_text(image, label, (8, 18), 0.42)
+    return np.concatenate(list(images), axis=1)
 
 
 def hsv_colors(hue: ArrayLike, saturation: ArrayLike, value: ArrayLike) -> NDArray[np.uint8]:

@@ -25,6 +25,7 @@ from humansim_ros.photographs.person_fit import PersonFit
 from humansim_ros.photographs.reports import draw_report, draw_sheet
 from humansim_ros.photographs.surface import texture_thesis
 from humansim_ros.render.pictures import PAPER, distinct_hues, hsv_colors
+from humansim_ros.scene.pictures import HumanArtist
 from humansim_ros.types import Color, Image
 
 BEFORE, AFTER = (255, 150, 40), (0, 225, 255)
@@ -148,7 +149,8 @@ def test_the_sheet_shows_the_person_the_chosen_views_and_the_gains() -> None:
     human = load_human("adult_woman")
     views = texture_views(human, list(ring(4).values()))
     person = texture_thesis(undressed(human), views)
-    sheet = draw_sheet(person)
+    artist = HumanArtist(human, shaded=False)
+    sheet = draw_sheet(person, artist.draw)
     # eight sides of 260 pixels; the shirt of the person is blue-green, its trousers are blue
     assert sheet.shape[1] == 8 * 260
     turntable, choices, legend = sheet[32:332], sheet[332:632], sheet[632:]
@@ -160,7 +162,8 @@ def test_the_sheet_shows_the_person_the_chosen_views_and_the_gains() -> None:
         assert (np.abs(legend.astype(int) - color).max(axis=2) <= 2).sum() >= 16 * 16
 
     with_gains = replace(person, gains=np.full((4, 3), 1.1), notes={"light": "The light was even."})
-    other = draw_sheet(with_gains)
+    other = draw_sheet(with_gains, artist.draw)
+    artist.close()
     assert other.shape[0] == sheet.shape[0] + 26
     assert not np.array_equal(other[632 : len(sheet)], legend)
     np.testing.assert_array_equal(other[32:332], turntable)

@@ -16,7 +16,7 @@ from humansim_ros.geometry import WORLD_FROM_BODY, transform
 from humansim_ros.motion.pose.hand_poses import HAND_POSES, HandAnatomy, hand_angles
 from humansim_ros.people import Human, load_human
 from humansim_ros.render import Body, GLRenderer, Lighting
-from humansim_ros.scene.pictures.people import row
+from humansim_ros.render.pictures import row
 from humansim_ros.types import Array, Image
 
 _SIZE = (250, 230)

@@ -9,6 +9,7 @@ from humansim_ros.data.evaluation.evaluation import PersonErrors as PersonErrors
 from humansim_ros.data.evaluation.evaluation import below_hips as below_hips
 from humansim_ros.data.evaluation.evaluation import evaluate_poses as evaluate_poses
 from humansim_ros.data.evaluation.evaluation import person_errors as person_errors
+from humansim_ros.data.evaluation.joint_names import chosen_set as chosen_set
 from humansim_ros.data.evaluation.joint_names import pair_joints as pair_joints
 from humansim_ros.data.evaluation.joint_names import set_of_names as set_of_names
 from humansim_ros.data.evaluation.live import LiveEvaluation as LiveEvaluation

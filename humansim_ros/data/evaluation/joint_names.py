@@ -10,7 +10,7 @@ from pathlib import Path
 from humansim_ros.errors import EvaluationError, some_of, unknown
 from humansim_ros.files.yaml import read_yaml
 from humansim_ros.motion.body import JOINT_NAMES, SETS
-from humansim_ros.people.keypoints import KEYPOINT_SETS, KeypointSet
+from humansim_ros.people.keypoints import KEYPOINT_SETS, KeypointSet, keypoint_set
 
 #: Names of joints in other programs, in addition to those in :mod:`humansim_ros.motion.body.skeleton`.
 _SPELLINGS = {
@@ -138,6 +138,12 @@ def set_of_names(names: Sequence[str]) -> KeypointSet | None:
     if not sets or all(body_joint(name) is not None for name in names):
         return None
     return min(sets, key=len)
+
+
+def chosen_set(name: str | None, names: Sequence[str]) -> KeypointSet | None:
+    """The keypoint set of a name, or without a name the one of :func:`set_of_names`. Raises HumansimError if
+    there is no such set."""
+    return keypoint_set(name) if name else set_of_names(names)
 
 
 @cache

@@ -16,6 +16,7 @@ from humansim_ros.data.messages.camera_truth import read_faults as read_faults
 from humansim_ros.data.messages.camera_truth import read_joint_view as read_joint_view
 from humansim_ros.data.messages.camera_truth import read_visible_vertices as read_visible_vertices
 from humansim_ros.data.messages.camera_truth import visible_vertices_message as visible_vertices_message
+from humansim_ros.data.messages.cameras import PublishedCalibration as PublishedCalibration
 from humansim_ros.data.messages.cameras import camera_info_message as camera_info_message
 from humansim_ros.data.messages.cameras import extrinsics_message as extrinsics_message
 from humansim_ros.data.messages.cameras import object_message as object_message
@@ -23,6 +24,7 @@ from humansim_ros.data.messages.cameras import pose_message as pose_message
 from humansim_ros.data.messages.cameras import projection_message as projection_message
 from humansim_ros.data.messages.cameras import read_camera_info as read_camera_info
 from humansim_ros.data.messages.cameras import read_extrinsics as read_extrinsics
+from humansim_ros.data.messages.cameras import read_lens as read_lens
 from humansim_ros.data.messages.cameras import read_object as read_object
 from humansim_ros.data.messages.cameras import read_pose as read_pose
 from humansim_ros.data.messages.cameras import read_region as read_region
@@ -64,6 +66,7 @@ from humansim_ros.data.messages.images import DepthCompression as DepthCompressi
 from humansim_ros.data.messages.images import ImageCompression as ImageCompression
 from humansim_ros.data.messages.images import compressed_depth_message as compressed_depth_message
 from humansim_ros.data.messages.images import compressed_image_message as compressed_image_message
+from humansim_ros.data.messages.images import fits_channel as fits_channel
 from humansim_ros.data.messages.images import image_message as image_message
 from humansim_ros.data.messages.images import mask_pixels as mask_pixels
 from humansim_ros.data.messages.images import read_compressed_depth as read_compressed_depth
@@ -105,6 +108,7 @@ from humansim_ros.data.messages.topic import DATA_DEPTH as DATA_DEPTH
 from humansim_ros.data.messages.topic import LATCHED_DEPTH as LATCHED_DEPTH
 from humansim_ros.data.messages.topic import Content as Content
 from humansim_ros.data.messages.topic import Topic as Topic
+from humansim_ros.data.messages.topics import CHANNEL_OF_TOPIC as CHANNEL_OF_TOPIC
 from humansim_ros.data.messages.topics import COMPRESSED as COMPRESSED
 from humansim_ros.data.messages.topics import MEASURED_DEPTH as MEASURED_DEPTH
 from humansim_ros.data.messages.topics import SCENE_TIME as SCENE_TIME

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
 import scipy.spatial
 
 from humansim_ros.cameras.camera import Camera, Region
+from humansim_ros.cameras.formats import read_calibration, resolve_url, write_calibration
 from humansim_ros.data.messages.headers import WORLD_FRAME, header
 from humansim_ros.data.messages.types import (
     CameraInfo,
@@ -27,12 +29,59 @@ from humansim_ros.errors import CameraError, RosError, within_bounds
 from humansim_ros.files.mesh import Mesh
 from humansim_ros.geometry import ObjectPose, Velocity, matrix_to_quaternion, unit_quaternions
 from humansim_ros.render.device import WeakCache
-from humansim_ros.scene.core import CameraPose, SceneObject
+from humansim_ros.scene.core import CameraPose, SceneCamera, SceneObject
 from humansim_ros.types import Array
 
 _WHOLE_SENSOR = Region()
 #: Most distortion coefficients of any lens model, and most characters of its name.
 _MAX_DISTORTION, _MAX_NAME = 14, 64
+
+
+def read_lens(url: str, name: str) -> Camera:
+    """Read a calibration file or URL with one camera. ``name``: replaces ``${NAME}``.
+
+    Raises:
+        CameraError: The file has several cameras, or none that can be read.
+    """
+    path = resolve_url(url, name)
+    cameras = read_calibration(path)
+    if len(cameras) > 1:
+        raise CameraError(f"there are {len(cameras)} cameras in this file, a driver has one", path=path)
+    return next(iter(cameras.values()))
+
+
+class PublishedCalibration:
+    """Calibration for ``<camera>/camera_info``, which may be another one than that of the images.
+
+    Attributes:
+        name: Name of the camera.
+        published: Calibration of the whole sensor in ``<camera>/camera_info``.
+        beside_truth: Calibration for ``camera_info`` next to images of ground truth, such as depth. It is the
+            true one until it is replaced.
+    """
+
+    def __init__(self, camera: SceneCamera) -> None:
+        self.name = camera.name
+        self._rendered = self.beside_truth = camera.whole
+        self.published = camera.published
+
+    def replace(self, camera: Camera, source: str | None = None) -> None:
+        """Publish another calibration. If its image size is wrong, CameraError names ``source``."""
+        if camera.size != self._rendered.size:
+            (w, h), (width, height) = camera.size, self._rendered.size
+            message = f"this calibration is for {w}x{h} pixels, the camera has {width}x{height}"
+            raise CameraError(message, path=source)
+        self.published = self.beside_truth = camera
+
+    def save(self) -> Path:
+        """Write the published calibration to the same place as camera drivers:
+        ``$ROS_HOME/camera_info/<camera>.yaml``. Returns the path. Raises OSError or HumansimError if that
+        fails."""
+        home = os.environ.get("ROS_HOME") or str(Path.home() / ".ros")
+        path = Path(home) / "camera_info" / f"{self.name}.yaml"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_calibration(path, {self.name: self.published})
+        return path
 
 
 def camera_info_message(camera: Camera, stamp: int, frame: str, region: Region = _WHOLE_SENSOR) -> CameraInfo:

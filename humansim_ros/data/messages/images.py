@@ -15,6 +15,7 @@ from humansim_ros.data.messages.headers import header
 from humansim_ros.data.messages.types import CompressedImage, Image, set_unchecked
 from humansim_ros.errors import RosError
 from humansim_ros.files.reading import MAX_PIXELS, declared_size
+from humansim_ros.render.interface import CHANNEL_TABLE
 
 #: Element type and number of channels of an image, by encoding.
 _PIXELS = {
@@ -102,6 +103,12 @@ def read_image(message: Image) -> NDArray[Any]:
     rows = np.ascontiguousarray(data.reshape(message.height, message.step)[:, :used])
     pixels = rows.view(dtype).astype(kind, copy=False)
     return pixels.reshape(message.height, message.width, channels) if channels > 1 else pixels
+
+
+def fits_channel(pixels: NDArray[Any], channel: str) -> bool:
+    """Whether pixels (H, W) or (H, W, C) have the kind of numbers and the components of a channel."""
+    row = CHANNEL_TABLE[channel]
+    return pixels.shape[2:] == row.components and pixels.dtype.kind == np.dtype(row.dtype).kind
 
 
 def mask_pixels(mask: NDArray[Any]) -> NDArray[np.uint8]:

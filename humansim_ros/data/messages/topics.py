@@ -82,6 +82,9 @@ COMPRESSED = {
     **{row.name: "compressed" for row in CHANNEL_TABLE.values() if row.encoding in ("mono8", "mono16")},
 }
 
+#: Channel by name of its topic below a camera, without the channels that have a topic for each body.
+CHANNEL_OF_TOPIC = {row.topic: name for name, row in CHANNEL_TABLE.items() if not row.per_body}
+
 #: Namespaces of measured depth below a camera: depth in the pixels of the depth sensor, and depth converted
 #: to the pixels of ``image_raw``.
 MEASURED_DEPTH = ("depth_sensor", "aligned_depth_to_color")
@@ -333,9 +336,7 @@ class CameraTopics:
             for topic in self._channel_topics(channel, ImageCompression("png"))
         ]
         self.rectified = {} if camera.rectified is None else self._rectified_topics()
-        namespaces = dict.fromkeys(
-            channel.topic.rpartition("/")[0] for channel in CHANNEL_TABLE.values() if not channel.per_body
-        )
+        namespaces = dict.fromkeys(topic.rpartition("/")[0] for topic in CHANNEL_OF_TOPIC)
 
         info = partial(_info_topic, name, frame=self._image_frame, region=camera.region)
         self.info = info(camera.published, shown=True, faulty=self._has_faults)

@@ -14,10 +14,9 @@ from typing import Any
 import numpy as np
 
 from humansim_ros.data.engine import Costs, FrameResult
-from humansim_ros.data.evaluation import EstimateStream, ReadOptions, evaluate_poses, set_of_names, truth_at
+from humansim_ros.data.evaluation import EstimateStream, ReadOptions, chosen_set, evaluate_poses, truth_at
 from humansim_ros.data.messages import PoseFrame
 from humansim_ros.errors import EvaluationError, show_warnings
-from humansim_ros.people.keypoints import keypoint_set
 from humansim_ros.ros.graph.transport import domain_environment
 from humansim_ros.scene.core import Scene
 
@@ -97,7 +96,8 @@ class _Collector:
         from humansim_ros.ros.processes.estimate_topics import PoseTopics
 
         options = order.options
-        names = keypoint_set(options.keypoints).names if options.keypoints else None
+        points = chosen_set(options.keypoints, ())
+        names = None if points is None else points.names
         self.stream = EstimateStream(options.topic)
         #: By stamp: scene time (nanoseconds), and time of the first arrival (seconds).
         self.frames: dict[int, int] = {}
@@ -275,9 +275,7 @@ def _scores(order: CaseOrder, scene: Scene, frames: dict[int, int], stream: Esti
     # in the first frames, trackers load models, find the topics and confirm people; this varies between runs
     kept = stamps[min(_WARM_UP, len(stamps) // 3) :]
     estimate = estimate.since(int(kept[0]) - half)
-    points = (
-        keypoint_set(order.options.keypoints) if order.options.keypoints else set_of_names(estimate.names)
-    )
+    points = chosen_set(order.options.keypoints, estimate.names)
     times = np.array([frames[stamp] for stamp in kept.tolist()], np.int64)
     truth = truth_at(scene, times, kept, points)
     found = evaluate_poses(truth, estimate)

@@ -17,10 +17,9 @@ from typing import Any
 import yaml
 
 from humansim_ros.data.engine import FrameProgress, WorkerDiedError, WorkerProcess, Workers, children_of
-from humansim_ros.data.evaluation import axes_matrix
+from humansim_ros.data.evaluation import axes_matrix, chosen_set
 from humansim_ros.errors import ChallengeError, HumansimError, printable
 from humansim_ros.files.reading import atomic_path
-from humansim_ros.people.keypoints import keypoint_set
 from humansim_ros.ros.challenge.case import CaseJob, CaseOrder, ChallengeOptions
 from humansim_ros.ros.challenge.results import RESULTS, CaseResult, Report
 from humansim_ros.ros.challenge.suite import Case, Suite
@@ -188,8 +187,7 @@ def open_report(suite: Suite, options: ChallengeOptions, folder: Path, resume: b
         HumansimError: The folder has results, and ``resume`` is not set, or the results are of another
             tracker, suite or settings.
     """
-    if options.keypoints is not None:
-        keypoint_set(options.keypoints)
+    chosen_set(options.keypoints, ())  # which refuses other names
     if options.axes is not None:
         axes_matrix(options.axes)
     new = Report.of_suite(suite, options.tracker, options.settings)

@@ -20,21 +20,20 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped, TransformStamped
 
 from humansim_ros.data import messages
-from humansim_ros.data.messages import CameraTopics
+from humansim_ros.data.messages import CameraTopics, PublishedCalibration, read_lens
 from humansim_ros.errors import HumansimError, RosError, SceneError, located, printable, unknown
 from humansim_ros.geometry import matrix_to_quaternion, quaternion_to_matrix, slerp
 from humansim_ros.render.interface import comparing_with
 from humansim_ros.ros.graph.qos import NEWEST
 from humansim_ros.ros.nodes.frame_synchronizer import FrameSynchronizer
 from humansim_ros.ros.nodes.publishers import (
+    CalibrationService,
     CameraDriver,
     DepthSensorPublishers,
     FaultsPublisher,
     ImagePublishers,
     InfoPublishers,
-    PublishedCalibration,
     TruthPublishers,
-    read_single_camera,
 )
 from humansim_ros.ros.playing.clock import PictureTimer
 from humansim_ros.ros.processes.node import SceneNode
@@ -227,13 +226,14 @@ class CameraNode(SceneNode):
         self._freezes = schedule is not None and schedule.config.freeze is not None
         #: Colour image of the last frame before the camera froze, if faults can freeze this camera.
         self._last_colours: Image | None = None
-        self._calibration = PublishedCalibration(self, self._camera)
+        self._calibration = PublishedCalibration(self._camera)
+        CalibrationService(self, self._calibration)
         if url := self.text_parameter(
             "published_info_url",
             "",
             "Calibration file to publish as camera_info in place of the rendered lens; empty: the truth",
         ):
-            self._calibration.replace(read_single_camera(url, name), url)
+            self._calibration.replace(read_lens(url, name), url)
         self._pose = CameraPosePublisher(self, self._camera, self._topics)
         for legend in self._topics.legends:
             self.publish_latched(legend.build(None, 0), legend.name)
@@ -257,7 +257,7 @@ class CameraNode(SceneNode):
         if not url:
             return camera
         with located(path=url):
-            return camera.with_calibration(read_single_camera(url, name))
+            return camera.with_calibration(read_lens(url, name))
 
     def _optical_frame(self, name: str) -> str:
         """Name of the optical frame of a camera in messages and tf. Raises RosError if tf2 refuses this."""

@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 import heapq
-import os
 import time
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.duration import Duration
-from sensor_msgs.msg import CameraInfo
 from sensor_msgs.srv import SetCameraInfo
 
-from humansim_ros.cameras.camera import Camera
-from humansim_ros.cameras.formats import read_calibration, resolve_url, write_calibration
 from humansim_ros.data.messages import (
     CameraTopics,
     Content,
@@ -25,69 +20,33 @@ from humansim_ros.data.messages import (
     DepthContent,
     DepthSensorTopics,
     ImageCompression,
+    PublishedCalibration,
     Topic,
     read_camera_info,
 )
-from humansim_ros.errors import CameraError, HumansimError, RosError, printable
+from humansim_ros.errors import HumansimError, RosError, printable
 from humansim_ros.render.interface import CHANNEL_TABLE, View
 from humansim_ros.ros.processes.node import SceneNode
-from humansim_ros.scene.core import FOLLOWING, NO_FAULTS, FrameFaults, SceneCamera
+from humansim_ros.scene.core import FOLLOWING, NO_FAULTS, FrameFaults
 from humansim_ros.scene.truth import CameraTruth
 
 
-def read_single_camera(url: str, name: str) -> Camera:
-    """Read a calibration file or URL with one camera. ``name``: replaces ``${NAME}``.
+class CalibrationService:
+    """Service ``<camera>/set_camera_info``, which replaces the published calibration and saves it as camera
+    drivers do."""
 
-    Raises:
-        CameraError: The file has several cameras, or none that can be read.
-    """
-    path = resolve_url(url, name)
-    cameras = read_calibration(path)
-    if len(cameras) > 1:
-        raise CameraError(f"there are {len(cameras)} cameras in this file, a driver has one", path=path)
-    return next(iter(cameras.values()))
-
-
-class PublishedCalibration:
-    """Calibration for ``<camera>/camera_info``, which the service ``<camera>/set_camera_info`` can replace.
-
-    The service replaces the content and writes it to the same place as camera drivers:
-    ``$ROS_HOME/camera_info/<camera>.yaml``.
-
-    Attributes:
-        published: Calibration of the whole sensor in ``<camera>/camera_info``.
-        beside_truth: Calibration for ``camera_info`` next to images of ground truth, such as depth. It is the
-            true one until the service replaces it.
-    """
-
-    def __init__(self, node: SceneNode, camera: SceneCamera) -> None:
-        self._node = node
-        self._name = name = camera.name
-        self._rendered = self.beside_truth = camera.whole
-        self.published = camera.published
-        node.create_service(SetCameraInfo, f"{name}/set_camera_info", self._on_set)
-
-    def replace(self, camera: Camera, source: str | None = None) -> None:
-        """Publish another calibration. If its image size is wrong, CameraError names ``source``."""
-        if camera.size != self._rendered.size:
-            (w, h), (width, height) = camera.size, self._rendered.size
-            message = f"this calibration is for {w}x{h} pixels, the camera has {width}x{height}"
-            raise CameraError(message, path=source)
-        self.published = self.beside_truth = camera
+    def __init__(self, node: SceneNode, calibration: PublishedCalibration) -> None:
+        self._node, self._calibration = node, calibration
+        node.create_service(SetCameraInfo, f"{calibration.name}/set_camera_info", self._on_set)
 
     def _on_set(self, request: Any, response: Any) -> Any:
-        info: CameraInfo = request.camera_info
         try:
-            camera = read_camera_info(info)
-            self.replace(camera)
+            self._calibration.replace(read_camera_info(request.camera_info))
         except HumansimError as error:
             response.success, response.status_message = False, printable(str(error))
             return response
-        home = os.environ.get("ROS_HOME") or str(Path.home() / ".ros")
-        path = Path(home) / "camera_info" / f"{self._name}.yaml"
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            write_calibration(path, {self._name: camera})
+            path = self._calibration.save()
         except (OSError, HumansimError) as error:
             response.success, response.status_message = False, f"published, but not saved: {error}"
             return response
@@ -95,7 +54,7 @@ class PublishedCalibration:
         response.status_message = (
             f"camera_info is replaced and saved to {path}; images are rendered with the same lens as before"
         )
-        self._node.get_logger().info(f"{self._name}: {response.status_message}")
+        self._node.get_logger().info(f"{self._calibration.name}: {response.status_message}")
         return response
 
 
@@ -322,7 +281,7 @@ class InfoPublishers:
 
     def __init__(self, node: SceneNode, topics: CameraTopics, driver: CameraDriver) -> None:
         self._driver = driver
-        infos: list[tuple[Topic[Camera], Callable[[PublishedCalibration], Camera]]] = [
+        infos: list[tuple[Topic[Any], Callable[[PublishedCalibration], Any]]] = [
             (topics.info, lambda each: each.published),
             *((topic, lambda each: each.beside_truth) for topic in topics.truth_infos),
         ]

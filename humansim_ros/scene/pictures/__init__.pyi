@@ -5,9 +5,7 @@ from humansim_ros.scene.pictures.people import StickFigureArtist as StickFigureA
 from humansim_ros.scene.pictures.people import bone_colors as bone_colors
 from humansim_ros.scene.pictures.people import check_suffix as check_suffix
 from humansim_ros.scene.pictures.people import human_sheet as human_sheet
-from humansim_ros.scene.pictures.people import row as row
 from humansim_ros.scene.pictures.people import strip as strip
-from humansim_ros.scene.pictures.people import titled_rows as titled_rows
 from humansim_ros.scene.pictures.people import write_motion_image as write_motion_image
 from humansim_ros.scene.pictures.rigs import coverage_image as coverage_image
 from humansim_ros.scene.pictures.rigs import rig_image as rig_image
@@ -20,3 +18,4 @@ from humansim_ros.scene.pictures.views import color_depth as color_depth
 from humansim_ros.scene.pictures.views import color_image as color_image
 from humansim_ros.scene.pictures.views import draw_joints as draw_joints
 from humansim_ros.scene.pictures.views import joint_colors as joint_colors
+from humansim_ros.scene.pictures.views import person_color as person_color

@@ -32,8 +32,10 @@ from humansim_ros.render.pictures import (
     draw_line,
     draw_text,
     hsv_colors,
+    row,
     text_size,
     title_bar,
+    titled_rows,
     write_gif,
     write_mp4,
     write_png,
@@ -492,19 +494,3 @@ def human_sheet(human: Human) -> Image:
         f"{human.skinning.replace('_', ' ')} skinning"
     )
     return titled_rows(title, rows)
-
-
-def titled_rows(title: str, rows: Sequence[Image]) -> Image:
-    """Put rows of images below each other, under a title. Gaps have the background colour."""
-    width = max(each.shape[1] for each in rows)
-    wide = [np.full((each.shape[0], width, 3), PAPER, np.uint8) for each in rows]
-    for whole, each in zip(wide, rows, strict=True):
-        whole[:, : each.shape[1]] = each
-    return np.concatenate([title_bar(title, width), *wide])
-
-
-def row(images: Sequence[Image], labels: Sequence[str]) -> Image:
-    """Put images side by side, each with a label in its corner."""
-    for image, label in zip(images, labels, strict=True):
-        draw_text(image, label, (8, 18), 0.42)
-    return np.concatenate(list(images), axis=1)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.motion.body import DETAIL_BONES, side_of
-from humansim_ros.render.pictures import distinct_hues, draw_disc, draw_line, hsv_colors
+from humansim_ros.render.pictures import BRIGHT_SIDE_COLORS, distinct_hues, draw_disc, draw_line, hsv_colors
 from humansim_ros.scene.truth.camera_truth import OUTSIDE, VISIBLE
 from humansim_ros.types import Color, Image
 
@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
 _VISIBLE_COLOR: Color = (60, 230, 90)
 _HIDDEN_COLOR: Color = (255, 150, 40)
-#: Bright colours of left, right and trunk, for photographs.
-_SIDE_COLORS: dict[int, Color] = {1: (80, 170, 255), -1: (255, 110, 150), 0: (250, 220, 90)}
 #: Size of the discs of fingers, toes, jaw and eyes, relative to the discs of other joints.
 _DETAIL_SIZE = 0.5
 
@@ -153,7 +151,7 @@ def draw_joints(
     for name, parent in zip(names, parents, strict=True):
         if parent is not None and name in pixel_of and parent in pixel_of:
             width = max(1, round(0.6 * sizes[name]))
-            draw_line(out, [pixel_of[parent], pixel_of[name]], _SIDE_COLORS[side_of(name)], width)
+            draw_line(out, [pixel_of[parent], pixel_of[name]], BRIGHT_SIDE_COLORS[side_of(name)], width)
     for name, state in zip(names, visible, strict=True):
         if name in pixel_of and state != OUTSIDE:
             color, width = (_VISIBLE_COLOR, -1) if state == VISIBLE else (_HIDDEN_COLOR, 1)
@@ -161,6 +159,12 @@ def draw_joints(
     return out
 
 
+def person_color(number: int) -> Color:
+    """Bright colour of a person. ``number``: number of the person, from 0; colours of neighbours differ."""
+    red, green, blue = hsv_colors(distinct_hues(number + 1)[-1:], 170, 235)[0]
+    return int(red), int(green), int(blue)
+
+
 def joint_colors(names: Sequence[str]) -> tuple[list[Color], Color, Color]:
     """Colours: of the line from each joint (J,) to its parent, of visible joints, and of hidden joints."""
-    return [_SIDE_COLORS[side_of(name)] for name in names], _VISIBLE_COLOR, _HIDDEN_COLOR
+    return [BRIGHT_SIDE_COLORS[side_of(name)] for name in names], _VISIBLE_COLOR, _HIDDEN_COLOR

@@ -9,8 +9,9 @@ from typing import Any
 
 from humansim_ros.cameras.camera import Camera
 from humansim_ros.geometry import matrix_to_quaternion
+from humansim_ros.scene.pictures import person_color
 from humansim_ros.view.panels.page import SPEEDS, Page, plain_markdown
-from humansim_ros.view.panels.stage import Options, person_color
+from humansim_ros.view.panels.stage import Options
 from humansim_ros.view.server.server import PREFIX
 from humansim_ros.view.sources.source import ViewFrame, jpeg_of
 from humansim_ros.view.sources.tracks import TrackReader, Tracks

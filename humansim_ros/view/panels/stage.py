@@ -21,7 +21,7 @@ from humansim_ros.errors import CameraError
 from humansim_ros.files.mesh import Mesh, SurfaceNormals, split_seams
 from humansim_ros.geometry import matrix_to_quaternion
 from humansim_ros.people.humans import Human
-from humansim_ros.render.pictures import distinct_hues, hsv_colors
+from humansim_ros.scene.pictures import person_color
 from humansim_ros.types import Array, Color, Image
 from humansim_ros.view.server.server import PREFIX, PageServer
 from humansim_ros.view.sources.source import JOINTS, ViewFrame, ViewSource, jpeg_of
@@ -470,15 +470,10 @@ def coverage_picture(cameras: Mapping[str, Camera]) -> tuple[Image, Array, Array
     y = np.arange(low[1] + cell / 2, high[1], cell)
     counts = Coverage.of(cameras, x, y, 0.1, 1.7).counts[::-1]
     share = counts / max(len(cameras), 1)
-    colors = hsv_colors((share * 60).ravel(), 200, np.full(counts.size, 230)).reshape(*counts.shape, 3)
-    alpha = np.where(counts > 0, 150, 0).astype(np.uint8)
-    return np.dstack([colors, alpha]), low, high
-
-
-def person_color(number: int) -> Color:
-    """Colour of the lines and points of a person. ``number``: of the person in the source, from 0."""
-    red, green, blue = hsv_colors(distinct_hues(number + 1)[-1:], 170, np.array([235]))[0]
-    return int(red), int(green), int(blue)
+    red, green = np.clip(2 - 2 * share, 0, 1), np.clip(2 * share, 0, 1)
+    colors = 50 + 180 * np.dstack([red, green, np.zeros_like(share)])
+    alpha = np.where(counts > 0, 150, 0)
+    return np.dstack([np.rint(colors), alpha]).astype(np.uint8), low, high
 
 
 def _wxyz(rotations: Array) -> Array:

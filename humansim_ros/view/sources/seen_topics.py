@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 
 from humansim_ros.data.evaluation import topic_pattern, topic_person
 from humansim_ros.data.messages import (
+    CHANNEL_OF_TOPIC,
     COMPRESSED,
     MEASURED_DEPTH,
     MESSAGE_TYPES,
@@ -16,7 +17,6 @@ from humansim_ros.data.messages import (
     TF_TOPIC,
 )
 from humansim_ros.people.keypoints import KeypointSet
-from humansim_ros.render.interface import CHANNEL_TABLE
 
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 IMAGE, COMPRESSED_IMAGE = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
@@ -26,10 +26,8 @@ _POSES = {"extrinsics": "geometry_msgs/msg/TransformStamped", "pose": "geometry_
 _TIME = "sensor_msgs/msg/TimeReference"
 #: Suffixes of the names of compressed image topics.
 _COMPRESSED = tuple(dict.fromkeys(f"/{end}" for end in COMPRESSED.values()))
-#: Channel by name of its topic below a camera, without the channels that have a topic for each body.
-_CHANNELS = {row.topic: name for name, row in CHANNEL_TABLE.items() if not row.per_body}
 #: Namespaces below a camera in which its ``camera_info`` is published again.
-_BELOW = frozenset(topic.rpartition("/")[0] for topic in _CHANNELS) - {""} | {*MEASURED_DEPTH}
+_BELOW = frozenset(topic.rpartition("/")[0] for topic in CHANNEL_OF_TOPIC) - {""} | {*MEASURED_DEPTH}
 #: Topics (of other programs) that serve as the image of a camera without ``image_raw``, the best first.
 _PICTURES = ("image_color", "image", "image_rect_color", "image_rect", "image_mono", "image_rect_raw")
 _HUMAN = re.compile(r"/(?:(?P<space>.+)/)?humans/(?P<name>[^/]+)/(?P<kind>joints|mesh|vertices)")
@@ -91,7 +89,7 @@ class SeenTopics:
     def channels(self) -> tuple[str, ...]:
         """Channels of all cameras, in the order of the table of channels."""
         found = {channel for camera in self.cameras.values() for channel in camera.images}
-        return tuple(name for name in CHANNEL_TABLE if name in found)
+        return tuple(name for name in CHANNEL_OF_TOPIC.values() if name in found)
 
     @property
     def on_demand(self) -> set[str]:
@@ -199,7 +197,7 @@ def _camera(space: str, types: Mapping[str, str], spaces: Collection[str]) -> Se
             plain = next((relative.removesuffix(end) for end in _COMPRESSED if relative.endswith(end)), "")
         elif kind != IMAGE:
             continue
-        channel = _CHANNELS.get(plain)
+        channel = CHANNEL_OF_TOPIC.get(plain)
         if channel is not None and (kind == IMAGE or channel not in images):
             images[channel] = below + relative
     if "rgb" not in images:

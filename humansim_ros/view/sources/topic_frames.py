@@ -35,7 +35,6 @@ from humansim_ros.errors import HumansimError, RosError, printable
 from humansim_ros.files.mesh import Mesh
 from humansim_ros.motion.body import JointPoses, body_joints
 from humansim_ros.people.humans import Human
-from humansim_ros.render.interface import CHANNEL_TABLE
 from humansim_ros.scene.core import SHAPES
 from humansim_ros.scene.pictures import color_channel, color_depth, color_image, draw_joints
 from humansim_ros.scene.truth import OUTSIDE, VISIBLE
@@ -636,12 +635,7 @@ def _picture(channel: str, pixels: NDArray[Any], encoding: str) -> Picture:
         return color_depth(_metres(pixels))
     if channel in ("rgb", "depth") and encoding == "32FC1":
         return color_depth(pixels)
-    row = CHANNEL_TABLE[channel]
-    if (
-        channel in ("rgb", "depth")
-        or pixels.shape[2:] != row.components
-        or pixels.dtype.kind != np.dtype(row.dtype).kind
-    ):
+    if channel in ("rgb", "depth") or not messages.fits_channel(pixels, channel):
         raise RosError(f"an image of encoding {encoding} is no image of {channel}")
     return color_channel(channel, pixels)
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from humansim_ros.cameras import Camera, DepthSensor, DepthSensorConfig, Sensor, SensorConfig
 from humansim_ros.cameras.sensor.depth import aligned, metres, points_of
-from humansim_ros.data.messages import image_points_message
+from humansim_ros.data.messages.points import image_points_message
 from humansim_ros.render import Body, GLRenderer
 from humansim_ros.render.device.pixel_geometry import pixel_rays
 from humansim_ros.scene import Scene

@@ -63,6 +63,7 @@ from std_srvs.srv import SetBool, Trigger  # noqa: E402
 from visualization_msgs.msg import MarkerArray  # noqa: E402
 
 from humansim_ros.data import messages  # noqa: E402
+from humansim_ros.data.messages.humans import joints_message, motion_message  # noqa: E402
 from humansim_ros.ros.graph.guarded_node import GuardedNode  # noqa: E402
 from humansim_ros.ros.graph.qos import CAMERA_ALIVE  # noqa: E402
 from humansim_ros.ros.nodes.bridge import BridgeNode  # noqa: E402
@@ -354,7 +355,7 @@ class Stage:
             "/alone/pose": messages.pose_message(pose, 0),
             "/left/pose": messages.pose_message(pose, 0),
             "/still/pose": messages.pose_message(pose, 0),
-            "/humans/bob/motion": messages.motion_message(_poses(actor), 0),
+            "/humans/bob/motion": motion_message(_poses(actor), 0),
             "/frame_done": Header(frame_id="/alone"),
             f"/{CAMERA_ALIVE}": Header(),
             "/humans/anna/frame": Header(frame_id="map"),
@@ -529,7 +530,7 @@ def _node(kind: Callable[..., Any], scene: str, name: str = "", **parameters: An
 
 def _poses(actor: Any) -> Any:
     """Joints of a live human in a pose, as a motion capture system sends them."""
-    return messages.read_joints(messages.joints_message(actor.at(0.0), 0))
+    return messages.read_joints(joints_message(actor.at(0.0), 0))
 
 
 def _deliver(subscription: Any, data: bytes) -> None:

@@ -293,6 +293,9 @@ def topics_page() -> str:
 def _clouds() -> Iterator[str]:
     """Fields of the point clouds."""
     from humansim_ros.data import messages
+    from humansim_ros.data.messages.camera_truth import BOX_POINT, JOINT_POINT, VISIBLE_VERTEX
+    from humansim_ros.data.messages.points import XYZ_POINT, XYZRGB_POINT
+    from humansim_ros.data.messages.scanners import SCANNER_TRUTH
 
     yield "## Fields of the point clouds\n"
     yield (
@@ -300,13 +303,13 @@ def _clouds() -> Iterator[str]:
         "`humansim_ros.data.messages` has a reader for each; see [ground truth](../ground_truth.md).\n"
     )
     clouds = {
-        "<camera>/joints": (messages.JOINT_POINT, messages.read_joint_view),
-        "<camera>/keypoints/<set>": (messages.JOINT_POINT, messages.read_joint_view),
-        "<camera>/boxes": (messages.BOX_POINT, messages.read_boxes),
-        "<camera>/depth_sensor/points": (messages.XYZ_POINT, messages.read_points),
-        "<camera>/points": (messages.XYZRGB_POINT, messages.read_points),
-        "<camera>/visible_vertices": (messages.VISIBLE_VERTEX, messages.read_visible_vertices),
-        "<scanner>/truth/points": (messages.SCANNER_TRUTH, messages.read_scanner_truth),
+        "<camera>/joints": (JOINT_POINT, messages.read_joint_view),
+        "<camera>/keypoints/<set>": (JOINT_POINT, messages.read_joint_view),
+        "<camera>/boxes": (BOX_POINT, messages.read_boxes),
+        "<camera>/depth_sensor/points": (XYZ_POINT, messages.read_points),
+        "<camera>/points": (XYZRGB_POINT, messages.read_points),
+        "<camera>/visible_vertices": (VISIBLE_VERTEX, messages.read_visible_vertices),
+        "<scanner>/truth/points": (SCANNER_TRUTH, messages.read_scanner_truth),
     }
     yield from table(
         ("topic", "fields (type, first byte)", "bytes", "reader"),

@@ -15,7 +15,7 @@ pytest.importorskip("sensor_msgs", reason="ROS 2 is not installed (pip install '
 
 from humansim_ros.cameras import Camera
 from humansim_ros.cameras.camera.camera import Region
-from humansim_ros.data.messages import camera_info_message
+from humansim_ros.data.messages.cameras import camera_info_message
 from humansim_ros.errors import CameraError, HumansimError
 from humansim_ros.scene import Frame, Scene, Simulation
 

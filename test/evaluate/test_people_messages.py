@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from humansim_ros import Scene, Simulation, evaluate
-from humansim_ros.data import messages
 from humansim_ros.data.bags.chunks import BagMessage, encode_chunk
 from humansim_ros.data.bags.topics import BagTopic, described, message_types
 from humansim_ros.data.bags.writer import BagWriter
 from humansim_ros.data.evaluation.readers.estimates import bag_transforms
 from humansim_ros.data.messages.adapters import adapter_topics
+from humansim_ros.data.messages.cameras import extrinsics_message, transform_message
 from humansim_ros.data.messages.cdr import serialised
 from humansim_ros.data.messages.people import DETECTIONS_2D, MESSAGE_TYPES
 from humansim_ros.data.messages.transforms import TF, Transforms, read_links
@@ -87,7 +87,7 @@ def bag_of(
         rows.append(("/tracker", frame.stamp, change(index, topic.message(frame))))
         base = frame.robot
         if tf and base is not None:
-            pose = messages.transform_message(base.position, base.rotation, frame.stamp, "map", "base_link")
+            pose = transform_message(base.position, base.rotation, frame.stamp, "map", "base_link")
             rows.append((tf, frame.stamp, made_type(TF)(transforms=[pose])))
             topics[tf] = TF
     return write(folder, topics, rows)
@@ -171,7 +171,7 @@ def test_a_frame_that_tf_does_not_know_is_refused(tmp_path: Path) -> None:
 def test_damaged_transforms_are_refused(tmp_path: Path) -> None:
     scene = scene_with(tmp_path / "scene.yaml", {"people": "base_link"})
     bag_of(scene, tmp_path / "bag")
-    bad = messages.transform_message(np.full(3, np.nan), np.array([0, 0, 0, 1.0]), 1, "map", "base_link")
+    bad = transform_message(np.full(3, np.nan), np.array([0, 0, 0, 1.0]), 1, "map", "base_link")
     (topic,) = adapter_topics(scene)
     rows = [
         ("/tracker", 2, topic.message(frame_of(scene, 0))),
@@ -184,7 +184,7 @@ def test_damaged_transforms_are_refused(tmp_path: Path) -> None:
 
 def link(parent: str, child: str, x: float, second: int) -> bytes:
     """Serialised message with one transform."""
-    moved = messages.transform_message(
+    moved = transform_message(
         np.array([x, 0.0, 0.0]), np.array([0.0, 0, 0, 1]), second * 10**9, parent, child
     )
     return bytes(serialised(made_type(TF)(transforms=[moved]), TF))
@@ -208,7 +208,7 @@ def test_transforms_are_read_as_rosbags_reads_them(little_endian: bool) -> None:
     """Names of all lengths: the numbers behind them are aligned to eight bytes."""
     turn = np.array([0.5, -0.5, 0.5, 0.5])
     parts = [
-        messages.transform_message(np.array([n, 0.25, -n]), turn, n * 10**9 + n, "p" * (n // 9 + 1), "c" * n)
+        transform_message(np.array([n, 0.25, -n]), turn, n * 10**9 + n, "p" * (n // 9 + 1), "c" * n)
         for n in range(1, 40)
     ]
     data = bytes(
@@ -269,7 +269,7 @@ def test_positions_in_the_frame_of_a_camera_of_a_recording(tmp_path: Path) -> No
     for index in range(FRAMES):
         frame = frame_of(scene, index)
         camera = scene.scene_cameras["ahead"].camera_at(frame.camera_poses["ahead"])
-        pose = messages.extrinsics_message(camera, frame.stamp, "ahead_optical_frame")
+        pose = extrinsics_message(camera, frame.stamp, "ahead_optical_frame")
         rows += [("/tracker", frame.stamp, topic.message(frame)), ("/ahead/extrinsics", frame.stamp, pose)]
     bag = write(tmp_path / "bag", topics, rows)
     data = evaluate(tmp_path / "scene.yaml", f"{bag}:/tracker").data

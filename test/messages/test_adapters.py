@@ -27,6 +27,7 @@ from humansim_ros.data.messages.adapters import (
     adapter_topics,
     received_frame,
 )
+from humansim_ros.data.messages.camera_truth import boxes_message
 from humansim_ros.data.messages.cdr import serialised
 from humansim_ros.data.messages.hri import HRI_MESSAGES
 from humansim_ros.data.messages.people import GROUND, read_people
@@ -348,7 +349,7 @@ def test_boxes_that_are_received_give_the_same_message(frames: Callable[[int], F
 
     frame = frames(12)
     topic = topics_of(scene, ALL)["fixed/detections_2d"]
-    sent = messages.boxes_message(
+    sent = boxes_message(
         [(frame.labels[name], box) for name, box in frame.boxes["fixed"].items()], 5, "fixed_optical_frame"
     )
     content = CAMERA_INPUTS["boxes"][1](sent, scene)
@@ -376,13 +377,13 @@ def test_boxes_that_lie_are_refused(
 
     frame = frames(12)
     boxes = [(frame.labels[name], box) for name, box in frame.boxes["fixed"].items()]
-    message = messages.boxes_message(boxes, 5, "fixed_optical_frame")
+    message = boxes_message(boxes, 5, "fixed_optical_frame")
     rows = np.frombuffer(bytes(message.data), BOX_POINT).copy()
     rows[field][1] = value
     message.data = rows.tobytes()
     with pytest.raises(RosError, match=text):
         CAMERA_INPUTS["boxes"][1](message, scene)
-    message = messages.boxes_message(boxes[:1], 5, "fixed_optical_frame")
+    message = boxes_message(boxes[:1], 5, "fixed_optical_frame")
     with pytest.raises(RosError, match="no box of ben"):
         CAMERA_INPUTS["boxes"][1](message, scene)
 

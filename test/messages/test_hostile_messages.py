@@ -16,8 +16,10 @@ import pytest
 
 from humansim_ros.cameras import Camera
 from humansim_ros.data import messages
+from humansim_ros.data.messages.cameras import camera_info_message, object_message
 from humansim_ros.data.messages.cdr import MAX_FIELDS, check_serialised, deserialised
-from humansim_ros.data.messages.humans import MAX_JOINTS
+from humansim_ros.data.messages.humans import MAX_JOINTS, joints_message, mesh_message, vertices_message
+from humansim_ros.data.messages.images import compressed_image_message, read_compressed_image
 from humansim_ros.errors import CameraError, HumansimError, MotionError, RosError
 from humansim_ros.files.mesh.mesh import Mesh
 from humansim_ros.geometry import ObjectPose
@@ -74,8 +76,8 @@ def test_every_truncated_message_is_refused(kind: str) -> None:
 
     state = scene().actors["first"].at(0.0)
     whole = {
-        "MultiDOFJointState": lambda: messages.joints_message(state, 5),
-        "PointCloud2": lambda: messages.vertices_message(state.vertices[:9], 5),
+        "MultiDOFJointState": lambda: joints_message(state, 5),
+        "PointCloud2": lambda: vertices_message(state.vertices[:9], 5),
     }[kind]()
     data = serialize_message(whole)
     for length in range(len(data) - 4):  # the last bytes may be padding
@@ -101,7 +103,7 @@ def test_messages_of_too_many_bytes_or_fields_are_refused_before_they_are_read()
     for message in long:
         with pytest.raises(RosError, match="are read"):
             check_serialised(serialize_message(message), type(message))
-    vertices = messages.vertices_message(np.zeros((200_000, 3), dtype=np.float32), 5)
+    vertices = vertices_message(np.zeros((200_000, 3), dtype=np.float32), 5)
     check_serialised(serialize_message(vertices), PointCloud2)
 
 
@@ -109,7 +111,7 @@ def test_messages_of_too_many_bytes_or_fields_are_refused_before_they_are_read()
 
 
 def joints() -> Any:
-    return messages.joints_message(scene().actors["first"].at(0.0), 5)
+    return joints_message(scene().actors["first"].at(0.0), 5)
 
 
 @pytest.mark.parametrize("value", WRONG)
@@ -164,7 +166,7 @@ def test_joints_without_names_of_their_own_or_with_too_many_are_refused() -> Non
 
 
 def vertices(**changes: Any) -> Any:
-    message = messages.vertices_message(np.ones((6, 3), dtype=np.float32), 5)
+    message = vertices_message(np.ones((6, 3), dtype=np.float32), 5)
     for name, value in changes.items():
         setattr(message, name, value)
     return message
@@ -196,7 +198,7 @@ def test_vertices_with_a_wrong_number_are_refused(value: float) -> None:
     with np.errstate(over="ignore"):
         points[4, 1] = value
     with pytest.raises(RosError, match="a vertex is not finite"):
-        messages.read_vertices(messages.vertices_message(points, 5))
+        messages.read_vertices(vertices_message(points, 5))
 
 
 def test_point_clouds_with_impossible_fields_are_refused() -> None:
@@ -231,7 +233,7 @@ def test_a_field_at_the_end_of_31_bits_is_refused() -> None:
 def test_objects_with_a_wrong_number_are_refused(part: str, value: float) -> None:
     pose = ObjectPose(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), np.ones(3))
     item = scene_object()
-    message = messages.object_message(item, pose, 5)
+    message = object_message(item, pose, 5)
     messages.read_object(message)
     holder: Any = message
     for name in part.split("."):
@@ -265,7 +267,7 @@ def test_camera_poses_with_a_wrong_number_are_refused(part: str, value: float) -
 
 def calibration() -> Any:
     camera = Camera.look_at((3, 0, 1), (0, 0, 1), (160, 120))
-    message = messages.camera_info_message(camera, 5, "frame")
+    message = camera_info_message(camera, 5, "frame")
     for name in "krp":
         setattr(message, name, list(map(float, getattr(message, name))))
     return message
@@ -438,12 +440,12 @@ def test_a_mesh_returns_from_its_message_in_both_byte_orders() -> None:
     from rclpy.serialization import serialize_message
 
     mesh = scene().actors["first"].human.mesh
-    data = serialize_message(messages.mesh_message(mesh))
+    data = serialize_message(mesh_message(mesh))
     found = messages.read_mesh(data)
     np.testing.assert_array_equal(found.vertices, mesh.vertices)
     np.testing.assert_array_equal(found.triangles, mesh.triangles)
     few = Mesh(mesh.vertices[:5], np.array([(0, 1, 2, -1), (2, 3, 4, -1)], np.int32))
-    data = serialize_message(messages.mesh_message(few))  # an even number of triangles moves the vertices
+    data = serialize_message(mesh_message(few))  # an even number of triangles moves the vertices
     numbers = np.frombuffer(data, "u4", 7, 4).byteswap().tobytes()
     gap = data[32:36]
     swapped = (
@@ -469,7 +471,7 @@ def test_impossible_meshes_are_refused_at_once(offset: int, value: int, message:
     from rclpy.serialization import serialize_message
 
     mesh = Mesh(np.eye(3), np.array([(0, 1, 2, -1)], np.int32))
-    data = bytearray(serialize_message(messages.mesh_message(mesh)))
+    data = bytearray(serialize_message(mesh_message(mesh)))
     form = "<Q" if offset == 28 else "<I"
     struct.pack_into(form, data, offset, value)
     with pytest.raises(HumansimError, match=message):
@@ -482,7 +484,7 @@ def test_a_small_file_of_a_huge_image_is_not_decoded() -> None:
     """Its header says 40000 x 40000 pixels: 4.8 GB."""
     from sensor_msgs.msg import CompressedImage
 
-    whole = messages.compressed_image_message(
+    whole = compressed_image_message(
         np.zeros((2, 2, 3), np.uint8), "rgb8", messages.ImageCompression("png"), 1, "camera"
     )
     data = bytearray(bytes(whole.data))
@@ -490,4 +492,4 @@ def test_a_small_file_of_a_huge_image_is_not_decoded() -> None:
     struct.pack_into(">I", data, 29, zlib.crc32(data[12:29]))
     hostile = CompressedImage(format=whole.format, data=bytes(data))
     with pytest.raises(RosError, match="a compressed image of 40000x40000 pixels; at most 67108864 are read"):
-        messages.read_compressed_image(hostile)
+        read_compressed_image(hostile)

@@ -13,7 +13,19 @@ from scipy.spatial.transform import Rotation
 
 from humansim_ros.cameras import Camera
 from humansim_ros.data import messages
-from humansim_ros.data.messages.camera_truth import BOX_POINT, JOINT_POINT, VISIBLE_VERTEX
+from humansim_ros.data.messages.camera_truth import (
+    BOX_POINT,
+    JOINT_POINT,
+    VISIBLE_VERTEX,
+    boxes_message,
+    joint_view_message,
+    overlay_message,
+    visible_vertices_message,
+)
+from humansim_ros.data.messages.cameras import camera_info_message, extrinsics_message, projection_message
+from humansim_ros.data.messages.humans import MarkerBuilder, joints_message, motion_message, vertices_message
+from humansim_ros.data.messages.images import image_message
+from humansim_ros.data.messages.legends import instance_legend, joints_legend, material_legend, part_legend
 from humansim_ros.data.messages.points import point_cloud
 from humansim_ros.errors import RosError
 from humansim_ros.scene import Scene
@@ -51,7 +63,7 @@ def test_stamps_are_kept_to_the_nanosecond() -> None:
 
 def test_joints_arrive_as_they_were_sent(scene: Scene, read_outside: Any) -> None:
     state = scene.actors["walker"].at(0.7)
-    sent = messages.joints_message(state, STAMP)
+    sent = joints_message(state, STAMP)
     outside = read_outside(sent)
     assert outside.header.frame_id == "map"
     assert outside.joint_names == list(state.joint_names)
@@ -68,7 +80,7 @@ def test_joints_arrive_as_they_were_sent(scene: Scene, read_outside: Any) -> Non
 
 
 def test_a_pose_that_is_not_finite_is_refused(scene: Scene) -> None:
-    message = messages.motion_message(scene.actors["walker"].joint_poses(0.0), STAMP)
+    message = motion_message(scene.actors["walker"].joint_poses(0.0), STAMP)
     message.transforms[3].translation.y = float("nan")
     with pytest.raises(RosError):
         messages.read_joints(message)
@@ -80,7 +92,7 @@ def test_a_pose_that_is_not_finite_is_refused(scene: Scene) -> None:
 
 def test_vertices_are_x_y_z_float32_in_mesh_order(scene: Scene, read_outside: Any) -> None:
     state = scene.actors["walker"].at(0.3)
-    message = messages.vertices_message(state.vertices, STAMP)
+    message = vertices_message(state.vertices, STAMP)
     outside = read_outside(message)
     assert (outside.height, outside.width, outside.point_step) == (1, len(state.vertices), 12)
     assert [(f.name, f.offset, f.datatype, f.count) for f in outside.fields] == [
@@ -94,7 +106,7 @@ def test_vertices_are_x_y_z_float32_in_mesh_order(scene: Scene, read_outside: An
 
 def test_points_with_more_fields_or_the_wrong_layout() -> None:
     vertices = np.arange(12, dtype=np.float32).reshape(4, 3)
-    message = messages.vertices_message(vertices, STAMP)
+    message = vertices_message(vertices, STAMP)
     wide = np.zeros((4, 5), "<f4")
     wide[:, :3] = vertices
     message.point_step, message.row_step = 20, 80
@@ -115,7 +127,7 @@ def test_points_with_more_fields_or_the_wrong_layout() -> None:
     ],
 )
 def test_images_keep_their_rows_and_numbers(encoding: str, array: np.ndarray, read_outside: Any) -> None:
-    outside = read_outside(messages.image_message(array, encoding, STAMP, "cam_optical_frame"))
+    outside = read_outside(image_message(array, encoding, STAMP, "cam_optical_frame"))
     assert (outside.height, outside.width, outside.encoding) == (5, 7, encoding)
     assert outside.is_bigendian == 0
     assert outside.step == 7 * array.itemsize * (3 if array.ndim == 3 else 1)
@@ -125,7 +137,7 @@ def test_images_keep_their_rows_and_numbers(encoding: str, array: np.ndarray, re
 
 def test_camera_info_is_that_of_an_undistorted_driver(read_outside: Any) -> None:
     camera = Camera((320, 240), np.array([[300, 0, 150], [0, 310, 120], [0, 0, 1.0]]), np.eye(3), np.zeros(3))
-    info = read_outside(messages.camera_info_message(camera, STAMP, "cam_optical_frame"))
+    info = read_outside(camera_info_message(camera, STAMP, "cam_optical_frame"))
     assert (info.width, info.height, info.distortion_model) == (320, 240, "plumb_bob")
     assert np.array_equal(info.k, [300, 0, 150, 0, 310, 120, 0, 0, 1])
     assert np.array_equal(info.d, np.zeros(5))
@@ -135,7 +147,7 @@ def test_camera_info_is_that_of_an_undistorted_driver(read_outside: Any) -> None
 
 def test_extrinsics_are_the_pose_of_the_optical_frame_as_in_tf(read_outside: Any) -> None:
     camera = Camera.look_at([2.0, -1.0, 1.5], [0.0, 0.0, 1.0])
-    message = read_outside(messages.extrinsics_message(camera, STAMP, "cam_optical_frame"))
+    message = read_outside(extrinsics_message(camera, STAMP, "cam_optical_frame"))
     assert (message.header.frame_id, message.child_frame_id) == ("map", "cam_optical_frame")
     t, q = message.transform.translation, message.transform.rotation
     assert np.allclose([t.x, t.y, t.z], [2.0, -1.0, 1.5], atol=1e-12)
@@ -146,7 +158,7 @@ def test_extrinsics_are_the_pose_of_the_optical_frame_as_in_tf(read_outside: Any
 
 def test_projection_is_the_camera_matrix_row_by_row(read_outside: Any) -> None:
     camera = Camera.look_at([2.0, -1.0, 1.5], [0.0, 0.0, 1.0])
-    message = read_outside(messages.projection_message(camera))
+    message = read_outside(projection_message(camera))
     assert [d.size for d in message.layout.dim] == [3, 4]
     image = message.data.reshape(3, 4) @ [0.0, 0.0, 1.0, 1.0]
     assert np.allclose(image[:2] / image[2], [319.5, 239.5], atol=1e-9)
@@ -161,7 +173,7 @@ def test_joint_view_has_the_layout_of_its_fields(read_outside: Any) -> None:
         by=np.array([300, 0], np.uint16),
         behind=np.array([0.25, np.nan], np.float32),
     )
-    outside = read_outside(messages.joint_view_message([(1, view), (7, view)], STAMP, "cam_optical_frame"))
+    outside = read_outside(joint_view_message([(1, view), (7, view)], STAMP, "cam_optical_frame"))
     assert (outside.width, outside.point_step, outside.is_dense) == (4, 32, False)
     read = columns_of(outside)
     assert np.allclose(read["z"], [3.0, -1.0, 3.0, -1.0])
@@ -186,7 +198,7 @@ def test_the_overlay_has_visible_and_hidden_joints_inside_the_image(read_outside
         behind=nothing.astype(np.float32),
     )
     other = JointView(view.optical, view.pixels + 1, view.visible, view.occluder, view.by, view.behind)
-    outside = read_outside(messages.overlay_message([view, other], 4.0, STAMP, "cam_optical_frame"))
+    outside = read_outside(overlay_message([view, other], 4.0, STAMP, "cam_optical_frame"))
     assert outside.header.frame_id == "cam_optical_frame"
     assert (outside.header.stamp.sec, outside.header.stamp.nanosec) == (1_700_000_000, 123_456_789)
     assert (outside.type, outside.action, outside.scale) == (outside.POINTS, outside.ADD, 4.0)
@@ -195,7 +207,7 @@ def test_the_overlay_has_visible_and_hidden_joints_inside_the_image(read_outside
     colors = [(round(c.r, 2), round(c.g, 2), round(c.b, 2), c.a) for c in outside.outline_colors]
     green, orange = (0.24, 0.9, 0.35, 1), (1, 0.59, 0.16, 1)
     assert colors == [green, orange, green, orange]
-    empty = read_outside(messages.overlay_message([], 4.0, STAMP, "cam_optical_frame"))
+    empty = read_outside(overlay_message([], 4.0, STAMP, "cam_optical_frame"))
     assert not empty.points and empty.type == outside.POINTS  # it takes the last one away
 
 
@@ -214,7 +226,7 @@ def columns_of(cloud: Any) -> dict[str, np.ndarray]:
 def test_boxes_have_the_layout_of_their_fields(read_outside: Any) -> None:
     one = BodyBox(np.array([9.5, -0.5, 70.5, 100.5]), np.array([-20.25, -30, 71, 101.5]), 0.25, 0.5, 4321)
     none = BodyBox(np.full(4, np.nan), np.full(4, np.nan), 1.0, np.nan, 0)
-    message = messages.boxes_message([(3, one), (700, none)], STAMP, "cam_optical_frame")
+    message = boxes_message([(3, one), (700, none)], STAMP, "cam_optical_frame")
     outside = read_outside(message)
     assert (outside.width, outside.point_step, outside.is_dense) == (2, 48, False)
     read = columns_of(outside)
@@ -227,18 +239,18 @@ def test_boxes_have_the_layout_of_their_fields(read_outside: Any) -> None:
     assert read["truncation"].tolist() == [0.25, 1.0]
     assert np.array_equal(read["visible_fraction"], [0.5, np.nan], equal_nan=True)
     assert messages.read_boxes(message).tobytes() == bytes(outside.data)
-    assert messages.boxes_message([(3, one)], STAMP, "cam_optical_frame").is_dense
+    assert boxes_message([(3, one)], STAMP, "cam_optical_frame").is_dense
 
 
 def test_visible_vertices_are_listed_by_human(read_outside: Any) -> None:
     first, second = np.zeros(70_000, bool), np.zeros(5, bool)
     first[[0, 69_999]], second[2] = True, True
-    message = messages.visible_vertices_message([(1, first), (9, second)], STAMP, "cam_optical_frame")
+    message = visible_vertices_message([(1, first), (9, second)], STAMP, "cam_optical_frame")
     read = columns_of(read_outside(message))
     assert read["vertex"].tolist() == [0, 69_999, 2]
     assert read["instance"].tolist() == [1, 1, 9]
     assert messages.read_visible_vertices(message)["vertex"].tolist() == [0, 69_999, 2]
-    nobody = messages.visible_vertices_message([(1, np.zeros(5, bool))], STAMP, "cam_optical_frame")
+    nobody = visible_vertices_message([(1, np.zeros(5, bool))], STAMP, "cam_optical_frame")
     assert (nobody.width, len(messages.read_visible_vertices(nobody))) == (0, 0)
 
 
@@ -246,7 +258,7 @@ def test_joints_recorded_with_fewer_fields_are_read() -> None:
     kinds = {"x": "<f4", "y": "<f4", "z": "<f4", "u": "<f4", "v": "<f4", "visible": "u1"}
     old = np.zeros(3, np.dtype([*kinds.items(), ("human", "<u2"), ("joint", "<u2")], align=True))
     old["u"], old["joint"] = [1, 2, 3], [0, 1, 2]
-    message = messages.point_cloud(old, messages.header(STAMP, "cam_optical_frame"))
+    message = point_cloud(old, messages.header(STAMP, "cam_optical_frame"))
     read = messages.read_joint_view(message)
     assert read["u"].tolist() == [1, 2, 3]
     assert read["joint"].tolist() == [0, 1, 2]
@@ -255,7 +267,7 @@ def test_joints_recorded_with_fewer_fields_are_read() -> None:
 @pytest.mark.parametrize("fault", ["field", "step", "bytes", "offset", "great offset", "endian", "twice"])
 def test_points_with_an_inconsistent_layout_are_refused(fault: str) -> None:
     box = BodyBox(np.zeros(4), np.zeros(4), 0.0, 1.0, 1)
-    message = messages.boxes_message([(1, box)], STAMP, "cam_optical_frame")
+    message = boxes_message([(1, box)], STAMP, "cam_optical_frame")
     if fault == "field":
         message.fields = message.fields[:-1]
     elif fault == "step":
@@ -276,13 +288,13 @@ def test_points_with_an_inconsistent_layout_are_refused(fault: str) -> None:
 
 def test_legends_are_json_that_name_every_number(scene: Scene) -> None:
     skeleton = scene.actors["walker"].human.skeleton
-    parts = json.loads(messages.part_legend(skeleton).data)
+    parts = json.loads(part_legend(skeleton).data)
     assert parts["0"] == "background"
     assert [parts[str(i + 1)] for i in range(57)] == list(skeleton.names)
-    assert json.loads(messages.instance_legend({"walker": 1}).data) == {"0": "background", "1": "walker"}
-    material = json.loads(messages.material_legend().data)
+    assert json.loads(instance_legend({"walker": 1}).data) == {"0": "background", "1": "walker"}
+    material = json.loads(material_legend().data)
     assert [material[str(n)] for n in (0, 1, 2, 4, 5)] == ["background", "unknown", "skin", "hair", "top"]
-    joints = json.loads(messages.joints_legend({"walker": (1, skeleton.joint_names)}).data)
+    joints = json.loads(joints_legend({"walker": (1, skeleton.joint_names)}).data)
     assert joints["human"] == {"1": "walker"}
     assert joints["joint"]["walker"] == list(skeleton.joint_names)
     assert joints["visible"] == {"0": "outside", "1": "occluded", "2": "visible"}
@@ -292,7 +304,7 @@ def test_legends_are_json_that_name_every_number(scene: Scene) -> None:
 def test_markers_are_few_enough_for_a_viewer_and_lie_on_the_body(scene: Scene) -> None:
     actor = scene.actors["walker"]
     state = actor.at(0.0)
-    array = messages.MarkerBuilder(actor.human).build("walker", 1, state, STAMP)
+    array = MarkerBuilder(actor.human).build("walker", 1, state, STAMP)
     by_kind = {marker.ns.split("/")[1]: marker for marker in array.markers}
     assert set(by_kind) == {"skeleton", "joints", "skin"}
     skin = np.array([(p.x, p.y, p.z) for p in by_kind["skin"].points])

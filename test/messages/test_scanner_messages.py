@@ -13,6 +13,7 @@ from humansim_ros.cameras import Trajectory
 from humansim_ros.cameras.scanner.models import Layout, Measuring, Pattern, Rays, Returns, spinning
 from humansim_ros.data import messages
 from humansim_ros.data.messages.points import point_rows
+from humansim_ros.data.messages.scanners import points_message, scan_message, scanner_truth_message
 from humansim_ros.scene.features.scanners.feature import SceneScanner, Sweep
 from humansim_ros.types import Array
 
@@ -75,7 +76,7 @@ def pattern() -> Pattern:
 
 @pytest.mark.parametrize("layout", FIELDS)
 def test_fields_are_those_of_the_driver(layout: Layout) -> None:
-    message = messages.points_message(sweep(pattern().rays(0)), layout, "lidar_frame")
+    message = points_message(sweep(pattern().rays(0)), layout, "lidar_frame")
     text = ", ".join(f"{field.name} {field.offset} {field.datatype}" for field in message.fields)
     assert (text, message.point_step) == FIELDS[layout]
     assert all(field.count == 1 for field in message.fields) and not message.is_bigendian
@@ -87,7 +88,7 @@ def test_fields_are_those_of_the_driver(layout: Layout) -> None:
 @pytest.mark.parametrize("layout", [each for each in FIELDS if each != "ouster"])
 def test_points_are_measured_and_in_firing_order(layout: Layout) -> None:
     seen = sweep(pattern().rays(0))
-    rows = point_rows(messages.points_message(seen, layout, "lidar_frame"))
+    rows = point_rows(points_message(seen, layout, "lidar_frame"))
     position = np.stack([rows[axis] for axis in "xyz"], axis=1)
     directions = seen.rays.directions[::2]
     np.testing.assert_allclose(position, directions * (2.002 + 0.01 * np.arange(12))[:, None], rtol=1e-6)
@@ -97,7 +98,7 @@ def test_points_are_measured_and_in_firing_order(layout: Layout) -> None:
 
 def test_bytes_of_a_velodyne_point() -> None:
     seen = sweep(pattern().rays(0), START + PERIOD)
-    message = messages.points_message(seen, "velodyne", "lidar_frame")
+    message = points_message(seen, "velodyne", "lidar_frame")
     x, y, z, intensity, ring, time = struct.unpack_from("<ffffHf", bytes(message.data), 22)
     # the third laser of the first column: elevation 0, 0.2 ms after the start, 0.72 degrees on
     np.testing.assert_allclose((np.hypot(x, y), z), (2.012, 0), atol=1e-6)
@@ -112,7 +113,7 @@ def test_times_of_the_layouts_are_the_same_instants() -> None:
     after = seen.rays.times[::2]
 
     def rows(layout: Layout) -> Any:
-        return point_rows(messages.points_message(seen, layout, "f"))
+        return point_rows(points_message(seen, layout, "f"))
 
     np.testing.assert_allclose(rows("velodyne")["time"], after * 1e-9, rtol=1e-6)
     np.testing.assert_array_equal(rows("autoware")["time_stamp"], after)
@@ -122,7 +123,7 @@ def test_times_of_the_layouts_are_the_same_instants() -> None:
 
 
 def test_angles_and_distance_of_autoware_are_those_of_the_point() -> None:
-    rows = point_rows(messages.points_message(sweep(pattern().rays(0)), "autoware", "f"))
+    rows = point_rows(points_message(sweep(pattern().rays(0)), "autoware", "f"))
     flat = rows["distance"] * np.cos(rows["elevation"])
     np.testing.assert_allclose(flat * np.cos(rows["azimuth"]), rows["x"], atol=1e-5)
     np.testing.assert_allclose(flat * np.sin(rows["azimuth"]), rows["y"], atol=1e-5)
@@ -131,7 +132,7 @@ def test_angles_and_distance_of_autoware_are_those_of_the_point() -> None:
 
 def test_an_ouster_cloud_is_a_table_from_the_highest_ring() -> None:
     rays = pattern().rays(0)
-    message = messages.points_message(sweep(rays), "ouster", "f")
+    message = points_message(sweep(rays), "ouster", "f")
     assert (message.height, message.width, message.is_dense) == (3, 8, False)
     table = point_rows(message).reshape(3, 8)
     elevation = np.degrees(np.arctan2(table["z"], np.hypot(table["x"], table["y"])))
@@ -139,7 +140,7 @@ def test_an_ouster_cloud_is_a_table_from_the_highest_ring() -> None:
         np.testing.assert_allclose(elevation[row][np.isfinite(elevation[row])], expected, atol=1e-4)
     assert np.isfinite(table["x"]).sum() == 12
     assert (table["ring"] == np.arange(3)[:, None]).all()
-    truth = point_rows(messages.scanner_truth_message(sweep(rays), "ouster", "f")).reshape(3, 8)
+    truth = point_rows(scanner_truth_message(sweep(rays), "ouster", "f")).reshape(3, 8)
     np.testing.assert_array_equal(truth["ring"], table["ring"])
     np.testing.assert_array_equal(np.isfinite(truth["x"]), np.isfinite(table["x"]))
     np.testing.assert_allclose(
@@ -155,10 +156,7 @@ def test_points_and_truth_count_rings_alike(layout: Layout) -> None:
     seen = replace(
         seen, returns=seen.returns.take(twice), instances=seen.instances[twice], parts=seen.parts[twice]
     )
-    rows, truth = (
-        point_rows(build(seen, layout, "f"))
-        for build in (messages.points_message, messages.scanner_truth_message)
-    )
+    rows, truth = (point_rows(build(seen, layout, "f")) for build in (points_message, scanner_truth_message))
     rings = rows["channel" if layout == "autoware" else "ring"]
     np.testing.assert_array_equal(rings, truth["ring"])
     elevation = np.degrees(np.arctan2(rows["z"], np.hypot(rows["x"], rows["y"])))
@@ -168,7 +166,7 @@ def test_points_and_truth_count_rings_alike(layout: Layout) -> None:
 
 def test_truth_has_labels_and_distances_without_noise() -> None:
     seen = sweep(pattern().rays(0))
-    rows = messages.read_scanner_truth(messages.scanner_truth_message(seen, "velodyne", "f"))
+    rows = messages.read_scanner_truth(scanner_truth_message(seen, "velodyne", "f"))
     np.testing.assert_array_equal(rows["instance"], np.arange(12))
     np.testing.assert_array_equal(rows["part"], np.arange(12))
     np.testing.assert_allclose(rows["range"], 2 + 0.01 * np.arange(12), rtol=1e-6)
@@ -179,7 +177,7 @@ def test_a_laser_scan_has_a_range_for_each_ray() -> None:
     identity = Trajectory(np.zeros(1), np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]]))
     scanner = SceneScanner("flat", plane, Measuring((0.1, 30.0)), "scan", "start", identity)
     seen = sweep(plane.rays(0))
-    message = messages.scan_message(seen, scanner, "flat_frame")
+    message = scan_message(seen, scanner, "flat_frame")
     assert (message.angle_min, message.angle_max) == pytest.approx((-np.pi / 2, np.pi / 2))
     assert message.angle_increment == pytest.approx(np.radians(9))
     assert message.time_increment == pytest.approx(0.025 * 9 / 360)
@@ -188,5 +186,5 @@ def test_a_laser_scan_has_a_range_for_each_ray() -> None:
     assert len(ranges) == len(message.intensities) == 21
     np.testing.assert_allclose(ranges[::2], 2.002 + 0.01 * np.arange(11), rtol=1e-6)
     assert np.isinf(ranges[1::2]).all()
-    truth = messages.read_scanner_truth(messages.scanner_truth_message(seen, "scan", "flat_frame"))
+    truth = messages.read_scanner_truth(scanner_truth_message(seen, "scan", "flat_frame"))
     np.testing.assert_array_equal(np.isnan(truth["range"]), np.isinf(ranges))

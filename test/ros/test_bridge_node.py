@@ -25,6 +25,7 @@ sys.path.append(str(ROOT / "tools"))
 from humansim_ros import Scene, Simulation
 from humansim_ros.data import messages
 from humansim_ros.data.messages.adapters import adapter_topics
+from humansim_ros.data.messages.cameras import transform_message
 from humansim_ros.data.messages.cdr import serialised
 from humansim_ros.data.messages.people import read_boxes_2d, read_people
 from humansim_ros.errors import EvaluationError, RosError, SceneError
@@ -243,7 +244,7 @@ def test_live_estimates_in_a_frame_of_tf_are_converted(
             ros_support.deliver(node, "/tracker", message)
             assert topics.ignored == 1 and not found
             quarter = np.array([0.0, 0.0, math.sin(math.pi / 4), math.cos(math.pi / 4)])
-            pose = messages.transform_message(np.array([1.0, 0.0, 0.3]), quarter, 5, "map", "laser")
+            pose = transform_message(np.array([1.0, 0.0, 0.3]), quarter, 5, "map", "laser")
             ros_support.deliver(node, "/tf_static", TFMessage(transforms=[pose]))
             ros_support.deliver(node, "/tracker", message)
             ((person,),) = (frame.people for frame in found)

@@ -24,6 +24,9 @@ from waiting import PATIENCE
 from humansim_ros.cameras import Camera
 from humansim_ros.cameras.formats.calibration import read_calibration
 from humansim_ros.data import messages
+from humansim_ros.data.messages.cameras import object_message
+from humansim_ros.data.messages.headers import scene_time_message
+from humansim_ros.data.messages.humans import joints_message, vertices_message
 from humansim_ros.data.messages.topics import CameraTopics
 from humansim_ros.errors import HumansimError
 from humansim_ros.motion import hanim_skeleton
@@ -196,15 +199,15 @@ def studio(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]
 def send_frame(one: NodeSet, scene: Scene, frame: Frame) -> None:
     """Publish a frame as player and skinner do."""
     state, stamp = frame.humans["anna"], frame.stamp
-    one.send("scene_time", messages.scene_time_message(scene.frame_time(frame.index), stamp))
-    one.send("humans/anna/joints", messages.joints_message(state, stamp))
+    one.send("scene_time", scene_time_message(scene.frame_time(frame.index), stamp))
+    one.send("humans/anna/joints", joints_message(state, stamp))
     box = frame.objects["box"]
-    one.send("objects/box/marker", messages.object_message(scene.moving_objects["box"], box, stamp))
+    one.send("objects/box/marker", object_message(scene.moving_objects["box"], box, stamp))
     one.send("objects/box/twist", messages.twist_message(box.velocity, stamp))
     pose = scene.scene_cameras["moving"].pose(scene.frame_time(frame.index) * 1e-9)
     one.send("moving/pose", messages.pose_message(pose, stamp))
     one.send("moving/twist", messages.twist_message(pose.velocity, stamp))
-    one.send("humans/anna/vertices", messages.vertices_message(state.vertices, stamp))
+    one.send("humans/anna/vertices", vertices_message(state.vertices, stamp))
 
 
 @pytest.mark.parametrize("name", ENCODINGS)

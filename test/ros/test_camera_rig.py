@@ -15,7 +15,7 @@ import pytest
 from ros_support import SMALL_SCENE, Client, rclpy, write_scene
 from waiting import PATIENCE
 
-from humansim_ros.data import messages
+from humansim_ros.data.messages.humans import joints_message, vertices_message
 from humansim_ros.errors import RenderError, SceneError
 from humansim_ros.render import GLRenderer
 from humansim_ros.render.device.mesh_buffers import PosedMesh
@@ -74,8 +74,8 @@ class Stage:
 
     def send(self, frame: Any) -> None:
         for human, state in frame.humans.items():
-            self.senders[human, "joints"].publish(messages.joints_message(state, frame.stamp))
-            self.senders[human, "vertices"].publish(messages.vertices_message(state.vertices, frame.stamp))
+            self.senders[human, "joints"].publish(joints_message(state, frame.stamp))
+            self.senders[human, "vertices"].publish(vertices_message(state.vertices, frame.stamp))
 
     def close(self) -> None:
         self.rig.close()
@@ -206,8 +206,8 @@ def test_a_frame_with_a_vertex_that_is_not_finite_is_skipped_and_logged_and_the_
         for human, state in frame.humans.items():
             vertices = state.vertices.copy()
             vertices[7, 1] += poison
-            stage.senders[human, "joints"].publish(messages.joints_message(state, stamp))
-            stage.senders[human, "vertices"].publish(messages.vertices_message(vertices, stamp))
+            stage.senders[human, "joints"].publish(joints_message(state, stamp))
+            stage.senders[human, "vertices"].publish(vertices_message(vertices, stamp))
         assert stage.client.spin_until(lambda s=step: len(skipped) == min(s, 2))
     assert stage.client.spin_until(lambda: all(stamp in stage.messages_of(f"{c}/image_raw") for c in CAMERAS))
     for camera in CAMERAS:
@@ -226,12 +226,12 @@ def test_a_frame_with_joints_that_cannot_be_read_is_skipped_and_the_next_is_rend
     stamps = [last + 500_000_000 + number * 50_000_000 for number in range(len(broken))]
     for stamp, kind in zip(stamps, broken, strict=True):
         for human, state in frame.humans.items():
-            message = messages.joints_message(state, stamp)
+            message = joints_message(state, stamp)
             if kind == "of another body":
                 message.joint_names[0] = "other"
             data = serialize_message(message)
             stage.senders[human, "joints"].publish(data[:200] if kind == "cut" else data)
-            stage.senders[human, "vertices"].publish(messages.vertices_message(state.vertices, stamp))
+            stage.senders[human, "vertices"].publish(vertices_message(state.vertices, stamp))
     assert stage.client.spin_until(lambda: stamps[-1] in stage.messages_of("left/joints"))
     assert not {*stamps[:-1]} & set(stage.messages_of("left/joints"))
     assert "drops" in drops

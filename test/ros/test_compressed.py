@@ -14,7 +14,8 @@ import pytest
 from ros_support import Client, rclpy
 
 from humansim_ros.data import messages
-from humansim_ros.data.messages import DepthCompression, compressed_depth_message
+from humansim_ros.data.messages import DepthCompression
+from humansim_ros.data.messages.images import compressed_depth_message, compressed_image_message
 from humansim_ros.errors import RosError
 from humansim_ros.ros.nodes.camera_rig import CameraRigNode
 
@@ -158,7 +159,7 @@ def test_nothing_is_encoded_without_subscribers(studio: Any, monkeypatch: pytest
     from sensor_msgs.msg import CompressedImage, Image
 
     encoded: list[str] = []
-    build = messages.compressed_image_message
+    build = compressed_image_message
     monkeypatch.setattr(
         messages,
         "compressed_image_message",

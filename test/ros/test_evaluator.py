@@ -203,7 +203,7 @@ def test_hostile_messages(ros: None) -> None:
     """They are ignored and counted, or are no people; the evaluation goes on with those of the tracker."""
     from sensor_msgs.msg import MultiDOFJointState, TimeReference
 
-    from humansim_ros.data.messages import scene_time_message
+    from humansim_ros.data.messages.headers import scene_time_message
 
     node, client = make_evaluator(), Client()
     client.executor.add_node(node)

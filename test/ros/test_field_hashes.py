@@ -15,16 +15,21 @@ sys.path.append(str(ROOT / "tools"))
 import field_hashes
 
 from humansim_ros.data import messages
+from humansim_ros.data.messages.camera_truth import boxes_message
+from humansim_ros.data.messages.cameras import camera_info_message, projection_message
+from humansim_ros.data.messages.headers import scene_time_message
+from humansim_ros.data.messages.images import image_message
+from humansim_ros.data.messages.legends import instance_legend
 from humansim_ros.scene import BodyBox
 
 
 def boxes(stamp: int = 5, pixels: int = 40) -> Any:
     box = BodyBox(np.arange(4.0), np.arange(4.0) + 1, 0.1, 0.5, pixels)
-    return messages.boxes_message([(1, box), (2, box)], stamp, "left_optical_frame")
+    return boxes_message([(1, box), (2, box)], stamp, "left_optical_frame")
 
 
 def image(value: int = 0, encoding: str = "mono8") -> Any:
-    return messages.image_message(np.array([[1, 2], [3, value]], np.uint8), encoding, 5, "left_optical_frame")
+    return image_message(np.array([[1, 2], [3, value]], np.uint8), encoding, 5, "left_optical_frame")
 
 
 def test_stamps_and_padding_are_no_values() -> None:
@@ -46,8 +51,8 @@ def test_every_other_value_counts() -> None:
         image(encoding="8UC1"),
         messages.header(5, "a"),
         messages.header(5, "b"),
-        messages.instance_legend({"anna": 1}),
-        messages.instance_legend({"anna": 2}),
+        instance_legend({"anna": 1}),
+        instance_legend({"anna": 2}),
     ]
     assert len({field_hashes.field_hash(message) for message in different}) == len(different)
 
@@ -63,9 +68,9 @@ def test_messages_of_rclpy_and_of_rosbags_have_one_hash() -> None:
     for kind, message in (
         ("sensor_msgs/msg/PointCloud2", boxes()),
         ("sensor_msgs/msg/Image", image()),
-        ("sensor_msgs/msg/CameraInfo", messages.camera_info_message(camera, 5, "left_optical_frame")),
-        ("std_msgs/msg/Float64MultiArray", messages.projection_message(camera)),
-        ("sensor_msgs/msg/TimeReference", messages.scene_time_message(7, 5)),
+        ("sensor_msgs/msg/CameraInfo", camera_info_message(camera, 5, "left_optical_frame")),
+        ("std_msgs/msg/Float64MultiArray", projection_message(camera)),
+        ("sensor_msgs/msg/TimeReference", scene_time_message(7, 5)),
     ):
         other = store.deserialize_cdr(serialize_message(message), kind)
         assert field_hashes.field_hash(other) == field_hashes.field_hash(message), kind
@@ -76,10 +81,8 @@ def test_frames_are_matched_by_scene_time() -> None:
         sent = []
         for number in range(2):
             head = messages.header(start + number, "map")
-            one = messages.image_message(
-                np.full((2, 2), value * number, np.uint8), "mono8", start + number, "a"
-            )
-            sent += [("/n/scene_time", messages.scene_time_message(number, start + number))]
+            one = image_message(np.full((2, 2), value * number, np.uint8), "mono8", start + number, "a")
+            sent += [("/n/scene_time", scene_time_message(number, start + number))]
             sent += [("/n/humans/anna/frame", head), ("/n/left/image_raw", one)]
         return field_hashes.hashes(sent, "n")
 

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from ros_support import SMALL_SCENE, Client, deliver, write_scene
 
-from humansim_ros.data import messages
+from humansim_ros.data.messages.headers import scene_time_message
+from humansim_ros.data.messages.humans import joints_message, vertices_message
 from humansim_ros.ros.nodes import frame_synchronizer
 from humansim_ros.ros.nodes.frame_synchronizer import FrameSynchronizer
 from humansim_ros.ros.processes.node import SceneNode
@@ -38,10 +39,10 @@ class Stage:
 
     def send_vertices(self, human: str, stamp: int, vertices: Any = None) -> None:
         points = self.bodies[human].vertices if vertices is None else vertices
-        deliver(self.node, f"humans/{human}/vertices", messages.vertices_message(points, stamp))
+        deliver(self.node, f"humans/{human}/vertices", vertices_message(points, stamp))
 
     def send(self, human: str, stamp: int) -> None:
-        deliver(self.node, f"humans/{human}/joints", messages.joints_message(self.bodies[human], stamp))
+        deliver(self.node, f"humans/{human}/joints", joints_message(self.bodies[human], stamp))
         self.send_vertices(human, stamp)
 
     def send_frame(self, stamp: int) -> None:
@@ -145,7 +146,7 @@ def test_vertices_that_are_not_those_of_the_body_are_not_held(
     assert "are read" in capfd.readouterr().err, "it is not even deserialised"
     stage.send_vertices("first", start, np.full_like(stage.bodies["first"].vertices, np.nan))
     stage.send_vertices("first", start, 1e7 + stage.bodies["first"].vertices)
-    deliver(stage.node, "humans/first/joints", messages.joints_message(stage.bodies["first"], start))
+    deliver(stage.node, "humans/first/joints", joints_message(stage.bodies["first"], start))
     stage.send("second", start)
     stage.send("first", start + PERIOD)
     stage.send("second", start + PERIOD)
@@ -167,7 +168,7 @@ def test_frames_get_their_scene_time_while_a_player_is_there(stage: Stage) -> No
     stage.client.executor.spin_once(0)
     assert start + PERIOD not in [state.stamp for state in stage.states], "it waits for its scene time"
     for scene_time, stamp in ((7, start + PERIOD), (0, start + 2 * PERIOD)):
-        player.publish(messages.scene_time_message(scene_time, stamp))
+        player.publish(scene_time_message(scene_time, stamp))
     assert stage.passed_on(start + PERIOD)
     stage.send_frame(start + 2 * PERIOD)
     assert stage.passed_on(start + 2 * PERIOD)
@@ -186,7 +187,7 @@ def test_first_frame_with_noise_waits_for_a_player_that_is_still_being_discovere
     stage.send_frame(start)
     stage.client.executor.spin_once(0)
     assert stage.states == []
-    deliver(stage.node, "scene_time", messages.scene_time_message(5, start))
+    deliver(stage.node, "scene_time", scene_time_message(5, start))
     assert stage.passed_on(start)
     assert stage.scene_time_of(start) == 5
 

@@ -15,6 +15,12 @@ from ros_support import Client, rclpy, write_scene
 from waiting import wait_until
 
 from humansim_ros.data import messages
+from humansim_ros.data.messages.camera_truth import JOINT_POINT
+from humansim_ros.data.messages.cameras import projection_message
+from humansim_ros.data.messages.humans import joints_message, vertices_message
+from humansim_ros.data.messages.images import image_message
+from humansim_ros.data.messages.legends import joints_legend
+from humansim_ros.data.messages.points import point_cloud
 from humansim_ros.ros.tools.bench import _Subscriber
 from humansim_ros.ros.tools.demo import _contact_sheet, _Recorder
 from humansim_ros.scene import Scene
@@ -51,15 +57,15 @@ def recorder(tmp_path: Path) -> Iterator[_Recorder]:
 def image(camera: str, encoding: str, stamp: int) -> Any:
     width, height = SIZES[camera]
     pixel, kind = {"rgb8": ((3,), np.uint8), "32FC1": ((), np.float32), "mono8": ((), np.uint8)}[encoding]
-    return messages.image_message(np.ones((height, width, *pixel), kind), encoding, stamp, "frame")
+    return image_message(np.ones((height, width, *pixel), kind), encoding, stamp, "frame")
 
 
 def joints(scene: Scene, stamp: int, u: float = 20.0) -> Any:
     count = len(scene.actors["first"].human.skeleton.joint_names)
-    points = np.zeros(2 * count, dtype=messages.JOINT_POINT)
+    points = np.zeros(2 * count, dtype=JOINT_POINT)
     points["u"], points["v"], points["visible"] = u, 30.0, 2
     points["human"] = np.repeat([actor.instance for actor in scene.actors.values()], count)
-    return messages.point_cloud(points, messages.header(stamp, "frame"))
+    return point_cloud(points, messages.header(stamp, "frame"))
 
 
 def test_the_demo_draws_a_frame_among_hostile_messages(recorder: _Recorder) -> None:
@@ -81,7 +87,7 @@ def test_the_demo_draws_a_frame_among_hostile_messages(recorder: _Recorder) -> N
         assert recorder.messages[f"/left/{topic}"]
     alien = joints(scene, 5)
     alien.width, alien.data = 1, alien.data[: alien.point_step]
-    sender.send(PointCloud2, "/left/joints", b"", alien, messages.vertices_message(np.ones((3, 3)), 5))
+    sender.send(PointCloud2, "/left/joints", b"", alien, vertices_message(np.ones((3, 3)), 5))
     assert not recorder.messages["/left/joints"]
 
     def send_frame() -> None:  # again, because best-effort subscribers may lose messages
@@ -133,7 +139,7 @@ def test_the_tracker_measures_a_frame_among_hostile_messages(ros: None, tmp_path
     client.executor.add_node(tracker)
     latched = QoSProfile(depth=10, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
     state = scene.actors["first"].at(0.0)
-    labels = messages.joints_legend({"first": (scene.actors["first"].instance, state.joint_names)})
+    labels = joints_legend({"first": (scene.actors["first"].instance, state.joint_names)})
     projection, legend, pixels = {}, {}, {}
     for camera in SIZES:
         projection[camera] = client.node.create_publisher(Float64MultiArray, f"{camera}/projection", latched)
@@ -147,20 +153,20 @@ def test_the_tracker_measures_a_frame_among_hostile_messages(ros: None, tmp_path
     for numbers in ([], [1.0] * 11, [float("nan")] * 12):
         projection["left"].publish(Float64MultiArray(data=numbers))
     pixels["left"].publish(PointCloud2())
-    pixels["left"].publish(messages.vertices_message(state.vertices, 4))
+    pixels["left"].publish(vertices_message(state.vertices, 4))
     truth.publish(MultiDOFJointState())
 
     def send_frame() -> None:
         for camera in SIZES:
             view = scene.cameras[camera]
             u, v = view.project(state.positions)[0].T
-            points = np.zeros(len(u), dtype=messages.JOINT_POINT)
+            points = np.zeros(len(u), dtype=JOINT_POINT)
             points["u"], points["v"], points["visible"] = u, v, 2
             points["human"] = scene.actors["first"].instance
             legend[camera].publish(labels)
-            projection[camera].publish(messages.projection_message(view))
-            pixels[camera].publish(messages.point_cloud(points, messages.header(5, "frame")))
-        truth.publish(messages.joints_message(state, 5))
+            projection[camera].publish(projection_message(view))
+            pixels[camera].publish(point_cloud(points, messages.header(5, "frame")))
+        truth.publish(joints_message(state, 5))
         client.spin_until(lambda: tracker.frames <= 0, 0.2)
 
     assert wait_until(lambda: tracker.frames <= 0, step=send_frame)

@@ -27,6 +27,8 @@ from humansim_ros.data import messages
 from humansim_ros.data.bags.reader import BagReader
 from humansim_ros.data.messages import hri, types
 from humansim_ros.data.messages.adapters import adapter_topics
+from humansim_ros.data.messages.camera_truth import boxes_message, joint_view_message
+from humansim_ros.data.messages.images import image_message
 from humansim_ros.errors import HumansimError, RosError, SceneError
 from humansim_ros.ros.graph.guarded_node import GuardedNode
 from humansim_ros.ros.nodes.recorder import has_message_per_frame
@@ -254,11 +256,9 @@ def frame() -> dict[str, Any]:
     labels, at = scene.labels, (simulated.stamp, "front_optical_frame")
     points = [(labels[name], view) for name, view in truth.keypoints(hri.HRI_KEYPOINTS).items()]
     return {
-        "front/boxes": messages.boxes_message(
-            [(labels[name], box) for name, box in truth.boxes.items()], *at
-        ),
-        "front/keypoints/openpose137": messages.joint_view_message(points, *at),
-        "front/image_raw": messages.image_message(simulated.views["front"].rgb, "rgb8", *at),
+        "front/boxes": boxes_message([(labels[name], box) for name, box in truth.boxes.items()], *at),
+        "front/keypoints/openpose137": joint_view_message(points, *at),
+        "front/image_raw": image_message(simulated.views["front"].rgb, "rgb8", *at),
     }
 
 
@@ -292,7 +292,7 @@ def test_images_that_are_no_colours_are_refused(ros: None, frame: dict[str, Any]
     from humansim_ros.data.messages.adapters import CAMERA_INPUTS
 
     for encoding, data in (("16UC1", pixels), ("rgb8", np.zeros((4, 4), np.uint8)), ("nonsense", pixels)):
-        image = messages.image_message(data, encoding, 1, "front_optical_frame")
+        image = image_message(data, encoding, 1, "front_optical_frame")
         read("front/image_raw", CAMERA_INPUTS["image_raw"].read, image)
     assert node._counts["drops"] == 3
     node.destroy_node()

@@ -13,6 +13,7 @@ from keyframe_text import keyframes
 from ros_support import write_scene
 
 from humansim_ros.data import messages
+from humansim_ros.data.messages.camera_truth import BODY_KINDS
 from humansim_ros.motion.body.face import ACTIONS, FACE_AT_REST
 from humansim_ros.people import KEYPOINT_SETS, keypoint_set
 from humansim_ros.scene import Scene, Simulation
@@ -96,7 +97,7 @@ def test_boxes_vertices_and_joints_equal_those_of_simulation(flow: Any) -> None:
         for point in boxes:
             name = numbers[point["instance"]]
             truth = frame.boxes["left"][name]
-            assert point["kind"] == messages.BODY_KINDS["human" if name == "anna" else "object"]
+            assert point["kind"] == BODY_KINDS["human" if name == "anna" else "object"]
             assert (point["pixels"], np.float32(truth.truncation)) == (truth.pixels, point["truncation"])
             whole = [point[f"whole_{side}"] for side in ("left", "top", "right", "bottom")]
             np.testing.assert_array_equal(whole, np.float32(truth.whole))

@@ -20,6 +20,7 @@ from waiting import end_process
 
 from humansim_ros import Scene
 from humansim_ros.data import messages
+from humansim_ros.data.messages.humans import motion_message
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
 from humansim_ros.ros.nodes.skinner import SkinnerNode, SourceLog
 from humansim_ros.ros.tools.first_images import FirstImages
@@ -93,7 +94,7 @@ class Stage:
             topic = f"/{self.namespace}/humans/{human}/motion"
             self.sender = self.client.node.create_publisher(MultiDOFJointState, topic, 5)
             assert self.client.spin_until(lambda: self.sender.get_subscription_count() == 1)
-        self.sender.publish(messages.motion_message(poses, stamp or 77 * SECOND))
+        self.sender.publish(motion_message(poses, stamp or 77 * SECOND))
 
     def newest(self, human: str) -> Any:
         """Newest joints of a human."""

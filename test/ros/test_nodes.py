@@ -14,6 +14,7 @@ from ros_support import Client, Lockstep, deliver, write_scene
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.data import messages
+from humansim_ros.data.messages.humans import joints_message, motion_message, vertices_message
 from humansim_ros.errors import SceneError
 from humansim_ros.motion.body.skinning import dominant_bones
 from humansim_ros.ros.graph.qos import LATCHED
@@ -375,16 +376,16 @@ def test_a_skinner_skips_motions_that_it_cannot_use(
     publisher = client.node.create_publisher(MultiDOFJointState, "/outlive/humans/first/motion", 5)
     client.spin_until_matched(node)
     poses = node._actor.joint_poses(0.0)
-    broken = messages.motion_message(poses, 1_000)
+    broken = motion_message(poses, 1_000)
     broken.transforms[0].translation.x = float("nan")
-    stranger = messages.motion_message(poses, 2_000)
+    stranger = motion_message(poses, 2_000)
     stranger.joint_names[0] = "somebody_else"
     skipped: list[str] = []
     monkeypatch.setattr(node, "report_skipped", skipped.append)
     for number, message in enumerate((broken, stranger), 1):
         publisher.publish(message)
         assert client.spin_until(lambda n=number: len(skipped) == n)
-    publisher.publish(messages.motion_message(poses, 3_000))
+    publisher.publish(motion_message(poses, 3_000))
     assert client.spin_until(lambda: 3_000 in client.received["/outlive/humans/first/joints"])
     assert set(client.received["/outlive/humans/first/joints"]) == {3_000}
     node.destroy_node()
@@ -413,7 +414,7 @@ def test_a_stamp_far_ahead_does_not_end_the_markers(
     start = node.now() - 10**9
     stamps = [start, start + 10**17, *(start + number * 50_000_000 for number in range(1, 8))]
     for stamp in stamps:
-        deliver(node, "humans/first/motion", messages.motion_message(poses, stamp))
+        deliver(node, "humans/first/motion", motion_message(poses, stamp))
     node.destroy_node()
     # ten a second
     assert sent == [*stamps[:3], *stamps[4::2]]
@@ -439,8 +440,8 @@ def test_a_camera_follows_a_clock_that_is_set_back(ros: None, tmp_path: Path) ->
     for stamp in (20_000_000_000, 1_000_000_000, 1_050_000_000):
         for name, (joints, vertices) in senders.items():
             state = node.scene.actors[name].at(stamp * 1e-9)
-            joints.publish(messages.joints_message(state, stamp))
-            vertices.publish(messages.vertices_message(state.vertices, stamp))
+            joints.publish(joints_message(state, stamp))
+            vertices.publish(vertices_message(state.vertices, stamp))
         shown = client.spin_until(lambda s=stamp: s in images)
         assert shown, f"{stamp} was not shown, only {sorted(images)}"
     node.close()
@@ -473,7 +474,7 @@ def test_frames_of_a_slower_player_do_not_count_as_lost(
     for frame in range(16):
         stamp = 9_000_000_000 + (50_000_000 * frame if frame < 6 else 250_000_000 + 200_000_000 * (frame - 5))
         for (name, kind), sender in senders.items():
-            make = messages.joints_message if kind is MultiDOFJointState else messages.vertices_message
+            make = joints_message if kind is MultiDOFJointState else vertices_message
             state = states[name] if kind is MultiDOFJointState else states[name].vertices
             sender.publish(make(state, stamp))
         assert client.spin_until(lambda s=stamp: s in client.received["/slow/left/part/image"])

@@ -13,6 +13,8 @@ from keyframe_text import keyframes
 from ros_support import write_scene
 
 from humansim_ros.data import messages
+from humansim_ros.data.messages.cameras import object_message
+from humansim_ros.data.messages.humans import MarkerBuilder
 from humansim_ros.errors import RosError
 from humansim_ros.scene import Scene, Simulation
 from humansim_ros.testing import SceneGraph
@@ -129,12 +131,12 @@ def test_the_marker_of_a_mesh_object_names_its_file(flow: Any, tmp_path: Path) -
         SCENE.replace("box: {", "box: {mesh: a b.obj, color: [255, 0, 51], ")
     )
     thing = Scene.load(tmp_path / "scene.yaml").objects["box"]
-    marker = messages.object_message(thing, thing.at(3.0), 5)
+    marker = object_message(thing, thing.at(3.0), 5)
     assert (marker.type, marker.header.frame_id) == (Marker.MESH_RESOURCE, "map")
     assert marker.mesh_resource == (tmp_path / "a b.obj").as_uri()
     assert (marker.color.r, marker.color.g, marker.color.b) == (1.0, 0.0, pytest.approx(0.2))
     for wrong in ("scale", "orientation", "position"):
-        broken = messages.object_message(thing, thing.at(3.0), 5)
+        broken = object_message(thing, thing.at(3.0), 5)
         part = broken.scale if wrong == "scale" else getattr(broken.pose, wrong)
         part.x = float("nan")
         with pytest.raises(RosError, match="not finite"):
@@ -144,7 +146,7 @@ def test_the_marker_of_a_mesh_object_names_its_file(flow: Any, tmp_path: Path) -
 def test_bones_of_markers_have_the_size_of_the_person(flow: Any) -> None:
     actor = flow.simulation.scene.actors["anna"]
     state = actor.at(50.0)
-    lines = messages.MarkerBuilder(actor.human).build("anna", 1, state, 0).markers[0].points
+    lines = MarkerBuilder(actor.human).build("anna", 1, state, 0).markers[0].points
     knee = lines[2 * actor.human.skeleton.bone("l_hip") + 1]
     position = state.positions[actor.human.skeleton.bone("l_knee")]
     assert state.size == pytest.approx(5.9)

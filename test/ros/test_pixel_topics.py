@@ -12,6 +12,7 @@ from keyframe_text import keyframes
 from ros_support import write_scene
 
 from humansim_ros.data import messages
+from humansim_ros.data.messages.camera_truth import BODY_KINDS
 from humansim_ros.render import ALL_CHANNELS, CHANNELS
 from humansim_ros.render.interface.channels import CHANNEL_TABLE, comparing_with
 from humansim_ros.scene import Scene, Simulation
@@ -91,7 +92,7 @@ def test_joints_boxes_and_vertices_are_those_of_simulation(flow: Any) -> None:
         assert np.median(np.abs(published["behind"] - truth.behind)) < 1e-4
         (box,) = messages.read_boxes(boxes)
         truth = frame.boxes["left"]["anna"]
-        assert (box["instance"], box["kind"]) == (1, messages.BODY_KINDS["human"])
+        assert (box["instance"], box["kind"]) == (1, BODY_KINDS["human"])
         whole = [box[f"whole_{side}"] for side in ("left", "top", "right", "bottom")]
         np.testing.assert_allclose(whole, truth.whole, atol=1e-3)
         assert box["pixels"] == pytest.approx(truth.pixels, rel=0.01)

@@ -375,7 +375,8 @@ def test_a_camera_renders_a_played_bag_as_it_renders_the_live_topics(ros: None, 
     from sensor_msgs.msg import Image
 
     from humansim_ros import Scene, Simulation
-    from humansim_ros.data.messages import joints_message, scene_time_message, vertices_message
+    from humansim_ros.data.messages.headers import scene_time_message
+    from humansim_ros.data.messages.humans import joints_message, vertices_message
     from humansim_ros.ros.nodes.camera import CameraNode
     from humansim_ros.ros.tools.bag_player import BagPlayer, PlayOptions
 

@@ -18,6 +18,8 @@ from ros_support import Client, Lockstep, write_scene
 
 from humansim_ros.cameras.camera.rigs import Trajectory
 from humansim_ros.data import messages
+from humansim_ros.data.messages.humans import joints_message, motion_message, vertices_message
+from humansim_ros.data.messages.legends import motion_legend
 from humansim_ros.geometry import unit_quaternions
 from humansim_ros.scene import Scene, Simulation
 from humansim_ros.scene.core.live import JointSource, LiveRetargeter
@@ -101,21 +103,21 @@ def test_body_of_sent_joints_has_the_bits_of_simulation(ros: None, tmp_path: Pat
     scene = Scene.load(write_scene(tmp_path, f"humans: {{anna: {human}}}\ncameras: {{left: {camera}}}"))
     actor = scene.actors["anna"]
     told = LiveRetargeter(actor, live=True)
-    told.add_legend(messages.read_legend(messages.motion_legend(JointSource.of_actor(actor))))
+    told.add_legend(messages.read_legend(motion_legend(JointSource.of_actor(actor))))
     with Simulation(scene, ()) as simulation:
         for frame in simulation.frames(40):
             state = frame.humans["anna"]
             poses = actor.joint_poses(scene.frame_time(frame.index) * 1e-9)
-            sent = messages.read_joints(messages.motion_message(poses, frame.stamp))
+            sent = messages.read_joints(motion_message(poses, frame.stamp))
             for retargeter in (told, LiveRetargeter(actor)):
                 received = retargeter.retarget(sent, frame.stamp)
                 for part in ("joints", "rotations", "linear", "angular", "vertices"):
                     np.testing.assert_array_equal(getattr(received, part), getattr(state, part), part)
-            joints = messages.read_joints(messages.joints_message(state, frame.stamp))
+            joints = messages.read_joints(joints_message(state, frame.stamp))
             motion = messages.human_state(joints, state.vertices)
             for part in ("joints", "rotations", "linear", "angular"):
                 np.testing.assert_array_equal(getattr(motion, part), getattr(state, part), part)
-            body = messages.read_vertices(messages.vertices_message(state.vertices, frame.stamp))
+            body = messages.read_vertices(vertices_message(state.vertices, frame.stamp))
             np.testing.assert_array_equal(body, state.vertices)
 
 

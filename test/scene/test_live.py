@@ -21,6 +21,7 @@ from stand_ins import motion_path
 from waiting import end_process
 
 from humansim_ros.data import messages
+from humansim_ros.data.messages.humans import motion_message
 from humansim_ros.errors import HumansimError, MotionError, RosError
 from humansim_ros.motion import read_bvh
 from humansim_ros.motion.body.kinematics import JointPoses
@@ -265,7 +266,7 @@ def test_a_broken_legend_is_refused(actor: Actor, broken: dict[str, Any]) -> Non
 
 
 def test_unset_rotations_are_no_rotations(actor: Actor) -> None:
-    message = messages.motion_message(actor.joint_poses(0.2), 5)
+    message = motion_message(actor.joint_poses(0.2), 5)
     for transform in message.transforms:
         transform.rotation.w = transform.rotation.x = transform.rotation.y = transform.rotation.z = 0.0
     message.joint_names = [MIXAMO.get(name, name) for name in message.joint_names]
@@ -296,7 +297,7 @@ def test_messages_that_are_none_are_refused(actor: Actor) -> None:
     poses = actor.joint_poses(0.2)
 
     def message() -> Any:
-        return messages.motion_message(poses, 5)
+        return motion_message(poses, 5)
 
     wrong = [message() for _ in range(5)]
     wrong[0].header.frame_id = "mocap"

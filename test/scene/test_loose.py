@@ -16,7 +16,7 @@ from scipy.interpolate import CubicSpline
 
 from humansim_ros import Human, Scene, Simulation, load_human
 from humansim_ros.data import messages
-from humansim_ros.data.messages.humans import read_joints
+from humansim_ros.data.messages.humans import motion_message, rated_message, read_joints
 from humansim_ros.errors import MeshError, MotionError, RosError
 from humansim_ros.motion.body.offsets import CLOTH, HAIR, swing_at_rest
 from humansim_ros.people.humans.human import human_from_arrays, write_human
@@ -134,7 +134,7 @@ def test_a_frame_does_not_depend_on_those_before(tmp_path: Path, anna: Actor) ->
 
 def test_a_message_of_the_player_carries_the_swing(anna: Actor) -> None:
     own, poses = anna.at(0.63), anna.joint_poses(0.63)
-    sent = read_joints(messages.motion_message(poses, 5))
+    sent = read_joints(motion_message(poses, 5))
     got = LiveRetargeter(anna).retarget(sent)
     assert own.swing is not None and got.swing is not None
     assert np.array_equal(got.vertices, own.vertices) and np.array_equal(got.joints, own.joints)
@@ -162,13 +162,13 @@ def test_wrong_joints_of_a_swing_are_refused(anna: Actor) -> None:
 
 def test_the_swing_has_a_topic(anna: Actor) -> None:
     state = anna.at(0.63)
-    read = messages.read_rated(messages.rated_message(state.swing, 7), swing_at_rest(2))
+    read = messages.read_rated(rated_message(state.swing, 7), swing_at_rest(2))
     assert state.swing is not None
     np.testing.assert_array_equal(read.values, state.swing.values)
     np.testing.assert_array_equal(read.rates, state.swing.rates)
     with pytest.raises(RosError, match="6 names; needed are the 9 from 0/x to 2/z"):
-        messages.read_rated(messages.rated_message(state.swing, 7), swing_at_rest(3))
-    wrong = messages.rated_message(state.swing, 7)
+        messages.read_rated(rated_message(state.swing, 7), swing_at_rest(3))
+    wrong = rated_message(state.swing, 7)
     wrong.position[0] = float("nan")
     with pytest.raises(RosError, match="not finite"):
         messages.read_rated(wrong, swing_at_rest(2))

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 import scipy
 
-from humansim_ros.data.messages import in_odometry, odometry_message, read_command, read_odometry
+from humansim_ros.data.messages import read_command, read_odometry
+from humansim_ros.data.messages.robot import in_odometry, odometry_message
 from humansim_ros.data.messages.types import Twist, Vector3
 from humansim_ros.errors import HumansimError, RosError, SceneError
 from humansim_ros.geometry import ObjectPose

@@ -329,7 +329,8 @@ def test_a_robot_with_tf_other_names_and_other_stamps(tmp_path: Path) -> None:
     from rosbags.typesys import Stores, get_typestore
     from sensor_msgs.msg import CameraInfo
 
-    from humansim_ros.data.messages import header, image_message
+    from humansim_ros.data.messages import header
+    from humansim_ros.data.messages.images import image_message
 
     rng = np.random.default_rng(3)
     colors = [rng.integers(0, 255, (6, 8, 3), np.uint8) for _ in range(3)]

@@ -22,7 +22,7 @@ def test_people_who_come_are_shown(ros: None) -> None:
     from sensor_msgs.msg import MultiDOFJointState
     from shape_msgs.msg import Mesh as MeshMessage
 
-    from humansim_ros.data.messages import joints_message, mesh_message
+    from humansim_ros.data.messages.humans import joints_message, mesh_message
     from humansim_ros.ros.graph.qos import LATCHED
 
     actor, client = Scene.load().actors["walker"], Client()

@@ -264,7 +264,9 @@ def test_an_empty_graph_says_so_and_takes_what_comes(client: Client) -> None:
     from rclpy.qos import QoSProfile, QoSReliabilityPolicy
     from sensor_msgs.msg import CameraInfo, Image, MultiDOFJointState
 
-    from humansim_ros.data.messages import header, image_message, joints_message
+    from humansim_ros.data.messages import header
+    from humansim_ros.data.messages.humans import joints_message
+    from humansim_ros.data.messages.images import image_message
 
     with closing(RosViewSource(estimate="/t/*/poses", namespace="lab", patience=0.1)) as source:
         frame = source.frame(0, FrameRequest([], ["rgb"]))
@@ -314,7 +316,7 @@ def test_the_skin_of_an_unknown_body_is_found_while_it_moves(client: Client) -> 
     from sensor_msgs.msg import MultiDOFJointState, PointCloud2
     from shape_msgs.msg import Mesh as MeshMessage
 
-    from humansim_ros.data.messages import joints_message, mesh_message, vertices_message
+    from humansim_ros.data.messages.humans import joints_message, mesh_message, vertices_message
     from humansim_ros.ros.graph.qos import LATCHED
 
     actor = Scene.load().actors["walker"]
@@ -355,7 +357,8 @@ def test_hostile_messages_do_not_end_the_source(client: Client) -> None:
     from std_msgs.msg import String
     from visualization_msgs.msg import Marker, MarkerArray
 
-    from humansim_ros.data.messages import header, joints_message
+    from humansim_ros.data.messages import header
+    from humansim_ros.data.messages.humans import joints_message
 
     kinds = {
         "/bad/humans/x/joints": MultiDOFJointState,

@@ -25,7 +25,7 @@ from humansim_ros.data.bags.reader import BagReader
 from humansim_ros.data.formats.formats import BODIES, BOXES, KEYPOINTS, POSITIONS, ExportFormat
 from humansim_ros.data.formats.source import versions
 from humansim_ros.data.formats.writer import ExportCamera, ExportScene
-from humansim_ros.data.messages.camera_truth import body_box, joint_places
+from humansim_ros.data.messages.camera_truth import BODY_KINDS, JOINT_POINT, body_box, joint_places
 from humansim_ros.data.messages.cdr import deserialised
 from humansim_ros.data.messages.frames import Frames
 from humansim_ros.data.messages.topics import COMPRESSED
@@ -56,7 +56,7 @@ _LABELLED = {"instance", *_PARTS, BOXES, KEYPOINTS}
 _SCENE_TIME = "/scene_time"
 #: Topics that every format needs.
 _ALWAYS = ("/scene_time", "*/camera_info", "*/extrinsics", "*/joints/legend", "*/part/legend")
-_KINDS = {number: kind for kind, number in messages.BODY_KINDS.items()}
+_KINDS = {number: kind for kind, number in BODY_KINDS.items()}
 #: Most topics that a warning or error lists.
 _MAX_LISTED = 4
 
@@ -601,7 +601,7 @@ def _message(data: bytes, kind: type[Any]) -> Any:
 
 
 def _read_points(message: PointCloud2) -> NDArray[Any]:
-    return messages.read_points(message, messages.JOINT_POINT.names or ())
+    return messages.read_points(message, JOINT_POINT.names or ())
 
 
 def _reader_of(channel: str) -> Callable[[Any], NDArray[Any]]:

@@ -22,9 +22,61 @@ from humansim_ros.cameras.camera import Camera, Region
 from humansim_ros.cameras.sensor import DepthSensor
 from humansim_ros.data import messages
 from humansim_ros.data.messages.adapters import AdapterTopic, adapter_topics, section_of
-from humansim_ros.data.messages.headers import TF_STATIC_TOPIC, TF_TOPIC
-from humansim_ros.data.messages.humans import MarkerBuilder
-from humansim_ros.data.messages.images import DepthCompression, ImageCompression
+from humansim_ros.data.messages.camera_truth import (
+    boxes_message,
+    faults_message,
+    joint_view_message,
+    overlay_message,
+    visible_vertices_message,
+)
+from humansim_ros.data.messages.cameras import (
+    camera_info_message,
+    extrinsics_message,
+    object_message,
+    projection_message,
+    transform_message,
+)
+from humansim_ros.data.messages.headers import (
+    TF_STATIC_TOPIC,
+    TF_TOPIC,
+    depth_optical_frame,
+    scene_time_message,
+)
+from humansim_ros.data.messages.humans import (
+    MarkerBuilder,
+    joints_message,
+    keypoints_message,
+    mesh_message,
+    motion_message,
+    rated_message,
+    vertices_message,
+)
+from humansim_ros.data.messages.images import (
+    DepthCompression,
+    ImageCompression,
+    compressed_depth_message,
+    compressed_image_message,
+    image_message,
+    mask_pixels,
+)
+from humansim_ros.data.messages.legends import (
+    faults_legend,
+    instance_legend,
+    joints_legend,
+    keypoints_legend,
+    live_legend,
+    material_legend,
+    motion_legend,
+    part_legend,
+)
+from humansim_ros.data.messages.points import image_points_message
+from humansim_ros.data.messages.robot import in_odometry, odometry_message
+from humansim_ros.data.messages.scanners import (
+    points_message,
+    scan_message,
+    scanner_frame,
+    scanner_truth_message,
+)
 from humansim_ros.data.messages.topic import Topic
 from humansim_ros.data.messages.transforms import TF, fixed_transform, transform_topics
 from humansim_ros.data.messages.types import (
@@ -96,9 +148,9 @@ DepthContent = tuple[DepthCapture, View]
 _SHOWN_CHANNELS = ("rgb", "depth", "part")
 #: By property of :class:`CameraTruth`: the function that builds its message.
 _TRUTH: Mapping[str, Callable[..., PointCloud2]] = {
-    "joints": messages.joint_view_message,
-    "boxes": messages.boxes_message,
-    "visible_vertices": messages.visible_vertices_message,
+    "joints": joint_view_message,
+    "boxes": boxes_message,
+    "visible_vertices": visible_vertices_message,
 }
 #: Legends that a recording includes only on request.
 _OPTIONAL_LEGENDS = ("keypoints", "body_part", "material")
@@ -119,10 +171,10 @@ def _sent_once(name: str, kind: type[Any], build: Callable[[], Any], **settings:
 def _label_legends(scene: Scene) -> dict[str, Callable[[], String]]:
     """Functions that build the legends of the channels ``instance`` and ``part``, by channel. A legend says
     what each number of a label image means."""
-    legends = {"instance": lambda: messages.instance_legend(scene.labels)}
+    legends = {"instance": lambda: instance_legend(scene.labels)}
     if scene.actors:
         skeleton = next(iter(scene.actors.values())).human.skeleton
-        legends["part"] = lambda: messages.part_legend(skeleton)
+        legends["part"] = lambda: part_legend(skeleton)
     return legends
 
 
@@ -130,7 +182,7 @@ def _label_legends(scene: Scene) -> dict[str, Callable[[], String]]:
 SCENE_TIME_TOPIC: Topic[tuple[int, int]] = Topic(
     SCENE_TIME,
     TimeReference,
-    lambda content, stamp: messages.scene_time_message(content[0], stamp, content[1]),
+    lambda content, stamp: scene_time_message(content[0], stamp, content[1]),
     lambda frame: (frame.scene_time, frame.index),
     explains=True,
 )
@@ -164,14 +216,14 @@ class HumanTopics:
         self.motion: Topic[JointPoses] = Topic(
             f"{root}/motion",
             MultiDOFJointState,
-            messages.motion_message,
+            motion_message,
             lambda frame: frame.motions[name],
             shown=True,
         )
         self.legend: Topic[JointSource | None] = Topic(
             f"{root}/motion/legend",
             String,
-            lambda source, _: messages.live_legend() if source is None else messages.motion_legend(source),
+            lambda source, _: live_legend() if source is None else motion_legend(source),
             lambda _: None if live else JointSource.of_actor(actor),
             latched=True,
             per_frame=False,
@@ -187,18 +239,18 @@ class HumanTopics:
             return Topic(f"{root}/{path}", kind, build, state, shown=path != "markers")
 
         def rated(path: str, rest: Rated) -> Callable[[HumanState, int], JointState]:
-            return lambda body, stamp: messages.rated_message(body.features.get(path, rest), stamp)
+            return lambda body, stamp: rated_message(body.features.get(path, rest), stamp)
 
-        self.joints = of_body("joints", MultiDOFJointState, messages.joints_message)
+        self.joints = of_body("joints", MultiDOFJointState, joints_message)
         self.vertices = of_body(
-            "vertices", PointCloud2, lambda body, stamp: messages.vertices_message(body.vertices, stamp)
+            "vertices", PointCloud2, lambda body, stamp: vertices_message(body.vertices, stamp)
         )
         self.markers = of_body(
             "markers",
             MarkerArray,
             lambda body, stamp: self.marker_builder.build(name, actor.instance, body, stamp),
         )
-        self.mesh = _sent_once(f"{root}/mesh", MeshMessage, lambda: messages.mesh_message(actor.human.mesh))
+        self.mesh = _sent_once(f"{root}/mesh", MeshMessage, lambda: mesh_message(actor.human.mesh))
         self.features = {
             path: of_body(path, JointState, rated(path, rest)) for path, rest in actor.features.items()
         }
@@ -213,7 +265,7 @@ class HumanTopics:
 
         def message(body: HumanState, stamp: int) -> MultiDOFJointState:
             positions = KeypointLocator.of(human, keypoints).positions(body.positions, body.vertices)
-            return messages.keypoints_message(keypoints.names, positions, stamp)
+            return keypoints_message(keypoints.names, positions, stamp)
 
         name = f"humans/{self._actor.name}/keypoints/{keypoints.name}"
         return Topic(name, MultiDOFJointState, message, state, optional=True)
@@ -238,7 +290,7 @@ class ObjectTopics:
         def topic(path: str, kind: type[Any], build: Callable[[ObjectPose, int], Any]) -> Topic[ObjectPose]:
             return Topic(f"{root}/{path}", kind, build, lambda frame: frame.objects[item.name])
 
-        self.marker = topic("marker", Marker, lambda pose, stamp: messages.object_message(item, pose, stamp))
+        self.marker = topic("marker", Marker, lambda pose, stamp: object_message(item, pose, stamp))
         self.twist = topic(
             "twist", TwistStamped, lambda pose, stamp: messages.twist_message(pose.velocity, stamp)
         )
@@ -263,7 +315,7 @@ class RobotTopics:
         self.odom: Topic[ObjectPose] = Topic(
             "odom",
             Odometry,
-            lambda base, stamp: messages.odometry_message(robot, base, stamp),
+            lambda base, stamp: odometry_message(robot, base, stamp),
             lambda frame: frame.robot,  # type: ignore[arg-type,return-value]  # the scene has a robot
             shown=True,
         )
@@ -271,8 +323,8 @@ class RobotTopics:
         self.start = fixed_transform(robot.start, messages.WORLD_FRAME, odom_frame)
 
         def moved(base: ObjectPose, stamp: int) -> TransformStamped:
-            pose = messages.in_odometry(robot, base)
-            return messages.transform_message(pose.position, pose.rotation, stamp, odom_frame, base_frame)
+            pose = in_odometry(robot, base)
+            return transform_message(pose.position, pose.rotation, stamp, odom_frame, base_frame)
 
         self.base = replace(self.start, name=TF_TOPIC, build=moved, content=self.odom.content, per_frame=True)
 
@@ -370,7 +422,7 @@ class CameraTopics:
         self.keypoints = {
             keypoints: of_truth(
                 f"keypoints/{keypoints}",
-                self._builder(messages.joint_view_message, methodcaller("keypoints", keypoints)),
+                self._builder(joint_view_message, methodcaller("keypoints", keypoints)),
                 optional=True,
             )
             for keypoints in KEYPOINT_SETS
@@ -379,7 +431,7 @@ class CameraTopics:
         radius = max(2.0, min(camera.camera.size) / 120)
         self.overlay = of_truth(
             "overlay",
-            lambda truth, stamp: messages.overlay_message([*truth.joints.values()], radius, stamp, frame),
+            lambda truth, stamp: overlay_message([*truth.joints.values()], radius, stamp, frame),
             ImageMarker,
         )
         self.legends: Sequence[Topic[None]] = self._legend_topics()
@@ -402,7 +454,7 @@ class CameraTopics:
         self.extrinsics = posed(
             "extrinsics",
             TransformStamped,
-            lambda camera, stamp: messages.extrinsics_message(camera, stamp, frame),
+            lambda camera, stamp: extrinsics_message(camera, stamp, frame),
         )
         self.true_extrinsics: Topic[Camera] | None = None
         if camera.faults is not None and camera.faults.calibration is not None:
@@ -413,9 +465,7 @@ class CameraTopics:
                 per_frame=camera.moves or camera.drifts,
                 explains=True,
             )
-        self.projection = posed(
-            "projection", Float64MultiArray, lambda camera, _: messages.projection_message(camera)
-        )
+        self.projection = posed("projection", Float64MultiArray, lambda camera, _: projection_message(camera))
         self.transforms: list[Topic[Any]] = [self.extrinsics]
         if camera.mount is not None:
             place, robot = camera.mount
@@ -473,10 +523,10 @@ class CameraTopics:
         def topic(path: str, image: Callable[[View], NDArray[Any]]) -> Topic[View]:
             def message(view: View, stamp: int) -> Any:
                 if compression is None:
-                    return messages.image_message(image(view), encoding, stamp, frame)
+                    return image_message(image(view), encoding, stamp, frame)
                 if isinstance(compression, DepthCompression):
-                    return messages.compressed_depth_message(image(view), compression, stamp, frame)
-                return messages.compressed_image_message(image(view), encoding, compression, stamp, frame)
+                    return compressed_depth_message(image(view), compression, stamp, frame)
+                return compressed_image_message(image(view), encoding, compression, stamp, frame)
 
             return Topic(
                 f"{name}/{path}" if is_raw else f"{name}/{path}/{COMPRESSED[channel.name]}",
@@ -491,7 +541,7 @@ class CameraTopics:
             )
 
         def of_body(label: int) -> Callable[[View], NDArray[Any]]:
-            return lambda view: messages.mask_pixels(getattr(view, channel.name)[label])
+            return lambda view: mask_pixels(getattr(view, channel.name)[label])
 
         if not channel.per_body:
             return [topic(channel.topic, lambda view: getattr(view, channel.name))]
@@ -507,7 +557,7 @@ class CameraTopics:
             return Topic(
                 f"{name}/{channel.rectified_topic}",
                 Image,
-                lambda image, stamp: messages.image_message(image, encoding, stamp, frame),
+                lambda image, stamp: image_message(image, encoding, stamp, frame),
                 content,
                 camera=name,
                 **needs,
@@ -544,17 +594,17 @@ class CameraTopics:
         joints = {actor.name: (actor.instance, actor.human.skeleton.joint_names) for actor in actors}
         legends = _label_legends(scene)
         licenses = {actor.name: text for actor in actors if (text := actor.human.license)}
-        legends["joints"] = lambda: messages.joints_legend(
+        legends["joints"] = lambda: joints_legend(
             joints, scene.object_labels, licenses, scene.config.license or ""
         )
         exact = {actor.name: (actor.instance, has_exact_skin(actor.human)) for actor in actors}
-        legends["keypoints"] = lambda: messages.keypoints_legend(exact, scene.object_labels)
+        legends["keypoints"] = lambda: keypoints_legend(exact, scene.object_labels)
         if actors:
             legends["body_part"] = legends["part"]
-            legends["material"] = messages.material_legend
+            legends["material"] = material_legend
 
         if (faults := self._camera.faults) is not None:
-            legends["faults"] = lambda: messages.faults_legend(faults)
+            legends["faults"] = lambda: faults_legend(faults)
         name = self._name
         return [
             _sent_once(
@@ -568,7 +618,7 @@ class CameraTopics:
         return Topic(
             f"{name}/faults",
             DiagnosticArray,
-            lambda faults, stamp: messages.faults_message(faults, stamp, frame),
+            lambda faults, stamp: faults_message(faults, stamp, frame),
             lambda simulated: simulated.faults[name],
             camera=name,
             explains=True,
@@ -596,7 +646,7 @@ def _info_topic(
     return Topic(
         f"{name}/{path}",
         CameraInfo,
-        lambda whole, stamp: messages.camera_info_message(whole, stamp, frame, region),
+        lambda whole, stamp: camera_info_message(whole, stamp, frame, region),
         lambda _: whole,
         camera=name,
         **settings,
@@ -622,7 +672,7 @@ class DepthSensorTopics:
 
     def __init__(self, camera: SceneCamera, sensor: DepthSensor, frame: str) -> None:
         self._name, self._faulty = name, faulty = camera.name, camera.faults is not None
-        own = messages.depth_optical_frame(frame)
+        own = depth_optical_frame(frame)
         self.optics = sensor.optics
         self.info = _info_topic(
             name, sensor.optics, own, path="depth_sensor/camera_info", shown=True, faulty=faulty
@@ -631,7 +681,7 @@ class DepthSensorTopics:
         self.extrinsics: Topic[Camera] = Topic(
             f"{name}/depth_sensor/extrinsics",
             TransformStamped,
-            lambda optics, stamp: messages.extrinsics_message(optics, stamp, own, frame),
+            lambda optics, stamp: extrinsics_message(optics, stamp, own, frame),
             lambda _: sensor.optics,
             latched=True,
             per_frame=False,
@@ -644,7 +694,7 @@ class DepthSensorTopics:
             self._topic(
                 "depth_sensor/points",
                 PointCloud2,
-                lambda each, _, stamp: messages.image_points_message(each.points, None, stamp, own),
+                lambda each, _, stamp: image_points_message(each.points, None, stamp, own),
             ),
         ]
         if sensor.config.aligned:
@@ -653,7 +703,7 @@ class DepthSensorTopics:
     def _add_aligned(self, camera: SceneCamera, frame: str) -> None:
         def points(capture: DepthCapture, view: View, stamp: int) -> PointCloud2:
             colors = color_image(view.rgb, camera.encoding)
-            return messages.image_points_message(capture.color_points, colors, stamp, frame)
+            return image_points_message(capture.color_points, colors, stamp, frame)
 
         self.aligned_info = _info_topic(
             self._name,
@@ -677,7 +727,7 @@ class DepthSensorTopics:
         **settings: Any,
     ) -> Topic[DepthContent]:
         def message(capture: DepthCapture, _: View, stamp: int) -> Image:
-            return messages.image_message(image(capture), encoding, stamp, frame)
+            return image_message(image(capture), encoding, stamp, frame)
 
         return self._topic(path, Image, message, **settings)
 
@@ -739,7 +789,7 @@ class ScannerTopics:
 
     def __init__(self, scene: Scene, scanner: SceneScanner, frame: str | None = None) -> None:
         name, layout = scanner.name, scanner.layout
-        frame = messages.scanner_frame(name) if frame is None else frame
+        frame = scanner_frame(name) if frame is None else frame
         self.frame = frame
 
         def last(simulated: Frame) -> Sweep:
@@ -749,20 +799,16 @@ class ScannerTopics:
             return Topic(f"{name}/{path}", kind, lambda sweep, _: build(sweep), last, scanner=name)
 
         if layout == "scan":
-            self.points = of_sweep(
-                "scan", LaserScan, lambda sweep: messages.scan_message(sweep, scanner, frame)
-            )
+            self.points = of_sweep("scan", LaserScan, lambda sweep: scan_message(sweep, scanner, frame))
         else:
-            self.points = of_sweep(
-                "points", PointCloud2, lambda sweep: messages.points_message(sweep, layout, frame)
-            )
+            self.points = of_sweep("points", PointCloud2, lambda sweep: points_message(sweep, layout, frame))
         self.truth = of_sweep(
-            "truth/points", PointCloud2, lambda sweep: messages.scanner_truth_message(sweep, layout, frame)
+            "truth/points", PointCloud2, lambda sweep: scanner_truth_message(sweep, layout, frame)
         )
         self.extrinsics: Topic[ObjectPose] = Topic(
             f"{name}/extrinsics",
             TransformStamped,
-            lambda pose, stamp: messages.transform_message(
+            lambda pose, stamp: transform_message(
                 pose.position, pose.rotation, stamp, messages.WORLD_FRAME, frame
             ),
             lambda simulated: scanner.pose(simulated.scene_time * 1e-9, simulated.objects.get(ROBOT)),

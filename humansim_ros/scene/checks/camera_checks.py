@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -50,17 +50,7 @@ _STEPS = (50, 1)
 def check_cameras(samples: SceneSamples, obstacles: Sequence[Obstacle]) -> Iterator[Finding]:
     """Check all cameras. ``obstacles``: things that a camera must not be inside of."""
     scene = samples.scene
-    of_rig: dict[str, list[tuple[str, Finding]]] = {}
-    for name in (name for name, camera in scene.scene_cameras.items() if not camera.left):
-        for kind, finding in _check_camera(name, samples, obstacles):
-            if finding.key.startswith("rig."):
-                of_rig.setdefault(kind, []).append((name, finding))
-            else:
-                yield finding
-    for same in of_rig.values():
-        others = ", ".join(name for name, _ in same[1:])
-        finding = same[0][1]
-        yield replace(finding, text=finding.text + f" (the same: {others})") if others else finding
+    yield from _once_per_rig(samples, lambda camera: _check_camera(camera.name, samples, obstacles))
     if scene.config.rig is not None:
         cameras = {
             name: camera.camera
@@ -69,6 +59,23 @@ def check_cameras(samples: SceneSamples, obstacles: Sequence[Obstacle]) -> Itera
         }
         for message in check_rig(cameras):
             yield Finding("warning", "rig.file", message)
+
+
+def _once_per_rig(
+    samples: SceneSamples, check: Callable[[SceneCamera], Iterable[tuple[str, Finding]]]
+) -> Iterator[Finding]:
+    """Yield the findings of all cameras but the right ones of stereo pairs. The cameras of a rig have each
+    kind of finding once. ``check``: yields the findings of a camera, each with its kind."""
+    of_rig: dict[str, list[tuple[str, Finding]]] = {}
+    for name, camera in samples.scene.scene_cameras.items():
+        for kind, finding in () if camera.left else check(camera):
+            if finding.key.startswith("rig."):
+                of_rig.setdefault(kind, []).append((name, finding))
+            else:
+                yield finding
+    for (_, finding), *same in of_rig.values():
+        others = ", ".join(name for name, _ in same)
+        yield replace(finding, text=f"{finding.text} (the same: {others})") if others else finding
 
 
 def visible(camera: Camera, rotations: Array, translations: Array, points: Array) -> NDArray[np.bool_]:
@@ -83,12 +90,19 @@ def visible(camera: Camera, rotations: Array, translations: Array, points: Array
     Returns:
         (N, P) whether each point may be visible.
     """
-    optical = np.einsum("nij,npj->npi", rotations, points) + translations[:, None]
     with np.errstate(all="ignore"):
-        pixels, depth = camera.project_optical(optical)
-        margin = _FLESH * camera.K[[0, 1], [0, 1]] / depth[..., None]
+        pixels, depth, margin = _projected(camera, rotations, translations, points)
         inside = ((pixels >= -margin) & (pixels <= np.array(camera.size) + margin)).all(axis=-1)
         return np.asarray(inside & (depth > _NEAR) & (depth < _FARTHEST))
+
+
+def _projected(
+    camera: Camera, rotations: Array, translations: Array, points: Array
+) -> tuple[Array, Array, Array]:
+    """Pixels (N, P, 2) of points, depth (N, P), and pixels (N, P, 2) of the flesh around them."""
+    optical = np.einsum("nij,npj->npi", rotations, points) + translations[:, None]
+    pixels, depth = camera.project_optical(optical)
+    return pixels, depth, _FLESH * camera.K[[0, 1], [0, 1]] / depth[..., None]
 
 
 def covered_pixels(name: str, samples: SceneSamples) -> float:
@@ -100,10 +114,8 @@ def covered_pixels(name: str, samples: SceneSamples) -> float:
     step = -(-times * len(samples.scene.scene_cameras) // _MOST_VIEWS)
     rotations, translations = (part[::step] for part in samples.camera_poses[name])
     joints, starts = samples.side_by_side
-    optical = np.einsum("nij,npj->npi", rotations, joints[::step]) + translations[:, None]
     with np.errstate(all="ignore"):
-        pixels, depth = camera.project_optical(optical)
-        margin = _FLESH * camera.K[[0, 1], [0, 1]] / depth[..., None]
+        pixels, depth, margin = _projected(camera, rotations, translations, joints[::step])
     near = (depth > _NEAR)[..., None] & np.isfinite(pixels)
     low = np.minimum.reduceat(np.where(near, pixels - margin, np.inf), starts, axis=1)
     high = np.maximum.reduceat(np.where(near, pixels + margin, -np.inf), starts, axis=1)
@@ -337,21 +349,11 @@ _MAX_FRAMES = 3000
 
 
 def check_faults(samples: SceneSamples) -> Iterator[Finding]:
-    """Check the faults of all cameras. The cameras of a rig have the same faults, which are checked once."""
-    of_rig: dict[str, tuple[Finding, list[str]]] = {}
-    for name, camera in samples.scene.scene_cameras.items():
-        if camera.left:
-            continue  # it has the faults of the left camera
-        for finding in _check_camera_faults(camera, samples):
-            if finding.key.startswith("rig."):
-                of_rig.setdefault(finding.key + finding.text, (finding, []))[1].append(name)
-            else:
-                yield finding
-    for finding, names in of_rig.values():
-        yield replace(finding, text=f"{finding.text} ({some_of(names)})")
+    """Check the faults of all cameras. A right camera has the faults of the left camera."""
+    yield from _once_per_rig(samples, lambda camera: _check_camera_faults(camera, samples))
 
 
-def _check_camera_faults(camera: SceneCamera, samples: SceneSamples) -> Iterator[Finding]:
+def _check_camera_faults(camera: SceneCamera, samples: SceneSamples) -> Iterator[tuple[str, Finding]]:
     scene = samples.scene
     section = f"cameras.{camera.name}" if camera.name in scene.config.cameras else "rig"
     for key, text in (
@@ -359,7 +361,7 @@ def _check_camera_faults(camera: SceneCamera, samples: SceneSamples) -> Iterator
         *_late_members(camera, scene),
         *_no_images(camera, scene, samples.duration),
     ):
-        yield Finding("warning", f"{section}.faults.{key}", text)
+        yield key + text, Finding("warning", f"{section}.faults.{key}", text)
 
 
 def _hidden_flicker(camera: SceneCamera, rate: float) -> Iterator[tuple[str, str]]:

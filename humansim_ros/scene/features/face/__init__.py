@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 from pydantic import BeforeValidator, Field, field_validator
@@ -15,28 +13,6 @@ from humansim_ros.scene.config.camera_config import BoundedVector3
 
 #: Gaze without a target: the eyes look ahead.
 AHEAD = "ahead"
-
-
-@dataclass(frozen=True)
-class FaceKey:
-    """What a face does from a time on. Everything that the key does not name goes on as before.
-
-    Attributes:
-        time: Seconds of the scene.
-        expression: Name of an expression, and its ``strength`` from 0 to 1.
-        actions: Weights by action, in addition to the expression.
-        gaze: Point (3,) in ``map``, name of a human or a camera, or :data:`AHEAD`.
-        speak: Seconds for which the face speaks.
-        blend: Seconds over which expression and actions change from those of the key before.
-    """
-
-    time: float = 0.0
-    expression: ExpressionName | None = None
-    strength: float = 1.0
-    actions: Mapping[str, float] | None = None
-    gaze: str | tuple[float, float, float] | None = None
-    speak: float | None = None
-    blend: float = 0.3
 
 
 class FaceKeyConfig(ShortSection):
@@ -68,13 +44,6 @@ class FaceKeyConfig(ShortSection):
         except MotionError as error:
             raise ValueError(error.message) from None
         return actions
-
-    @property
-    def key(self) -> FaceKey:
-        """The key as the face plays it."""
-        return FaceKey(
-            self.time, self.expression, self.strength, self.actions, self.gaze, self.speak, self.blend
-        )
 
 
 class FaceConfig(ShortSection):

@@ -46,7 +46,7 @@ def face_of(name: str, config: HumanConfig, source: SceneSource) -> Face:
     def numbers(purpose: str) -> RandomNumbers:
         return random_numbers(settings.seed, f"face {name} {purpose}")
 
-    tracks = key_tracks([key.key for key in settings.keys], numbers)
+    tracks = key_tracks(settings.keys, numbers)
     gazes = sorted((key for key in settings.keys if key.gaze is not None), key=lambda key: key.time)
     looks = tuple(Gaze(key.time, None if key.gaze == AHEAD else key.gaze) for key in gazes)
     face = Face(tracks, gazes=looks, head=settings.head)

@@ -40,8 +40,9 @@ from humansim_ros.motion.pose import PoseStage
 from humansim_ros.people.humans import Human
 from humansim_ros.scene.core.actor import Actor
 from humansim_ros.scene.core.layers import BodyPoses, PoseLayer
+from humansim_ros.scene.core.looks import RandomNumbers
 from humansim_ros.scene.core.world import World
-from humansim_ros.scene.features.face import FaceKey
+from humansim_ros.scene.features.face import FaceKeyConfig
 from humansim_ros.types import Array
 
 #: Names of joints that carry a face in a motion begin with this text.
@@ -51,8 +52,6 @@ HEAD_JOINT = FACE_JOINT + "head"
 FACE_JOINTS = frozenset((*(FACE_JOINT + action for action in ACTIONS), GAZE_JOINT, HEAD_JOINT))
 #: Target of a gaze: a point in ``map``, or the name of a human or camera.
 GazeTarget = str | tuple[float, float, float]
-#: Returns the next random number, uniformly distributed from 0 to 1.
-Uniform = Callable[[], float]
 #: Seconds after which blinks and glances repeat.
 LIFE_SECONDS = 600.0
 #: Blinks of a person at rest: number a minute [Bentivoglio 1997], spread of the logarithm of the intervals
@@ -139,7 +138,7 @@ def key_track(keys: Sequence[tuple[float, float, Array]]) -> WeightTrack:
     return WeightTrack.of_points(points)
 
 
-def blinks(uniform: Uniform) -> WeightTrack:
+def blinks(uniform: RandomNumbers) -> WeightTrack:
     """Make blinks of both eyes for :data:`LIFE_SECONDS`."""
     closed = face_weights({"eyeBlinkLeft": 1.0, "eyeBlinkRight": 1.0})
     middle = math.log(60 / _BLINKS) - _SPREAD**2 / 2
@@ -165,7 +164,7 @@ def turn_seconds(degrees: float) -> float:
     return _TURN + _TURN_DEGREE * degrees
 
 
-def glances(uniform: Uniform) -> WeightTrack:
+def glances(uniform: RandomNumbers) -> WeightTrack:
     """Make small movements of the eyes around the point that they look at, for :data:`LIFE_SECONDS`."""
     points: list[tuple[float, Array]] = [(0.0, np.zeros(len(ACTIONS)))]
     time, before, eyes = 0.0, np.zeros(2), points[0][1]
@@ -188,7 +187,7 @@ def look_weights(angles: Array) -> Array:
     return with_looks(np.zeros((1, len(ACTIONS))), np.broadcast_to(angles, (1, 2, 2)))[0]
 
 
-def speech(start: float, seconds: float, uniform: Uniform) -> WeightTrack:
+def speech(start: float, seconds: float, uniform: RandomNumbers) -> WeightTrack:
     """Make a mouth that speaks for some seconds. Each syllable is a consonant and a vowel. There are
     pauses."""
     silence = np.zeros(len(ACTIONS))
@@ -208,11 +207,11 @@ def speech(start: float, seconds: float, uniform: Uniform) -> WeightTrack:
         time, left = time + length, left - 1
 
 
-def _between(limits: tuple[float, float], uniform: Uniform) -> float:
+def _between(limits: tuple[float, float], uniform: RandomNumbers) -> float:
     return limits[0] + (limits[1] - limits[0]) * uniform()
 
 
-def _mouth(mouths: Sequence[Mapping[str, float]], uniform: Uniform) -> Array:
+def _mouth(mouths: Sequence[Mapping[str, float]], uniform: RandomNumbers) -> Array:
     """Choose one of some shapes of the mouth. Returns its weights (52,)."""
     chosen = mouths[min(int(len(mouths) * uniform()), len(mouths) - 1)]
     return face_weights(both_sides(chosen))
@@ -411,7 +410,9 @@ def _turned(start: Array, end: Array, share: Array) -> Array:
     return unit_vectors(weights[0][:, None] * unit_vectors(start) + weights[1][:, None] * unit_vectors(end))
 
 
-def key_tracks(keys: Sequence[FaceKey], numbers: Callable[[str], Uniform]) -> tuple[WeightTrack, ...]:
+def key_tracks(
+    keys: Sequence[FaceKeyConfig], numbers: Callable[[str], RandomNumbers]
+) -> tuple[WeightTrack, ...]:
     """Make tracks of the expressions, actions and speech of keys. ``numbers``: gives random numbers for a
     purpose."""
     keys = sorted(keys, key=lambda key: key.time)

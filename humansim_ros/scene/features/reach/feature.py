@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from graphlib import CycleError, TopologicalSorter
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -400,18 +401,15 @@ class _Goals:
             name: {each.to for each in config.reach if isinstance(each.to, str) and isinstance(each.at, str)}
             for name, config in self.configs.items()
         }
-        for name in follows:
-            seen: set[str] = set()
-            ways = set(follows[name])
-            while ways:
-                seen |= ways
-                ways = {target for each in ways for target in follows.get(each, ())} - seen
-            if name in seen:
-                raise SceneError(
-                    f"{name} reaches for a joint of somebody who reaches for a joint of {name}: let both "
-                    "reach for each other without 'at', or give one of them a point",
-                    key=f"humans.{name}.reach",
-                )
+        try:
+            TopologicalSorter(follows).prepare()
+        except CycleError as error:
+            name = next(name for name in follows if name in error.args[1])
+            raise SceneError(
+                f"{name} reaches for a joint of somebody who reaches for a joint of {name}: let both reach "
+                "for each other without 'at', or give one of them a point",
+                key=f"humans.{name}.reach",
+            ) from None
 
 
 FEATURE = ReachingHands()

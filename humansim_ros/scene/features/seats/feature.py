@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,13 +11,13 @@ from humansim_ros.files.mesh import Mesh
 from humansim_ros.geometry import segments_crossing
 from humansim_ros.motion.files import needs_table
 from humansim_ros.motion.pose import PathMotion
-from humansim_ros.scene.config.config import LIVE, MotionConfig, ObjectConfig, SceneConfig
+from humansim_ros.scene.config.config import LIVE, MotionConfig, ObjectConfig
 from humansim_ros.scene.core.actor import Actor
-from humansim_ros.scene.core.environment import Environment
 from humansim_ros.scene.core.features import Draft
 from humansim_ros.scene.core.findings import CheckedFeature, Finding, SceneSamples, motion_key, numbers
 from humansim_ros.scene.core.floor import HIGHEST_HIPS, SEAT_HEIGHT, TO_TABLE, Sitting, find_sittings
 from humansim_ros.scene.core.objects import SceneObject
+from humansim_ros.scene.core.scene import Scene
 from humansim_ros.scene.core.source import SceneSource
 from humansim_ros.types import Array
 
@@ -36,35 +35,22 @@ def is_above(point: Array, meshes: Sequence[Mesh]) -> bool:
     return any(segments_crossing(start, end, each)[0] for each in corners)
 
 
-@dataclass(frozen=True)
-class Seats:
-    """What people may sit on.
-
-    Attributes:
-        config: The scene.
-        objects: Objects of the scene.
-        environment: Static surroundings.
-    """
-
-    config: SceneConfig
-    objects: Mapping[str, SceneObject]
-    environment: Environment
-
-    def below(self, sitting: Sitting) -> bool:
-        """Whether something is below a person who sits: an object, a mesh, or furniture of the room."""
-        static = [item.static_mesh() for item in self.objects.values() if not item.moves]
-        if is_above(sitting.hips, [*self.environment.mesh_files, *static]):
-            return True
-        for item in self.objects.values():
-            if item.moves:
-                point = item.to_mesh(sitting.hips[None, None], np.array([sitting.time]))[0, 0]
-                if is_above(point * item.initial_pose.size, [_sized(item)]):
-                    return True
-        for each in self.environment.furnishing.fixtures.values():
-            on_it = (np.abs(sitting.hips[:2] - each.center) < np.array(each.size) / 2).all()
-            if each.top is not None and on_it and _BELOW[0] < sitting.hips[2] - each.top < _BELOW[1]:
+def has_seat(scene: Draft | Scene, sitting: Sitting) -> bool:
+    """Whether something is below a person who sits: an object, a mesh, or furniture of the room."""
+    objects, environment = scene.objects.values(), scene.environment
+    static = [item.static_mesh() for item in objects if not item.moves]
+    if is_above(sitting.hips, [*environment.mesh_files, *static]):
+        return True
+    for item in objects:
+        if item.moves:
+            point = item.to_mesh(sitting.hips[None, None], np.array([sitting.time]))[0, 0]
+            if is_above(point * item.initial_pose.size, [_sized(item)]):
                 return True
-        return False
+    for each in environment.furnishing.fixtures.values():
+        on_it = (np.abs(sitting.hips[:2] - each.center) < np.array(each.size) / 2).all()
+        if each.top is not None and on_it and _BELOW[0] < sitting.hips[2] - each.top < _BELOW[1]:
+            return True
+    return False
 
 
 def _sized(item: SceneObject) -> Mesh:
@@ -96,26 +82,24 @@ def _bends(actor: Actor, times: Array) -> bool:
     return bool(height.min() < HIGHEST_HIPS * 1.15 * frame.ankle_to_head * frame.unit / 2)
 
 
-def furniture_for(
-    actors: Mapping[str, Actor], seats: Seats, source: SceneSource
-) -> Iterator[tuple[str, str, ObjectConfig]]:
+def furniture_for(draft: Draft) -> Iterator[tuple[str, str, ObjectConfig]]:
     """Chairs and tables for people who sit where nothing is below them: the human, the name of the furniture
     and its section. A chair is as high as the person sits. People who write or eat get a table in front."""
-    for name, actor in actors.items():
-        human = seats.config.humans[name]
+    for name, actor in draft.actors.items():
+        human = draft.config.humans[name]
         if human.seat == "none":
             continue
         number = 0
-        for sitting in sittings_of(actor, source, human.motion):
-            if seats.below(sitting):
+        for sitting in sittings_of(actor, draft.source, human.motion):
+            if has_seat(draft, sitting):
                 continue
             number += 1
             suffix = "" if number == 1 else f"_{number}"
             factor = max(sitting.height, 0.1) / SEAT_HEIGHT
-            yield name, _free(f"{name}_chair{suffix}", seats.objects), _at(sitting, "chair", 0.0, factor)
+            yield name, _free(f"{name}_chair{suffix}", draft.objects), _at(sitting, "chair", 0.0, factor)
             if needs_table(human.motion.file):
                 table = _at(sitting, "table", TO_TABLE, factor)
-                yield name, _free(f"{name}_table{suffix}", seats.objects), table
+                yield name, _free(f"{name}_table{suffix}", draft.objects), table
 
 
 def _free(name: str, taken: Mapping[str, object]) -> str:
@@ -138,18 +122,16 @@ class ChairsAndTables(CheckedFeature):
 
     def furnish(self, draft: Draft) -> None:
         """Add chairs and tables."""
-        seats = Seats(draft.config, draft.objects, draft.environment)
-        for human, name, config in list(furniture_for(draft.actors, seats, draft.source)):
+        for human, name, config in list(furniture_for(draft)):
             draft.add_objects({name: config}, f"humans.{human}.seat")
 
     def check(self, samples: SceneSamples) -> Iterator[Finding]:
         """Find humans who sit where nothing is below them."""
         scene = samples.scene
-        seats = Seats(scene.config, scene.objects, scene.environment)
         for name, joints in samples.joints.items():
             names = scene.actors[name].human.skeleton.joint_names
             for sitting in find_sittings(joints, names, samples.times):
-                if seats.below(sitting):
+                if has_seat(scene, sitting):
                     continue
                 x, y = sitting.hips[:2].tolist()
                 text = (

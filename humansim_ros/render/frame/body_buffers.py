@@ -4,7 +4,7 @@ detail."""
 from __future__ import annotations
 
 import weakref
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -352,6 +352,66 @@ class ProjectedPoints:
         if rectangle.empty or rectangle.near:
             return rectangle.empty
         return float(static[rectangle.slices].max()) < _BEHIND * self.closest
+
+
+#: To guess which bodies are hidden, every ``_CELL``-th pixel is tested, and a body is assumed to leave a
+#: border of this share of its rectangle empty on each side.
+_CELL, _UNFILLED = 4, 1 / 6
+#: Fewest bodies that are drawn between two reads of depths, and most reads in a frame.
+_FEWEST_DRAWN, _MAX_READS = 4, 8
+
+
+class HiddenBodies:
+    """Finds bodies that other bodies hide, from the depths drawn so far.
+
+    Reading depths is slow, since the device must finish drawing first. So depths are read only when they are
+    likely to show that a body is hidden. ``bodies``: in the order in which they are drawn. ``static``: (H, W)
+    depth of the static scene, metres. ``rectangle``: the pixels that bodies may touch. ``read``: returns the
+    depths (h, w) of the bodies drawn so far in this rectangle; 0 where there is none.
+    """
+
+    def __init__(
+        self,
+        bodies: Sequence[ProjectedPoints],
+        static: Float32Array,
+        rectangle: Rectangle,
+        read: Callable[[], Float32Array],
+    ) -> None:
+        #: (H, W) upper bound of the depth that each pixel shows, metres
+        self.depth = static.copy()
+        self._within, self._read = self.depth[rectangle.slices], read
+        self._likely = _likely_hidden(bodies, static) if len(bodies) > _FEWEST_DRAWN else set()
+        self._drawn, self._enough = 0, max(_FEWEST_DRAWN, len(bodies) / _MAX_READS)
+
+    def contains(self, body: ProjectedPoints) -> bool:
+        """Whether the next body is hidden by others. If it is not, the caller draws it before the next
+        call."""
+        if body in self._likely:
+            if self._drawn >= self._enough:
+                depth = self._read()
+                np.copyto(self._within, depth, where=depth > 0)
+                self._drawn = 0
+            if body.is_hidden(self.depth):
+                return True
+        self._drawn += 1
+        return False
+
+
+def _likely_hidden(bodies: Sequence[ProjectedPoints], static: Float32Array) -> set[ProjectedPoints]:
+    """Bodies that would be hidden if each body in front of them filled the middle of its rectangle."""
+    found = set()
+    nearest = static[::_CELL, ::_CELL].copy()
+    for body in bodies:
+        rows, columns = (slice(one.start // _CELL, one.stop // _CELL + 1) for one in body.rectangle.slices)
+        if not body.near and float(nearest[rows, columns].max()) < _BEHIND * body.closest:
+            found.add(body)
+        borders = (round(_UNFILLED * (one.stop - one.start)) for one in (rows, columns))
+        rows, columns = (
+            slice(one.start + border, one.stop - border)
+            for one, border in zip((rows, columns), borders, strict=True)
+        )
+        np.minimum(nearest[rows, columns], np.float32(body.closest), out=nearest[rows, columns])
+    return found
 
 
 def _least(three: Sequence[Float32Array]) -> Float32Array:

@@ -39,6 +39,7 @@ from humansim_ros.render.device.mesh_buffers import ContactShadow, TriangleBuffe
 from humansim_ros.render.device.target import Rectangle, RenderTarget, RenderTargets
 from humansim_ros.render.frame.body_buffers import (
     BodyCache,
+    HiddenBodies,
     PosedBody,
     ProjectedPoints,
     coarsest,
@@ -266,7 +267,11 @@ class GLRenderer(Renderer):
             ids, facing = self._draw(drawn, target, lit, layer.depth, uncovered)
             if "outlined" in passes and drawn:
                 angle = straight_angle(camera, rectangle)
-                edges = [contour(each.body.posed, each.points, facing[each.number], angle) for each in drawn]
+                edges = [
+                    contour(each.body.posed, each.points, facing[each.number], angle)
+                    for each in drawn
+                    if each.number in facing
+                ]
                 outline = edge_crossings([part for body in edges for part in body], camera.size)
         triangle_ids, depth, *colours = target.read_all(lit)
         alone = None
@@ -338,8 +343,8 @@ class GLRenderer(Renderer):
         are not drawn. ``uncovered``: leave out off-body surfaces.
 
         Returns:
-            The triangles that were drawn; and for each body, by its index: (N,) whether each triangle of its
-            mesh shows its front.
+            The triangles that were drawn; and for each body that is not hidden, by its index: (N,) whether
+            each triangle of its mesh shows its front.
         """
         ids, facing = TriangleIds(), dict[int, NDArray[np.bool_]]()
         if not bodies:
@@ -350,8 +355,13 @@ class GLRenderer(Renderer):
         straight = straight_angle(camera, target.coloured)
         # the nearest body first, so that hidden pixels are not shaded
         order = sorted(bodies, key=lambda each: each.points.closest)
-        nearest = behind.copy()
+        hidden = HiddenBodies(
+            *([each.points for each in order], behind),
+            *(target.identified, lambda: target.read("depth", lit)),
+        )
         for number, body, points in order:
+            if hidden.contains(points):
+                continue
             front = facing[number] = body.posed.facing(camera.center)
             set_uniform(program, "first_id", ids.count)
             set_uniform(program, "has_skin_mask", float(body.mesh.has_skin_mask))
@@ -369,7 +379,7 @@ class GLRenderer(Renderer):
             if not points.near:
                 corners = body.mesh.topology.corners
                 visible = visible[points.covering([c.take(visible) for c in corners])]
-                visible = visible[points.unhidden([c.take(visible) for c in corners], nearest)]
+                visible = visible[points.unhidden([c.take(visible) for c in corners], hidden.depth)]
             body.draw(lit, visible)
             ids.add(number, body.body, visible)
         return ids, facing

@@ -385,6 +385,8 @@ def find_cameras(file: CalibrationFile, is_camera: Predicate, is_part: Predicate
         the group is put before each name.
     """
     paths = [()] if is_camera(file.document) else _search(file, (), is_camera, is_part)
+    if len(paths) > MAX_CAMERAS:
+        raise file.error(f"there are more than {MAX_CAMERAS} cameras")
     names = [_name(file, keys) for keys in paths]
     grouped = len({*names}) < len(names) and len({keys[:-1] for keys in paths}) > 1
     return [

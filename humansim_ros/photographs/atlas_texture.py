@@ -26,7 +26,6 @@ from humansim_ros.photographs.surface import (
     SurfaceSight,
     TexturedPerson,
     TextureView,
-    check_views,
     fill_colours,
     lookup,
     see_surface,
@@ -169,9 +168,6 @@ def texture_atlas(
     human: Human,
     views: Sequence[TextureView],
     size: int | None = None,
-    outfit: str = OUTFIT,
-    symmetry: bool = True,
-    renderer: GLRenderer | None = None,
 ) -> TexturedPerson:
     """Texture a person from photographs.
 
@@ -184,36 +180,32 @@ def texture_atlas(
         human: The person. Without texture coordinates, the package xatlas must be installed.
         views: Photographs with the pose of the person in each.
         size: Side of the texture, texels. If None, the texture is as fine as the photographs.
-        outfit: Name of the new outfit.
-        symmetry: Make hidden parts look like the other side of the body.
-        renderer: Renderer of an empty scene. If None, a new renderer is made.
 
     Raises:
-        PhotographError: No view shows anything of the person, a view does not fit the person, or the person
-            has no texture coordinates.
+        PhotographError: No view shows anything of the person, or the person has no texture coordinates.
         RenderError: OpenGL is missing or failed.
     """
-    check_views(human, views)
-    if renderer is None:
-        with GLRenderer() as own:
-            return texture_atlas(human, views, size, outfit, symmetry, own)
     human = with_coordinates(human)
     poses = [view.vertices.astype(float) for view in views]
     mesh, poses, owner = subdivide(human.mesh, poses, _rounds(human.mesh))
     assert mesh.uv is not None and mesh.uv_triangles is not None
     surface = Surface.of(mesh)
-    points = [surface.places(pose) for pose in poses]
-    sights, notes = _useful(see_surface(human, surface, list(zip(views, points, strict=True)), renderer))
+    with GLRenderer() as renderer:
+        seen_by = [
+            see_surface(human, surface, view, surface.places(pose), renderer)
+            for view, pose in zip(views, poses, strict=True)
+        ]
+    sights, notes = _useful(seen_by)
     side = size if size is not None else _side(mesh, max(sight.resolution for sight in sights))
     texels = rasterise_uv(mesh.uv, mesh.uv_triangles, side)
     alignment = _align(sights, notes)
     blended = _blend(surface, texels, sights, alignment)
-    image = _filled_image(surface, texels, blended, side, symmetry)
+    image = _filled_image(surface, texels, blended, side)
     best, seen = _chosen(surface, owner, sights, [views.index(sight.view) for sight in sights])
     gains = np.ones((len(views), 3))
     gains[[views.index(sight.view) for sight in sights]] = alignment.gains
     names = tuple(view.name for view in views)
-    return TexturedPerson(_dressed(human, image, outfit), best, seen, gains, names, notes)
+    return TexturedPerson(_dressed(human, image), best, seen, gains, names, notes)
 
 
 def with_coordinates(human: Human) -> Human:
@@ -370,15 +362,13 @@ def _blend_texels(
     return colours, np.clip(np.sum(weights, axis=0) / _CERTAIN, 0, 1).astype(np.float32)
 
 
-def _filled_image(
-    surface: Surface, texels: SurfaceTexels, blended: _Blended, side: int, symmetry: bool
-) -> Image:
+def _filled_image(surface: Surface, texels: SurfaceTexels, blended: _Blended, side: int) -> Image:
     """Texture (side, side, 3) with filled gaps. Colours continue beyond the borders of used texels."""
-    places = fill_colours(surface, blended.places, blended.places_seen, symmetry)
+    places = fill_colours(surface, blended.places, blended.places_seen)
     certainty = blended.certainty[:, None]
     hidden = blended.certainty < 1
     fill = texels.mix(places.astype(np.float32), surface.triangles)
-    if symmetry and hidden.any():
+    if hidden.any():
         fill[hidden] += _mirrored_details(surface, texels, blended, fill, side)
     colours = np.clip(certainty * blended.colours + (1 - certainty) * fill, 0, 255)
     empty = np.ones((side, side), np.uint8)
@@ -433,14 +423,14 @@ def _chosen(
     return best, seen
 
 
-def _dressed(human: Human, image: Image, outfit: str) -> Human:
-    looks = {outfit: encode_image(image)}  # the other outfits may have another size, and another person
+def _dressed(human: Human, image: Image) -> Human:
+    looks = {OUTFIT: encode_image(image)}  # the other outfits may have another size, and another person
     skin = human.mesh.skin
     if skin is not None:
         skin = np.asarray(cv2.resize(skin, image.shape[1::-1], interpolation=cv2.INTER_AREA), np.uint8)
     # the clothes of the photographs replace the clothes of the human
     mesh = replace(human.mesh, texture=image, colors=None, skin=skin, materials=None, hair=None)
-    return replace(human, mesh=mesh, looks=looks, outfit=outfit)
+    return replace(human, mesh=mesh, looks=looks, outfit=OUTFIT)
 
 
 #: Name of a method of :func:`texture_person`.

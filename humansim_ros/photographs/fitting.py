@@ -36,7 +36,7 @@ from humansim_ros.photographs.pose_fitting import (
 )
 from humansim_ros.photographs.pose_model import BodyState, PoseModel
 from humansim_ros.photographs.silhouettes import fit_silhouettes
-from humansim_ros.photographs.triangulation import Triangulation, triangulate_photos
+from humansim_ros.photographs.triangulation import Triangulation, noise_of, triangulate_photos
 from humansim_ros.photographs.views import PhotoSet
 from humansim_ros.types import Array
 
@@ -152,7 +152,10 @@ def _fit(
     model = PoseModel(body, photos.keypoints, base)
     _check_size(photos, model, body, found)
     sights = [_sight(photos, model, each) for each in found]
-    noise = _noise(found)
+    errors, inliers = (
+        np.hstack(rows) for rows in zip(*((each.errors, each.inliers) for each in found), strict=True)
+    )
+    noise = max(noise_of(errors, inliers), LEAST_NOISE)
     states = _initial(model, found, start, progress)
 
     def result() -> PersonFit:
@@ -206,19 +209,6 @@ def _sight(photos: PhotoSet, model: PoseModel, found: Triangulation) -> Sight:
     confirmed = np.isfinite(found.positions[:, 0])
     weights = points[..., 2] * model.trust * np.where(confirmed, found.inliers, _UNCONFIRMED)
     return Sight(photos.cameras, points[..., :2], weights, found.positions)
-
-
-def _noise(found: Sequence[Triangulation]) -> float:
-    """Standard deviation of a coordinate of the points, pixels."""
-    errors = np.concatenate([each.errors[each.inliers] for each in found])
-    if not len(errors):
-        return LEAST_NOISE
-    # a position uses up three of the 2 V coordinates of V views; the distances have a Rayleigh distribution
-    views = np.concatenate(
-        [np.broadcast_to(each.inliers.sum(0), each.inliers.shape)[each.inliers] for each in found]
-    )
-    free = np.sqrt(np.maximum(2 * views - 3, 1) / (2 * views))
-    return float(max(np.median(errors / free) / np.sqrt(2 * np.log(2)), LEAST_NOISE))
 
 
 def _initial(

@@ -301,27 +301,19 @@ def _group(bone: str) -> str:
 
 def _attachments(human: Human, keypoints: KeypointSet) -> Attachments:
     """Attach the K keypoints to the bones, so that they move with the bones."""
-    skeleton = human.skeleton
-    locator = KeypointLocator.of(human, keypoints)
-    bones, joints = len(skeleton), len(skeleton.joint_names)
-    vertices = len(human.mesh.vertices)
-    rest = skeleton.rest_inverse
-    mass, local = np.zeros((len(keypoints), bones)), np.zeros((len(keypoints), bones, 3))
-    # positions depend linearly on joints and vertices, so the shares follow from unit vectors
-    nothing, units = np.zeros((vertices, 3)), np.eye(joints)
-    shares = [locator.positions(np.tile(unit[:, None], 3), nothing)[:, 0] for unit in units]
-    joint_shares = np.stack(shares, axis=1)
+    skeleton, locator = human.skeleton, KeypointLocator.of(human, keypoints)
+    rest, bones = skeleton.rest_inverse, skeleton.joint_bones
     ends = skeleton.joint_transforms(skeleton.rest)[:, :3, 3]
-    for joint, bone in enumerate(skeleton.joint_bones):
-        at = rest[bone, :3, :3] @ ends[joint] + rest[bone, :3, 3]
-        mass[:, bone] += joint_shares[:, joint]
-        local[:, bone] += joint_shares[:, joint, None] * at
-    zeros = np.zeros((joints, 3))
-    for bone in range(bones):
-        weights = human.weights[:, bone].toarray().ravel()
-        at = human.mesh.vertices @ rest[bone, :3, :3].T + rest[bone, :3, 3]
-        mass[:, bone] += locator.positions(zeros, np.tile(weights[:, None], 3))[:, 0]
-        local[:, bone] += locator.positions(zeros, weights[:, None] * at)
+    at = np.einsum("jik,jk->ji", rest[bones, :3, :3], ends) + rest[bones, :3, 3]
+    mass, local = np.zeros((len(keypoints), len(skeleton))), np.zeros((len(keypoints), len(skeleton), 3))
+    for joint, bone in enumerate(bones):
+        mass[:, bone] += locator.joint_shares[:, joint]
+        local[:, bone] += locator.joint_shares[:, joint, None] * at[joint]
+    corners, weights = Attachments.of_vertices(human, locator.corners.ravel()), locator.corner_weights
+    mass[locator.on_surface] = np.einsum("nk,nkb->nb", weights, corners.shares.reshape(*weights.shape, -1))
+    local[locator.on_surface] = np.einsum(
+        "nk,nkbi->nbi", weights, corners.local.reshape(*weights.shape, -1, 3)
+    )
     return Attachments(mass, local)
 
 

@@ -15,7 +15,7 @@ from humansim_ros.people.humans import Human
 from humansim_ros.photographs.person_fit import PersonFit
 from humansim_ros.photographs.silhouettes import Faces, intersection_over_union, render_faces
 from humansim_ros.photographs.surface import TexturedPerson
-from humansim_ros.photographs.views import Photo, PhotoSet
+from humansim_ros.photographs.views import Photo, PhotoSet, exchanged_back
 from humansim_ros.render.pictures import (
     BRIGHT_SIDE_COLORS,
     GRID,
@@ -120,9 +120,10 @@ def _frame_tiles(
     after_faces = render_faces(fit, photos, frame)
     before_faces = None if before is None else render_faces(before, photos, frame)
     tiles, overlaps = [], []
+    corrected = exchanged_back(photos.points[frame], fit.swapped[frame], photos.keypoints)
     for view, photo in enumerate(photos.frames[frame]):
         faces = [after_faces[view]] if before_faces is None else [before_faces[view], after_faces[view]]
-        points = _points(fit, photos, frame, view)
+        points = corrected[view]
         tile = _cut(photo, faces, points[(points[:, 2] > 0) & ~fit.outliers[frame, view], :2])
         if before is not None and before_faces is not None:
             _draw_body(tile, before, frame, photo, before_faces[view], first=True)
@@ -139,12 +140,6 @@ def _frame_tiles(
             caption += "   IoU " + " -> ".join(f"{value:.2f}" for value in own)
         tiles.append(np.concatenate([_bar(caption, _TILE[0], (8, 19), 0.48), tile.image]))
     return tiles, overlaps
-
-
-def _points(fit: PersonFit, photos: PhotoSet, frame: int, view: int) -> Array:
-    """Given points (K, 3) of a view. If the fit found left and right exchanged, they are exchanged back."""
-    points = photos.frames[frame][view].points
-    return points[list(photos.keypoints.mirrored)] if fit.swapped[frame, view] else points
 
 
 def _cut(photo: Photo, faces: list[Faces], points: Array) -> _Tile:

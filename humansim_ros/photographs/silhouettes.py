@@ -35,7 +35,7 @@ from humansim_ros.photographs.pose_fitting import (
     fitted_states,
 )
 from humansim_ros.photographs.pose_model import Attachments, BodyState, PoseModel
-from humansim_ros.photographs.views import EmptyMaskError, PhotoSet
+from humansim_ros.photographs.views import EmptyMaskError, PhotoSet, exchanged_back
 from humansim_ros.render.frame import make_renderer
 from humansim_ros.render.interface import Body
 from humansim_ros.types import Array, Float32Array, Indices
@@ -271,7 +271,10 @@ def fit_silhouettes(fit: PersonFit, photos: PhotoSet, frames: Sequence[int] = (0
         all_states[number] = state
     shape = {name: getattr(states[0], name) for name in ("stature", "lengths", "girths")}
     all_states = [replace(each, **shape) for each in all_states]
-    points = [_corrected(fit, photos, number) for number in range(len(all_states))]
+    points = [
+        exchanged_back(photos.points[number], fit.swapped[number], photos.keypoints)
+        for number in range(len(all_states))
+    ]
     return replace(fit, **fields_of_states(model, human, all_states, photos.cameras, points))
 
 
@@ -382,17 +385,10 @@ def _points(
 
 def _sight(fit: PersonFit, photos: PhotoSet, model: PoseModel, number: int) -> Sight:
     """Correct keypoints of a frame, for the fit. Exchanged sides are exchanged back."""
-    points = _corrected(fit, photos, number)
+    points = exchanged_back(photos.points[number], fit.swapped[number], photos.keypoints)
     weights = np.where(fit.outliers[number], 0.0, points[..., 2] * np.where(model.trust < 1, _SKIN, 1.0))
     nowhere = np.full((points.shape[1], 3), np.nan)
     return Sight(photos.cameras, points[..., :2], weights, nowhere)
-
-
-def _corrected(fit: PersonFit, photos: PhotoSet, number: int) -> Array:
-    """Given points (V, K, 3) of a frame. Where left and right were exchanged, they are exchanged back."""
-    mirrored = list(photos.keypoints.mirrored)
-    points = photos.points[number]
-    return np.where(fit.swapped[number][:, None, None], points[:, mirrored], points)
 
 
 def _noise(fit: PersonFit) -> float:

@@ -40,9 +40,6 @@ class TextureView:
         image: (H, W, 3) uint8 sRGB.
         vertices: (V, 3) float32, the vertices of the person in ``map``, metres.
         mask: (H, W) whether each pixel shows the person; None if no mask is known.
-
-    Raises:
-        PhotographError: The image or the mask has another size than the camera's images.
     """
 
     name: str
@@ -50,16 +47,6 @@ class TextureView:
     image: Image
     vertices: Float32Array
     mask: NDArray[np.bool_] | None = None
-
-    def __post_init__(self) -> None:
-        width, height = self.camera.size
-        for noun, image, needed in (
-            ("an image", self.image, (height, width, 3)),
-            ("a mask", self.mask, (height, width)),
-        ):
-            if image is not None and image.shape != needed:
-                text = f"{noun} of shape {image.shape} does not fit a camera of {width} x {height} pixels"
-                raise PhotographError(text, key=f"views.{self.name}")
 
     def __repr__(self) -> str:
         return f"TextureView({self.name!r}, {self.camera!r})"
@@ -86,19 +73,6 @@ class TexturedPerson:
     gains: Array | None = None
     views: tuple[str, ...] = ()
     notes: Mapping[str, str] = field(default_factory=dict)
-
-
-def check_views(human: Human, views: Sequence[TextureView]) -> None:
-    """Raise PhotographError if there are no views, or a view has a person with another number of vertices."""
-    if not views:
-        raise PhotographError("a texture needs at least one photograph")
-    for view in views:
-        if view.vertices.shape != human.mesh.vertices.shape:
-            raise PhotographError(
-                f"{len(view.vertices)} vertices do not fit {human.name}, which has "
-                f"{len(human.mesh.vertices)}",
-                key=f"views.{view.name}",
-            )
 
 
 #: Two vertices form a left-right pair if one is nearer than this to the mirror image of the other; as a share
@@ -206,7 +180,7 @@ class Surface:
         return values
 
 
-def fill_colours(surface: Surface, colours: Array, seen: NDArray[np.bool_], symmetry: bool = True) -> Array:
+def fill_colours(surface: Surface, colours: Array, seen: NDArray[np.bool_]) -> Array:
     """Find colours (P, 3) of all places from the colours of the seen places.
 
     Hidden places continue the colours at their border as smoothly as possible. If the other side of the body
@@ -217,7 +191,6 @@ def fill_colours(surface: Surface, colours: Array, seen: NDArray[np.bool_], symm
         surface: The surface.
         colours: (P, 3) colours. Only those of seen places are used.
         seen: (P,) whether the colour is known. At least one colour must be known.
-        symmetry: Use the colours of the other side of the body.
     """
     out = np.array(colours, dtype=float)
     hidden = ~seen
@@ -229,9 +202,8 @@ def fill_colours(surface: Surface, colours: Array, seen: NDArray[np.bool_], symm
     if free.any():
         graph = surface.graph
         laplacian = csr_matrix(diags(np.asarray(graph.sum(axis=1)).ravel()) - graph)
-        guide = _guide(surface, out, seen, free) if symmetry else np.zeros_like(out)
         rows = laplacian[free]
-        right = guide[free] - rows[:, seen] @ out[seen]
+        right = _guide(surface, out, seen, free)[free] - rows[:, seen] @ out[seen]
         matrix = rows[:, free].tocsc()
         out[free] = splu(matrix + 1e-9 * diags(matrix.diagonal())).solve(right)
     alone = hidden & ~free
@@ -329,21 +301,15 @@ def lookup(
 
 
 def see_surface(
-    human: Human, surface: Surface, views: Sequence[tuple[TextureView, Array]], renderer: GLRenderer
-) -> list[SurfaceSight]:
-    """Find what the views show of the surface of a person.
+    human: Human, surface: Surface, view: TextureView, points: Array, renderer: GLRenderer
+) -> SurfaceSight:
+    """Find what a view shows of the surface of a person.
 
     Args:
         human, surface: The person, and its surface.
-        views: Photographs, each with the positions (P, 3) of the places of the surface in ``map``.
+        view, points: The photograph, and the positions (P, 3) of the places of the surface in ``map``.
         renderer: Renderer of an empty scene.
     """
-    return [_sight(human, surface, view, points, renderer) for view, points in views]
-
-
-def _sight(
-    human: Human, surface: Surface, view: TextureView, points: Array, renderer: GLRenderer
-) -> SurfaceSight:
     camera = view.camera
     body = Body(human.mesh, view.vertices, human.triangle_parts, 1)
     depth = np.array(renderer.render([body], camera, ("depth",)).depth, np.float32)
@@ -409,48 +375,35 @@ OUTFIT = "photographs"
 #: The texture includes this number of pixels around the person, so that its coarser mip levels do not mix in
 #: other colours.
 _MARGIN = 8
+#: Least share of the pixels of a triangle that a view has to show, so that the triangle takes its colours.
+_LEAST_VISIBLE = 0.5
 #: Most rounds in which triangles without a view take the view of their neighbours.
 _ROUNDS = 10
 
 
-@dataclass(frozen=True, eq=False)
-class FaceCounts:
-    """Numbers of pixels of the N triangles of a mesh in C views.
-
-    Attributes:
-        visible: (C, N) number of pixels that show the triangle.
-        covered: (C, N) number of pixels that would show the triangle if nothing hid it.
-    """
-
-    visible: NDArray[np.int32]
-    covered: NDArray[np.int32]
-
-
-def count_faces(human: Human, views: Sequence[TextureView], renderer: GLRenderer | None = None) -> FaceCounts:
-    """Count the visible and the covered pixels of all triangles of a person.
+def count_faces(human: Human, views: Sequence[TextureView]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Count the visible and the covered pixels of the N triangles of a person in C views.
 
     Pixel centres are counted, through the lens. Both counts are equal for a triangle that nothing hides. If a
     view has a mask, only pixels of the mask show the person.
 
-    ``renderer``: renderer of an empty scene. If None, a new renderer is made.
+    Returns:
+        Number of pixels that show each triangle (C, N), and number of pixels that would show it if nothing
+        hid it (C, N).
 
     Raises:
-        PhotographError: There is no view, or a view does not fit the person.
         RenderError: OpenGL is missing or failed.
     """
-    check_views(human, views)
-    if renderer is None:
-        with GLRenderer() as own:
-            return count_faces(human, views, own)
     count = len(human.mesh.triangles)
     visible, covered = np.zeros((2, len(views), count), np.int32)
-    for number, view in enumerate(views):
-        body = Body(human.mesh, view.vertices, human.triangle_parts, 1)
-        face = renderer.render([body], view.camera, ("face",)).face
-        shown = face[face > 0] if view.mask is None else face[(face > 0) & view.mask]
-        visible[number] = np.bincount(shown, minlength=count + 1)[1:]
-        covered[number] = renderer.coverage(body, view.camera)
-    return FaceCounts(visible, covered)
+    with GLRenderer() as renderer:
+        for number, view in enumerate(views):
+            body = Body(human.mesh, view.vertices, human.triangle_parts, 1)
+            face = renderer.render([body], view.camera, ("face",)).face
+            shown = face[face > 0] if view.mask is None else face[(face > 0) & view.mask]
+            visible[number] = np.bincount(shown, minlength=count + 1)[1:]
+            covered[number] = renderer.coverage(body, view.camera)
+    return visible, covered
 
 
 def triangle_neighbours(mesh: Mesh) -> Indices:
@@ -473,23 +426,24 @@ def triangle_neighbours(mesh: Mesh) -> Indices:
     return np.asarray(both[both[:, 0] != both[:, 1]])
 
 
-def choose_cameras(counts: FaceCounts, neighbours: Indices, threshold: float = 0.5) -> NDArray[np.int32]:
+def choose_cameras(
+    visible: NDArray[np.int32], covered: NDArray[np.int32], neighbours: Indices
+) -> NDArray[np.int32]:
     """Choose the view of each triangle.
 
-    Among the views that see at least the share ``threshold`` of the pixels of a triangle, the view with most
-    visible pixels is chosen. A triangle without such a view takes the view of most of its neighbours. This is
-    repeated in rounds, outwards from the triangles that have a view. Each remaining triangle takes the view
-    in which it covers most pixels, or else the view of most triangles. If views are equal, the first is
-    taken.
+    Among the views that see at least half of the pixels of a triangle, the view with most visible pixels is
+    chosen. A triangle without such a view takes the view of most of its neighbours. This is repeated in
+    rounds, outwards from the triangles that have a view. Each remaining triangle takes the view in which it
+    covers most pixels, or else the view of most triangles. If views are equal, the first is taken.
 
-    ``neighbours``: (E, 2) pairs of triangles with a common edge. ``threshold``: least visible share.
+    ``visible``, ``covered``: (C, N) results of :func:`count_faces`. ``neighbours``: (E, 2) pairs of triangles
+    with a common edge.
 
     Returns:
         (N,) index of the view of each triangle; all are -1 if no view shows any.
     """
-    visible, covered = counts.visible, counts.covered
     views, count = visible.shape
-    score = np.where(visible >= threshold * covered, visible, 0)
+    score = np.where(visible >= _LEAST_VISIBLE * covered, visible, 0)
     chosen = np.where(score.max(axis=0) > 0, score.argmax(axis=0), -1)
     ends = np.concatenate([neighbours, neighbours[:, ::-1]])
     for _ in range(_ROUNDS):
@@ -507,23 +461,20 @@ def choose_cameras(counts: FaceCounts, neighbours: Indices, threshold: float = 0
     return np.where(chosen < 0, rest, chosen).astype(np.int32)
 
 
-def texture_thesis(
-    human: Human, views: Sequence[TextureView], renderer: GLRenderer | None = None
-) -> TexturedPerson:
+def texture_thesis(human: Human, views: Sequence[TextureView]) -> TexturedPerson:
     """Texture a person. Each triangle takes its colours from the photograph that shows it best.
 
     The colours of the photographs are not changed, so neighbouring triangles may differ. The faces of the
     result are triangles, in the order of ``human.mesh.triangles``. Its only outfit is ``photographs``.
 
     ``human``: the person without its texture. ``views``: photographs with the pose of the person in each.
-    ``renderer``: renderer of an empty scene. If None, a new renderer is made.
 
     Raises:
-        PhotographError: There is no view, a view does not fit the person, or no view shows the person.
+        PhotographError: No view shows the person.
         RenderError: OpenGL is missing or failed.
     """
-    counts = count_faces(human, views, renderer)
-    cameras = choose_cameras(counts, triangle_neighbours(human.mesh))
+    visible, covered = count_faces(human, views)
+    cameras = choose_cameras(visible, covered, triangle_neighbours(human.mesh))
     if cameras.min() < 0:
         raise PhotographError("no photograph shows the person: check the calibration and the fit")
     triangles = human.mesh.triangles
@@ -537,7 +488,7 @@ def texture_thesis(
     mesh = replace(whole, faces=faces, uv=uv, uv_faces=uv_faces, texture=texture)
     dressed = replace(human, mesh=mesh, looks={OUTFIT: encode_image(texture)}, outfit=OUTFIT)
     names = tuple(view.name for view in views)
-    return TexturedPerson(dressed, cameras, np.asarray(counts.visible.any(axis=0)), views=names)
+    return TexturedPerson(dressed, cameras, np.asarray(visible.any(axis=0)), views=names)
 
 
 def _photographs(

@@ -17,7 +17,7 @@ from humansim_ros.errors import HumansimWarning, PhotographError, some_of
 from humansim_ros.geometry import unit_vectors
 from humansim_ros.people.keypoints import KeypointLocator, KeypointSet
 from humansim_ros.people.loading import load_human
-from humansim_ros.photographs.views import PhotoSet
+from humansim_ros.photographs.views import PhotoSet, exchanged_back
 from humansim_ros.types import Array, Indices
 
 #: Human with the mean proportions.
@@ -187,10 +187,10 @@ class Sightlines:
         )
         return Sightlines(self.cameras, pixels, weights, directions, self.radii)
 
-    def pairs(self, seed: int = 0) -> tuple[Indices, Indices]:
+    def pairs(self) -> tuple[Indices, Indices]:
         """Numbers of the first and of the second views (P, K) of pairs of views that see a keypoint. Unused
-        rows are filled up with 0. ``seed``: seed of the random choice among many pairs."""
-        rng = np.random.default_rng(seed)
+        rows are filled up with 0. If there are many pairs, some are drawn, the same in each call."""
+        rng = np.random.default_rng(0)
         found = []
         for seen in (self.weights > 0).T:
             own = np.array(list(combinations(np.flatnonzero(seen), 2)), np.intp).reshape(-1, 2)
@@ -230,9 +230,9 @@ class Sightlines:
         distances = np.linalg.norm(seen - self.pixels, axis=-1)
         return np.where(self.weights > 0, np.where(np.isfinite(distances), distances, np.inf), np.nan)
 
-    def candidates(self, seed: int = 0) -> Candidates:
-        """Intersect the lines of all pairs of views. ``seed``: seed of the random choice among many pairs."""
-        positions = self.meet(*self.pairs(seed))
+    def candidates(self) -> Candidates:
+        """Intersect the lines of all pairs of views."""
+        positions = self.meet(*self.pairs())
         return Candidates(positions, self.errors(positions), self.weights)
 
 
@@ -272,9 +272,7 @@ class Candidates:
         return np.where(enough[:, None], self.best(costs), np.nan)
 
 
-def find_exchanged(
-    lines: Sightlines, keypoints: KeypointSet, limits: Array, seed: int = 0
-) -> NDArray[np.bool_]:
+def find_exchanged(lines: Sightlines, keypoints: KeypointSet, limits: Array) -> NDArray[np.bool_]:
     """Find the views in which left and right are exchanged. Returns a mask (V,).
 
     Left and right of a view are exchanged if more points then agree with the other views. If the views do not
@@ -285,12 +283,11 @@ def find_exchanged(
         lines: Lines of sight of all views.
         keypoints: Keypoint set of the points.
         limits: Largest errors (V,) in pixels of correct points, by view.
-        seed: Seed of the random choice among many pairs of views.
     """
     partners = keypoints.mirrored
 
     def cost(views: NDArray[np.bool_]) -> tuple[Array, float]:
-        found = lines.exchanged(views, partners).candidates(seed)
+        found = lines.exchanged(views, partners).candidates()
         costs = np.mean([found.costs(limits / scale) for scale in _SCALES], axis=0)
         return found.supported(costs, limits / 2), float(costs.min(axis=0, initial=len(limits)).sum())
 
@@ -359,9 +356,7 @@ class Triangulation:
     points: Array
 
 
-def triangulate(
-    cameras: Sequence[Camera], points: Array, keypoints: KeypointSet, seed: int = 0
-) -> Triangulation:
+def triangulate(cameras: Sequence[Camera], points: Array, keypoints: KeypointSet) -> Triangulation:
     """Triangulate the keypoints of one person.
 
     For each keypoint, the lines of sight of all pairs of views are intersected (RANSAC, but exhaustive for up
@@ -372,7 +367,6 @@ def triangulate(
         cameras: V cameras; two or more.
         points: (V, K, 3) x, y in pixels and confidence, which is 0 where a point is absent.
         keypoints: Set of the points.
-        seed: Seed of the random choice among pairs, if there are very many views.
 
     Raises:
         PhotographError: There are fewer than two views.
@@ -394,19 +388,17 @@ def triangulate(
     given = np.asarray(points, dtype=float)
     lines = Sightlines.of(cameras, given)
     farthest = np.nan_to_num(_FARTHEST * lines.radii, nan=_ONLY_LIMIT).clip(_LEAST_LIMIT)
-    swapped = find_exchanged(lines, keypoints, farthest, seed)
+    swapped = find_exchanged(lines, keypoints, farthest)
     lines = lines.exchanged(swapped, keypoints.mirrored)
-    order = np.where(swapped[:, None], keypoints.mirrored, np.arange(len(keypoints)))
-    corrected = np.take_along_axis(given, order[..., None], axis=1)
-    limits, found, lengths = farthest, lines.candidates(seed), edge_lengths(keypoints)
+    limits, found, lengths = farthest, lines.candidates(), edge_lengths(keypoints)
     for _ in range(_ROUNDS):
         costs = found.costs(limits)
         positions, inliers, errors = _refined(lines, found.best(costs), limits)
         costs = _plausible(costs, found, lengths, positions, inliers)
         positions, inliers, errors = _refined(lines, found.best(costs), limits)
-        noise = _noise(errors, inliers)
+        noise = noise_of(errors, inliers)
         limits = np.minimum(farthest, max(_DEVIATIONS * noise, _LEAST_LIMIT))
-    return Triangulation(positions, inliers, errors, swapped, corrected)
+    return Triangulation(positions, inliers, errors, swapped, exchanged_back(given, swapped, keypoints))
 
 
 def triangulate_photos(photos: PhotoSet) -> tuple[Triangulation, ...]:
@@ -546,7 +538,7 @@ def _least_squares(lines: Sightlines, start: Array, weights: Array) -> Array:
     return positions
 
 
-def _noise(errors: Array, inliers: NDArray[np.bool_]) -> float:
+def noise_of(errors: Array, inliers: NDArray[np.bool_]) -> float:
     """Standard deviation of the coordinates of the 2D points, pixels, from the median of the errors. It is
     corrected, since n points have 2 n coordinates, and a position is fitted to them with 3 numbers."""
     count = inliers.sum(axis=0)

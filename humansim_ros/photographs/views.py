@@ -67,7 +67,7 @@ def read_points(path: Path, keypoints: KeypointSet, images: Sequence[Path] | Non
         PhotographError: The file is wrong; the message has file and key.
     """
     if path.is_dir():
-        files = sorted(path.glob("*.json"), key=_number)
+        files = sorted(path.glob("*.json"), key=_natural)
         if not files:
             raise PhotographError("no .json file in this folder", path=path)
         return [frame for file in files for frame in read_points(file, keypoints)]
@@ -212,9 +212,9 @@ class _PointsReader:
         return PhotographError(message, path=self._path, key=key)
 
 
-def _number(path: Path) -> tuple[int, str]:
-    numbers = re.findall(r"[0-9]+", path.stem.replace("_keypoints", ""))
-    return (int(numbers[-1][-12:]) if numbers else 0, path.name)
+def exchanged_back(points: Array, swapped: NDArray[np.bool_], keypoints: KeypointSet) -> Array:
+    """Points (V, K, 3) with left and right exchanged in the views that ``swapped`` (V,) marks."""
+    return np.where(swapped[:, None, None], points[:, list(keypoints.mirrored)], points)
 
 
 def _sortable(value: Any) -> tuple[bool, Any]:

@@ -104,14 +104,11 @@ def test_hidden_parts_look_like_the_other_side(man: Human) -> None:
     person = undressed(man)
     from_right = [Camera.look_at((0.0, -3.0, 1.2), (0, 0, 0.9))]
     truth = photograph(man, views[0].vertices, from_right)
-    quality = {}
-    for symmetry in (True, False):
-        textured = texture_atlas(person, views, symmetry=symmetry)
-        found = photograph(textured.human, views[0].vertices, from_right)
-        quality[symmetry] = psnr(truth.images[0], found.images[0], truth.faces[0] > 0)
-        hidden = ~seen_pixels(textured, truth.faces[0]) & (truth.faces[0] > 0)
-        assert hidden.sum() > 5000
-    assert quality[True] > 22 and quality[True] > quality[False] + 1
+    textured = texture_atlas(person, views)
+    found = photograph(textured.human, views[0].vertices, from_right)
+    hidden = ~seen_pixels(textured, truth.faces[0]) & (truth.faces[0] > 0)
+    assert hidden.sum() > 5000
+    assert psnr(truth.images[0], found.images[0], truth.faces[0] > 0) > 22
 
 
 @pytest.mark.nightly

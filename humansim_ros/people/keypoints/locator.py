@@ -245,16 +245,18 @@ class KeypointLocator:
     ``on_surface``: (K,) whether the keypoint is a point of the skin. ``certain``: (K,) whether the place of
     the keypoint is known exactly. It is uncertain for points of the skin on meshes from other programs, which
     are found by fitting, and for points that a human lacks, such as fingers. ``surfaces``: (K, 256) whether
-    each part label is skin around each keypoint.
+    each part label is skin around each keypoint. ``joint_shares``: (K, J) share of each joint in the position
+    of a keypoint; 0 for points of the skin. ``corners``, ``corner_weights``: (N, 3) vertices and barycentric
+    weights of the N keypoints on the skin.
     """
 
     keypoints: KeypointSet
     on_surface: NDArray[np.bool_]
     certain: NDArray[np.bool_]
     surfaces: NDArray[np.bool_]
-    _joint_shares: Array
-    _corners: Indices
-    _corner_weights: Array
+    joint_shares: Array
+    corners: Indices
+    corner_weights: Array
 
     _known: ClassVar[dict[tuple[int, str], KeypointLocator]] = {}
 
@@ -283,8 +285,8 @@ class KeypointLocator:
         """Positions (K, 3) of the keypoints, in the space of the joints and vertices. NaN for points that the
         human lacks. ``joints``: (J, 3) in the order of the joint names of the skeleton. ``vertices``: (V, 3)
         of the mesh."""
-        skin = np.einsum("nk,nkj->nj", self._corner_weights, vertices[self._corners])
-        positions = np.asarray(self._joint_shares @ joints, dtype=float)
+        skin = np.einsum("nk,nkj->nj", self.corner_weights, vertices[self.corners])
+        positions = np.asarray(self.joint_shares @ joints, dtype=float)
         positions[self.on_surface] = skin
         return positions
 

@@ -15,12 +15,11 @@ from stand_ins import ALL, motion_path
 from humansim_ros.errors import MotionError
 from humansim_ros.files.reading.assets import resource_path
 from humansim_ros.motion import hanim_skeleton, read_bvh
-from humansim_ros.motion.matching.by_name import ancestors, loose_keys, match_names, match_table
+from humansim_ros.motion.matching.by_name import ancestors, loose_keys, match_names, match_table, plain_name
 from humansim_ros.motion.matching.joint_tables import (
     JointTable,
     built_in_tables,
     load_table,
-    plain_name,
     right_name,
 )
 

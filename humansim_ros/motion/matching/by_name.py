@@ -34,13 +34,15 @@ from humansim_ros.motion.matching.joint_tables import (
     JointMatch,
     JointTable,
     built_in_tables,
-    comparison_key,
     load_table,
     match_roles,
-    plain_name,
 )
 from humansim_ros.types import Array, Indices
 
+#: Most names with cached keys: the names of all tables and of some motions.
+_MAX_KEYS = 1 << 13
+#: Prefixes that programs put before the joint names of a character.
+_PREFIX = re.compile(r"^(.*:|mixamorig\d*|character\d*_|robot_|bip\d+[ _]?)", re.IGNORECASE)
 #: Words in names of fingers, jaw and eyes, with their meanings, by kind: sides, fingers, segments, parts of a
 #: face and words next to them. Joints with words of the kind ``other`` are controls of a rig. Metacarpals of
 #: fingers are in the palm, so only that of the thumb moves a bone.
@@ -73,7 +75,19 @@ _HANIM = {row.hanim2: row.name for row in JOINT_NAMES if row.hanim2 and row.name
 _ORDER = ("metacarpal", "proximal", "intermediate", "distal")
 
 
-@lru_cache(1 << 13)
+@lru_cache(_MAX_KEYS)
+def plain_name(joint: str) -> str:
+    """Name of a joint without the namespace of a program (``mixamorig:Hips`` -> ``Hips``)."""
+    return _PREFIX.sub("", joint) or joint
+
+
+@lru_cache(_MAX_KEYS)
+def comparison_key(joint: str) -> str:
+    """Name of a joint for comparisons: without namespace, case, blanks and punctuation."""
+    return re.sub(r"[\s._-]+", "", plain_name(joint)).casefold()
+
+
+@lru_cache(_MAX_KEYS)
 def _finger_joint(name: str) -> tuple[str, str, str | int] | None:
     """Side, finger and segment of a finger joint. None for other joints. The segment is a word of
     :data:`_ORDER`, or the number in the name. Numbers start at 1, or at 0 if the thumb starts at 0."""
@@ -119,7 +133,7 @@ def _words(name: str) -> list[str]:
     return words
 
 
-@lru_cache(1 << 13)
+@lru_cache(_MAX_KEYS)
 def _face_bone(name: str) -> str | None:
     """Bone of the jaw or an eye that a joint with this name drives. None if there is no such bone."""
     plain = plain_name(name)
@@ -229,7 +243,7 @@ def loose_keys(names: tuple[str, ...]) -> list[str]:
     return [_with_side(key, present) for key in keys]
 
 
-@lru_cache(1 << 13)
+@lru_cache(_MAX_KEYS)
 def loose_table_key(role: str, name: str) -> str:
     """Key of a name in a joint table. :func:`loose_keys` gives the same key to a joint with this name."""
     if not role.startswith("Left"):

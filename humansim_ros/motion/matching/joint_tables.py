@@ -28,8 +28,6 @@ REQUIRED_ROLES = ("Hips", "LeftHip", "LeftKnee", "RightHip", "RightKnee")
 #: Default drivers of the bones: roles at the start and the end of a link, or the role of the joint with the
 #: rotation that the bone takes. ``instead``: role -> roles that replace it, best first.
 _USUAL = read_table("usual_drivers")
-#: Prefixes that programs put before the joint names of a character.
-_PREFIX = re.compile(r"^(.*:|mixamorig\d*|character\d*_|robot_|bip\d+[ _]?)", re.IGNORECASE)
 #: Left and right as a word, or as a letter of its own, in joint names.
 LEFT, RIGHT = (
     re.compile(rf"{side}|(?<![a-z]){side[0]}(?=[_. -])|(?<=[_. :-]){side[0]}(?![a-z])", re.IGNORECASE)
@@ -103,10 +101,6 @@ def load_table(path: str | os.PathLike[str]) -> JointTable:
     return validated(JointTable, data, MotionError, path, tree)
 
 
-#: Most names with cached keys: the names of all tables and of some motions.
-_MAX_KEYS = 1 << 13
-
-
 @functools.cache
 def built_in_tables() -> tuple[JointTable, ...]:
     """Tables of the package (config/joint_names). This function does not check their keys; a test does."""
@@ -114,18 +108,6 @@ def built_in_tables() -> tuple[JointTable, ...]:
     files = sorted(resource_path("config/joint_names").glob("*.yaml"))
     contents = (read_bytes(file, MotionError, "joint table", MAX_BYTES) for file in files)
     return tuple(JointTable.model_validate(yaml.load(content, loader)) for content in contents)
-
-
-@functools.lru_cache(_MAX_KEYS)
-def plain_name(joint: str) -> str:
-    """Name of a joint without the namespace of a program (``mixamorig:Hips`` -> ``Hips``)."""
-    return _PREFIX.sub("", joint) or joint
-
-
-@functools.lru_cache(_MAX_KEYS)
-def comparison_key(joint: str) -> str:
-    """Name of a joint for comparisons: without namespace, case, blanks and punctuation."""
-    return re.sub(r"[\s._-]+", "", plain_name(joint)).casefold()
 
 
 def right_name(joint: str) -> str | None:

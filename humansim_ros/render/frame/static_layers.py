@@ -115,7 +115,9 @@ class StaticLayers:
     @cached_property
     def _light_map(self) -> LightMap | None:
         """The light map, computed when colours are first needed; None without ambient occlusion."""
-        return LightMap(self._ctx, self._scene) if self._occluded else None
+        light_map = LightMap(self._ctx, self._scene) if self._occluded else None
+        self._ctx.gc()  # frees the images from which the map was computed
+        return light_map
 
     def layer(self, camera: Camera, moving_camera: bool, backdrop: Backdrop | None, lit: bool) -> StaticLayer:
         """Return the image for a camera.

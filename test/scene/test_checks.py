@@ -614,7 +614,7 @@ def test_a_fault_of_a_rig_is_found_once(tmp_path: Path) -> None:
     scene = scene_with(rig={"file": "rig.toml", "faults": {"flicker": {"frequency": 60}}})
     finding = only(check_scene(Scene.from_dict(scene, folder=tmp_path), quick=True, processors=64))
     assert finding.key == "rig.faults.flicker.frequency"
-    assert finding.text.endswith("(a, b)")
+    assert finding.text.endswith("(the same: b)")
 
 
 # --- laser scanners

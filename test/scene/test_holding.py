@@ -157,7 +157,10 @@ def test_what_is_held_follows_a_motion_that_is_changed_while_it_plays(
                 joints[[names.index(f"{s}_{part}") for s in "lr"]] for part in ("wrist", "wrist_end")
             )
             np.testing.assert_allclose(pose.position, (0.55 * wrists + 0.45 * tips).mean(axis=0), atol=1e-9)
-        assert playback.object_pose("box").position.tolist() == pose.position.tolist()
+        assert (
+            playback.world.object_pose("box", playback.elapsed * 1e-9).position.tolist()
+            == pose.position.tolist()
+        )
     playback.rewind()
     there = scene({**carry, **change}, box).objects["box"].at(1.7)
     again = playback.show(round(1.7e9)).objects["box"]

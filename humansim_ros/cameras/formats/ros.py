@@ -306,7 +306,8 @@ def _entries(cameras: Mapping[str, Camera]) -> dict[str, _Value]:
             f"Rot_{name}": camera.R,
             f"T_{name}": camera.t[:, None],
         }
-        plain_values = {key: nested(v) if isinstance(v, np.ndarray) else v for key, v in own.items()}
+        read = {**own, f"rectified_{name}": camera.rectified}
+        plain_values = {key: nested(v) if isinstance(v, np.ndarray) else v for key, v in read.items()}
         # a reader would take dist_coeffs for a parameter of an only camera
         if [*find_parameters(CalibrationFile("", "", plain_values)).cameras] != [(name,)]:
             raise CameraError("this format cannot store a camera of this name", key=name)

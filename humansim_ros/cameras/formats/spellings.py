@@ -295,16 +295,16 @@ _MAX_NORMALISED = 200_000
 
 
 def plain(
-    file: CalibrationFile, rewrite: Callable[[dict[Any, Any]], dict[Any, Any]] = lambda items: items
+    file: CalibrationFile, rewrite: Callable[[dict[Any, Any]], dict[Any, Any]] = lambda x: x, least: int = 2
 ) -> CalibrationFile:
     """Replace mappings of x, y, z (and w), and single numbers such as K11 to K33, by lists. Texts of numbers
     become numbers. The key of a quaternion gets the end ``_xyzw``, which states its order. Plain text becomes
-    a document. ``rewrite``: changes the items of each mapping."""
+    a document. ``rewrite``: changes the items of each mapping. ``least``: see :func:`_named`."""
     file = _parsed(file)
     names: dict[str, str] = {}
     budget = _MAX_NORMALISED
 
-    def convert(value: Any, depth: int = 0) -> Any:
+    def convert(value: Any, depth: int = 0, above: Key = "") -> Any:
         nonlocal budget
         budget -= 1
         if depth > _MAX_DEPTH or budget < 0:
@@ -318,9 +318,10 @@ def plain(
                     names[key] = given
                 vector = _vector(item)
                 if vector is None:
-                    items[key] = convert(_simple(key, item), depth + 1)
+                    items[key] = convert(_simple(key, item), depth + 1, key)
                 else:
                     items[f"{key}_xyzw" if len(vector) == 4 else key] = vector
+            items = _named(items, 1 if above == "cameras" else least, names)
             return _joined(rewrite(items))
         if isinstance(value, list):
             if value and all(isinstance(item, str) and _NUMBER.fullmatch(item.strip()) for item in value):
@@ -483,9 +484,7 @@ def _candidates(key: str) -> Iterator[tuple[str, Identity]]:
             if base in _OPPOSITES:
                 yield (_OPPOSITES[base] if directed["a"][0] == "c" else base), ()
     if role is None:
-        split = _split(key)
-        if split is not None:
-            yield split
+        yield from _split(key)  # T_pose is t of pose, so the sizes decide
         if numbered is not None:
             yield numbered
 
@@ -498,19 +497,18 @@ def _numbered(key: str) -> tuple[str, Identity] | None:
     return (str(role), (match[2],)) if match and role in known else None
 
 
-def _split(key: str) -> tuple[str, Identity] | None:
-    """Parameter and camera of a key with words of both, such as ``K_left`` and ``left_K``."""
+def _split(key: str) -> Iterator[tuple[str, Identity]]:
+    """Parameters and cameras that a key with words of both may mean, such as ``K_left`` and ``left_K``."""
     ends = [match.span() for match in re.finditer(r"[^_. -]+", key)]
     if len(ends) > 8 or len(key) > 80:
-        return None
+        return
     for length in range(len(ends) - 1, 0, -1):
         last, first = ends[-length][0], ends[length - 1][1]
         for own, rest in ((key[last:], key[:last]), (key[:first], key[first:])):
             role, rest = _ROLES.get(_word(own)), rest.strip("_. -")
             named = role not in _TEXTS or (role == "model" and _word(own) != own.lower())
             if role is not None and named and not _NO_CAMERA.intersection(re.split("[_. -]+", rest.lower())):
-                return role, (rest,)
-    return None
+                yield role, (rest,)
 
 
 def _parts(keys: Keys) -> Identity:
@@ -525,10 +523,27 @@ def _parts(keys: Keys) -> Identity:
     return tuple(parts)
 
 
-def names_a_camera(key: str) -> bool:
-    """Whether a key above camera parameters is the name of a camera, and not the word of a group such as
-    ``intrinsics``."""
-    return _parts((key,)) == (key,)
+def _named(items: dict[Any, Any], least: int, names: dict[str, str]) -> dict[Any, Any]:
+    """The items. If ``least`` of them are cameras, or two have K, the word of a group that is the key of such
+    an item, as color may be, becomes its name. ``names``: gets the old key by the new one."""
+    whole = {key for key, value in items.items() if is_camera(value)}
+    cameras = whole | {key for key, value in items.items() if _has_k(key, value)}
+    if len(whole) < least and len(cameras) < 2:
+        return items
+    result: dict[Any, Any] = {}
+    for key, value in items.items():
+        own = key
+        if key in cameras and _parts((key,)) != (str(key),):
+            own = next(new for n in range(len(items)) if (new := f"{key}_{n}") not in items)
+            names[own], value = key, {"name": key, **value}
+        result[own] = value
+    return result
+
+
+def _has_k(key: Key, value: Any) -> bool:
+    """Whether a key that may be the name of a camera has K or fx below it. The key k may be a lens."""
+    below = value if isinstance(value, Mapping) and role_of(key) in (None, "name") else ()
+    return any(role_of(one) in ("K", "fx") and one != "k" for one in below)
 
 
 def is_camera(value: Any) -> bool:

@@ -44,7 +44,6 @@ from humansim_ros.cameras.formats.spellings import (
     check_counts,
     is_camera,
     keys_of,
-    names_a_camera,
     plain,
     role_of,
     unit_of_keys,
@@ -168,7 +167,8 @@ def _matcher(row: Mapping[str, Any]) -> _Matches:
             text = f"{file.path}\n{file.text[: 1 << 16]}"
             return all(re.search(one, text, re.MULTILINE) for one in row["known"])
         keys = keys_of(file)
-        if "only" in row and any(role_of(key) not in _NAMED for key in keys - words(row["only"])):
+        names = {key for key in keys if is_camera(file.get(key))}
+        if "only" in row and any(role_of(key) not in _NAMED for key in keys - names - words(row["only"])):
             return False
         return all(any(re.fullmatch(one, key) for key in keys) for one in row["known"])
 
@@ -191,21 +191,20 @@ def reader(
             result: dict[Any, Any] = {}
             for key, value in items.items():
                 texts = str(key), f"{key}={value}" if isinstance(value, (str, int, float)) else ""
-                found = ((re.fullmatch(one, texts["=" in one]), new) for one, new in renamed.items())
+                rules = {} if role_of(key) and is_camera(value) else renamed  # k may be a camera
+                found = ((re.fullmatch(one, texts["=" in one]), new) for one, new in rules.items())
                 match, new = next(((match, new) for match, new in found if match), (None, ""))
                 here = key if match is None else match.expand(new.rstrip("'"))
-                if is_camera(value) and not names_a_camera(str(key)):
-                    here, value = f"{key}_0", {"name": key, **value}  # such as a camera named color
                 back.setdefault(str(here), str(key))
                 if here != "":
                     result[here] = _transposed(value) if new.endswith("'") else value
             return _with_params(file, result, back.get("model", "model"))
 
         arranged = file if arrange is None else replace(file, document=arrange(file))
-        document = plain(arranged, rewrite).document
-        cameras = document if isinstance(document, dict) else {"cameras": document}
+        found = plain(arranged, rewrite, 1)
+        cameras = found.document if isinstance(found.document, dict) else {"cameras": found.document}
         stated = {"convention": row.get("direction", "w2c"), **row.get("shared", {}), **cameras}
-        file = replace(file, document=stated, renamed=back)
+        file = replace(file, document=stated, renamed={**back, **found.renamed})
         if not others:
             check_counts(file)
         return file

@@ -321,8 +321,7 @@ def plain(
                     items[key] = convert(_simple(key, item), depth + 1, key)
                 else:
                     items[f"{key}_xyzw" if len(vector) == 4 else key] = vector
-            items = _named(items, 1 if above == "cameras" else least, names)
-            return _joined(rewrite(items))
+            return _joined(rewrite(_named(items, 1 if above == "cameras" else least, names)))
         if isinstance(value, list):
             if value and all(isinstance(item, str) and _NUMBER.fullmatch(item.strip()) for item in value):
                 return [float(item) for item in value]
@@ -526,14 +525,14 @@ def _parts(keys: Keys) -> Identity:
 def _named(items: dict[Any, Any], least: int, names: dict[str, str]) -> dict[Any, Any]:
     """The items. If ``least`` of them are cameras, or two have K, the word of a group that is the key of such
     an item, as color may be, becomes its name. ``names``: gets the old key by the new one."""
-    whole = {key for key, value in items.items() if is_camera(value)}
-    cameras = whole | {key for key, value in items.items() if _has_k(key, value)}
-    if len(whole) < least and len(cameras) < 2:
+    groups = {key for key in items if _parts((key,)) != (str(key),)}
+    whole = {key: is_camera(value) for key, value in items.items() if groups and _has_k(key, value)}
+    if sum(whole.values()) < least and len(whole) < 2:
         return items
     result: dict[Any, Any] = {}
     for key, value in items.items():
         own = key
-        if key in cameras and _parts((key,)) != (str(key),):
+        if key in groups and key in whole:
             own = next(new for n in range(len(items)) if (new := f"{key}_{n}") not in items)
             names[own], value = key, {"name": key, **value}
         result[own] = value
@@ -541,14 +540,14 @@ def _named(items: dict[Any, Any], least: int, names: dict[str, str]) -> dict[Any
 
 
 def _has_k(key: Key, value: Any) -> bool:
-    """Whether a key that may be the name of a camera has K or fx below it. The key k may be a lens."""
-    below = value if isinstance(value, Mapping) and role_of(key) in (None, "name") else ()
-    return any(role_of(one) in ("K", "fx") and one != "k" for one in below)
+    """Whether a value is a camera, or K or fx is below a key that may be a name. The key k may be a lens."""
+    below = islice(value, 100) if isinstance(value, Mapping) and role_of(key) in (None, "name") else ()
+    return is_camera(value) or any(role_of(one) in ("K", "fx") and one != "k" for one in below)
 
 
 def is_camera(value: Any) -> bool:
     """Whether a mapping has intrinsics and extrinsics of a camera."""
-    roles = {role_of(key) for key in value} if isinstance(value, Mapping) else set()
+    roles = {role_of(key) for key in islice(value, 100)} if isinstance(value, Mapping) else set()
     return not roles.isdisjoint(INTRINSIC) and not roles.isdisjoint(POSE)
 
 

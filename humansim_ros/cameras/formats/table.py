@@ -191,7 +191,7 @@ def reader(
             result: dict[Any, Any] = {}
             for key, value in items.items():
                 texts = str(key), f"{key}={value}" if isinstance(value, (str, int, float)) else ""
-                rules = {} if role_of(key) and is_camera(value) else renamed  # k may be a camera
+                rules = {} if is_camera(value) and role_of(key) else renamed  # k may be a camera
                 found = ((re.fullmatch(one, texts["=" in one]), new) for one, new in rules.items())
                 match, new = next(((match, new) for match, new in found if match), (None, ""))
                 here = key if match is None else match.expand(new.rstrip("'"))

@@ -360,7 +360,7 @@ def _person_lines(facts: dict[str, Any]) -> Iterator[str]:
     where = f" (first {part} frames)" if part < facts["frames"] else ""
     yield f"  feet slide {facts['slide']:.0f} mm per stance, {facts['stances']} stances{where}"
     if facts["limits"]:
-        yield f"  {len(facts['limits'])} bones are beyond their limits{where} (--json lists them)"
+        yield f"  {len(facts['limits'])} joint limits are exceeded{where} (--json lists them)"
 
 
 def _short(channels: str) -> str:

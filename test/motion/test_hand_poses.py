@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from limit_checks import bones_beyond
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from test_fingers import fingered
@@ -128,7 +127,7 @@ def test_poses_are_within_the_joint_limits(body: str) -> None:
     for name, angles in angles_of(human).items():
         rotations = np.tile([0.0, 0.0, 0.0, 1.0], (1, len(human.skeleton), 1))
         rotations[:, anatomy.bones] = anatomy.rotations(angles)
-        beyond = [bone for bone in bones_beyond(limits, rotations) if bone in FINGER_BONES]
+        beyond = [each for each in limits.report(rotations) if each.bone in FINGER_BONES]
         assert not beyond, (name, beyond)
 
 

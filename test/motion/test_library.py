@@ -12,7 +12,6 @@ import pytest
 import yaml
 from capsules import fit_capsules, report_penetration
 from conftest import ROOT
-from limit_checks import bones_beyond
 from scipy.spatial.transform import Rotation
 from waiting import PATIENCE
 
@@ -194,7 +193,7 @@ def played(name: str) -> tuple[np.ndarray, Retargeter, object]:
 def test_joints_stay_within_their_published_limits(name: str) -> None:
     _, retargeter, poses = played(name)
     rotations, _ = retargeter.apply(poses)
-    assert bones_beyond(load_limits(skeleton=retargeter.skeleton), rotations) == []
+    assert load_limits().for_skeleton(retargeter.skeleton).report(rotations) == []
 
 
 @pytest.mark.parametrize("name", EVERYDAY)

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from limit_checks import bones_beyond
 
 from humansim_ros.errors import HumansimError, SceneError, in_section
 from humansim_ros.geometry import VELOCITY_STEP, ObjectPose, quaternion_to_matrix
@@ -153,7 +152,7 @@ def test_a_hand_touches_however_the_motion_is_retargeted(motion: str, keys: Any)
     if "clamp" in keys:
         poses = actor.settings("reach").apply(actor.motion.sample(times), times, actor.others)
         rotations, _ = actor.retargeter.apply(poses)
-        assert not bones_beyond(load_limits(skeleton=actor.human.skeleton), rotations)
+        assert not load_limits().for_skeleton(actor.human.skeleton).report(rotations)
 
 
 def test_a_hand_without_direction_follows_its_forearm() -> None:
@@ -280,7 +279,7 @@ def test_joints_of_the_example_stay_within_their_limits(example: Scene) -> None:
     for actor in example.actors.values():
         poses = actor.settings("reach").apply(actor.motion.sample(times + actor.offset), times, actor.others)
         rotations, _ = actor.retargeter.apply(poses)
-        assert not bones_beyond(load_limits(skeleton=actor.human.skeleton), rotations)
+        assert not load_limits().for_skeleton(actor.human.skeleton).report(rotations)
 
 
 def test_the_cart_goes_ahead_of_who_pushes_it_and_stands_on_the_floor(example: Scene) -> None:
@@ -448,7 +447,7 @@ def test_a_man_opens_a_door_wide_with_his_hand_on_the_handle(doorway: Scene) -> 
     assert check_scene(doorway) == []
     poses = actor.settings("reach").apply(actor.motion.sample(times), times, actor.others)
     rotations, _ = actor.retargeter.apply(poses)
-    assert not bones_beyond(load_limits(skeleton=actor.human.skeleton), rotations)
+    assert not load_limits().for_skeleton(actor.human.skeleton).report(rotations)
 
 
 def test_the_door_passes_by_the_man_who_opens_it(doorway: Scene) -> None:

@@ -71,7 +71,7 @@ def measure(human: Human, names: Sequence[str]) -> None:
         "motion",
         "slide mm, mean / worst",
         "lowest sole mm",
-        "bones beyond a limit",
+        "limit violations",
         "penetration mm",
         "fastest m/s",
     )
@@ -84,9 +84,10 @@ def measure(human: Human, names: Sequence[str]) -> None:
         poses = world.sample(times)
         posed = retargeter.pose(poses)
         way = slide_distances(skeleton, posed, find_stances(skeleton, posed, times)) * 1e3
-        rotations, _ = retargeter.apply(poses)
-        beyond = (limits.clamp(rotations) != rotations).any((0, 2))
-        passed = [skeleton.names[bone] for bone in np.flatnonzero(beyond)]
+        passed = [
+            f"{v.bone} {v.angle} {v.worst:.0f} of {v.limit:.0f}"
+            for v in limits.report(retargeter.apply(poses)[0])
+        ]
         depth = max(0.0, report_penetration(posed, body).depth_mm)
         speed = np.linalg.norm(np.diff(posed[..., :3, 3], axis=0), axis=-1).max() / (times[1] - times[0])
         print(

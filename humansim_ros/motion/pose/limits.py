@@ -1,4 +1,4 @@
-"""Joint limits of a skeleton: measure poses with a table of ranges, and clamp them.
+"""Joint limits of a skeleton: measure poses with a table of ranges, report violations, and clamp.
 
 Angles are anatomical (docs/limits.md). They do not depend on the rest pose of the skeleton or on the rolls of
 its bones. Only the angles of fingers and toes are measured from the axes of their bones at rest. Hinges and
@@ -214,6 +214,11 @@ class JointCoordinates(ABC):
         """Lowest and highest value of a pair of opposite limits."""
         return -pair[1].degrees - self.margin, pair[0].degrees + self.margin
 
+    def pair_against_limits(self, pair: Sequence[Limit], values: Array) -> Iterator[tuple[str, float, Array]]:
+        """Yield angle name, limit and values (N,) for both limits of a pair, in degrees."""
+        for row, signed in zip(pair, (values, -values), strict=True):
+            yield row.angle, row.degrees + self.margin, signed
+
     @abstractmethod
     def split(self, relative: Array) -> Array:
         """Convert rotations (N, 3, 3) in anatomical axes to coordinates (N, 3)."""
@@ -229,6 +234,10 @@ class JointCoordinates(ABC):
     @abstractmethod
     def named_angles(self, values: Array) -> dict[str, Array]:
         """Return the coordinates by the names of their angles: name -> (N,) degrees."""
+
+    @abstractmethod
+    def against_limits(self, values: Array) -> Iterator[tuple[str, float, Array]]:
+        """Yield angle name, limit and values (N,) for each limit, in degrees."""
 
 
 class HingeCoordinates(JointCoordinates):
@@ -266,6 +275,10 @@ class HingeCoordinates(JointCoordinates):
 
     def named_angles(self, values: Array) -> dict[str, Array]:
         return {pair[0].angle: values[:, i] for i, pair in enumerate(self.pairs)}
+
+    def against_limits(self, values: Array) -> Iterator[tuple[str, float, Array]]:
+        for i, pair in enumerate(self.pairs):
+            yield from self.pair_against_limits(pair, values[:, i])
 
 
 class ConeCoordinates(JointCoordinates):
@@ -343,6 +356,17 @@ class ConeCoordinates(JointCoordinates):
         }
         return out | {self.range.twist[0].angle: values[:, 2]}
 
+    def against_limits(self, values: Array) -> Iterator[tuple[str, float, Array]]:
+        assert self.range.swing is not None
+        distance, azimuth, twist = values.T
+        beyond = distance - self._border_distance(azimuth)
+        to_named = np.abs((azimuth[:, None] - self.border[0] + 180) % 360 - 180)
+        nearest = np.argmin(to_named, axis=-1)
+        for i, row in enumerate(self.range.swing):
+            limit = row.degrees + self.margin
+            yield row.angle, limit, np.where(nearest == i, limit + beyond, -np.inf)
+        yield from self.pair_against_limits(self.range.twist, twist)
+
 
 def _rotations_from_axis(start: Array, ends: Array) -> Array:
     """Shortest rotations (..., 3, 3) from ``start`` (3,), a unit vector along an axis, to ``ends`` (...,
@@ -356,6 +380,27 @@ def _about_axis(axis: Array, angles: NDArray[np.floating]) -> Array:
     """Rotations (N, 3, 3) about a unit vector (3,) by angles (N,) in radians."""
     half = angles[:, None] / 2
     return quaternion_to_matrix(np.concatenate([np.sin(half) * axis, np.cos(half)], axis=-1))
+
+
+#: Rounding may put a clamped angle beyond its limit by this number of degrees.
+_ROUNDING = 1e-6
+
+
+@dataclass(frozen=True)
+class LimitViolation:
+    """An angle that is beyond its limit in some frames. ``dataclasses.asdict`` turns it into JSON types.
+
+    ``angle`` of a cone: the nearest direction that has a name in the table. The value of this angle is the
+    limit plus the distance of the bone from the cone. ``limit``: degrees, with the margin of the table.
+    ``worst``: largest value, degrees, in frame ``frame``. ``share``: share of the frames beyond the limit.
+    """
+
+    bone: str
+    angle: str
+    limit: float
+    worst: float
+    frame: int
+    share: float
 
 
 @dataclass(frozen=True)
@@ -383,6 +428,19 @@ class JointLimits:
             for joint, values, _ in self._measure(self._body_rotations(rotations))
             for angle, value in joint.named_angles(values).items()
         }
+
+    def report(self, rotations: Array) -> list[LimitViolation]:
+        """Report angles that are beyond their limits in any frame, bone by bone, each with its worst
+        value."""
+        violations = []
+        for joint, measured, _ in self._measure(self._body_rotations(rotations)):
+            for angle, limit, values in joint.against_limits(measured):
+                beyond = values > limit + _ROUNDING
+                if beyond.any():
+                    frame = int(np.argmax(values))
+                    bone, worst = self.skeleton.names[joint.bone], float(values[frame])
+                    violations.append(LimitViolation(bone, angle, limit, worst, frame, float(beyond.mean())))
+        return violations
 
     def clamp(self, rotations: Array) -> Array:
         """Set angles beyond a limit to the limit, in rotations (N, B, 4). Joints within their limits do not

@@ -77,8 +77,7 @@ def describe_motion(
     None if there is no common heading. ``travel`` and ``heading_deg`` are relative to the rest pose facing
     +x, with y to its left. ``jumps``: frame to which the person jumps, and distance in metres. From the first
     ``checked_frames`` frames: ``stances``; ``slide``: mean slide of a standing foot, mm; ``limits``:
-    bones beyond their joint limits, with their share of the frames. ``penetration`` is None; 0.4.0 removes
-    it.
+    violations of joint limits. ``penetration`` is None; 0.4.0 removes it.
 
     Args:
         motion: The motion.
@@ -174,15 +173,9 @@ def _person_summary(world: WorldMotion, skeleton: Skeleton) -> tuple[dict[str, A
         "checked_frames": len(times),
         "stances": len(stances),
         "slide": float(slide_distances(skeleton, posed, stances).mean() * 1e3) if stances else 0.0,
-        "limits": _bones_beyond_limits(skeleton, retargeter.apply(checked)[0]),
+        "limits": [asdict(violation) for violation in load_limits().report(retargeter.apply(checked)[0])],
     }
     return summary, [*playing_warnings(world), *posture_warnings(world, poses)]
-
-
-def _bones_beyond_limits(skeleton: Skeleton, rotations: Array) -> list[dict[str, Any]]:
-    """Bones that clamping changes in rotations (N, B, 4), each with its share of the frames."""
-    shares = (load_limits(skeleton=skeleton).clamp(rotations) != rotations).any(-1).mean(0)
-    return [{"bone": skeleton.names[bone], "share": float(shares[bone])} for bone in np.flatnonzero(shares)]
 
 
 def _floor(world: WorldMotion) -> float:

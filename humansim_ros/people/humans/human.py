@@ -311,10 +311,10 @@ def human_from_arrays(arrays: dict[str, NDArray[Any]], name: str) -> Human:
         uv=_numbers(arrays, "uv") if has_uv else None,
         uv_faces=_indices(arrays, "uv_faces").astype(np.int32) if has_uv else None,
         colors=arrays.get("colors"),
-        skin=_optional(arrays, "skin", np.uint8, 2),
+        skin=_texels(arrays, "skin"),
         materials=_materials(arrays),
-        hair=_optional(arrays, "hair", np.uint8, 2),
-        off_body=_optional(arrays, "off_body", np.bool_, 1),
+        hair=_texels(arrays, "hair"),
+        off_body=_of_faces(arrays, "off_body", np.bool_),
     )
     mesh = replace(mesh, shading=_shading(arrays, mesh))
     skeleton = Skeleton(
@@ -379,18 +379,25 @@ def _mouth(arrays: dict[str, NDArray[Any]]) -> Array | None:
     return places
 
 
-def _optional(arrays: dict[str, NDArray[Any]], key: str, dtype: type[Any], ndim: int) -> NDArray[Any] | None:
-    """Array of texels (H, W) or of faces (F,), of a type. None if the file has no array ``key``."""
-    array = arrays.get(key)
-    if array is not None and (array.dtype != dtype or array.ndim != ndim):
-        shape = ("(F,)", "(H, W)")[ndim - 1]
-        raise MeshError(f"must be {shape} {np.dtype(dtype).name}, not {array.shape} {array.dtype}", key=key)
-    return array
+def _texels(arrays: dict[str, NDArray[Any]], key: str) -> NDArray[np.uint8] | None:
+    """Share (H, W) of skin or hair in each texel, 0 to 255. None if the file has no array ``key``."""
+    share = arrays.get(key)
+    if share is not None and (share.dtype != np.uint8 or share.ndim != 2 or not share.size):
+        raise MeshError(f"must be (H, W) uint8, not {share.shape} {share.dtype}", key=key)
+    return share
+
+
+def _of_faces(arrays: dict[str, NDArray[Any]], key: str, dtype: type[Any]) -> NDArray[Any] | None:
+    """Values (F,) of the faces. None if the file has no array ``key``."""
+    values, name = arrays.get(key), np.dtype(dtype).name
+    if values is not None and (values.dtype != dtype or values.shape != (len(arrays["faces"]),)):
+        raise MeshError(f"must be (F,) {name}, not {values.shape} {values.dtype}", key=key)
+    return values
 
 
 def _materials(arrays: dict[str, NDArray[Any]]) -> NDArray[np.uint8] | None:
     """Material label (F,) of each face. None if the file has no labels."""
-    labels = _optional(arrays, "materials", np.uint8, 1)
+    labels = _of_faces(arrays, "materials", np.uint8)
     if labels is not None and len(labels) and not 1 <= labels.min() <= labels.max() <= len(MATERIALS):
         raise MeshError(f"labels are 1 to {len(MATERIALS)}", key="materials")
     return labels

@@ -46,7 +46,7 @@ EXTRAS = {
     "evaluate": ("c3d", "mcap", "pycocotools", "rosbags"),
     "export": ("OpenEXR", "c3d", "mcap", "pxr", "pycocotools"),
     "exr": ("OpenEXR",),
-    "meshes": ("DracoPy", "lxml", "networkx", "collada"),
+    "meshes": ("DracoPy",),
     "photographs": ("xatlas",),
     "plot": ("matplotlib",),
     "pytest": ("pytest",),

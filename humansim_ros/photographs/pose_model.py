@@ -310,10 +310,11 @@ def _attachments(human: Human, keypoints: KeypointSet) -> Attachments:
         mass[:, bone] += locator.joint_shares[:, joint]
         local[:, bone] += locator.joint_shares[:, joint, None] * at[joint]
     corners, weights = Attachments.of_vertices(human, locator.corners.ravel()), locator.corner_weights
-    mass[locator.on_surface] = np.einsum("nk,nkb->nb", weights, corners.shares.reshape(*weights.shape, -1))
-    local[locator.on_surface] = np.einsum(
-        "nk,nkbi->nbi", weights, corners.local.reshape(*weights.shape, -1, 3)
+    shares, moments = (
+        each.reshape(*weights.shape, *each.shape[1:]) for each in (corners.shares, corners.local)
     )
+    mass[locator.on_surface] = np.einsum("nk,nkb->nb", weights, shares)
+    local[locator.on_surface] = np.einsum("nk,nkbi->nbi", weights, moments)
     return Attachments(mass, local)
 
 

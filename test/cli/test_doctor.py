@@ -147,7 +147,6 @@ def test_the_converter_of_fbx_files_is_named_or_how_to_get_one(
 
 def test_the_extras_are_those_of_the_package() -> None:
     modules = {
-        "pycollada": "collada",
         "rerun-sdk": "rerun",
         "ruamel-yaml": "ruamel.yaml",
         "usd-core": "pxr",

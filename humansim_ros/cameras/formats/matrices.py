@@ -39,12 +39,14 @@ from humansim_ros.cameras.formats.spellings import (
     COLMAP_PARAMETERS,
     INTRINSIC,
     POSE,
+    ROTATION,
+    SIZE,
+    TRANSLATION,
     Entry,
     Found,
     Identity,
     colmap_model,
     find_parameters,
-    parts_found,
     plain,
     role_of,
     size_of,
@@ -170,7 +172,7 @@ def read_poses(file: CalibrationFile) -> dict[str, RawCamera]:
 
 def missing_parts(found: Found) -> str:
     """Sentence that says which values of a camera a file has, and which are missing."""
-    has, lacks = parts_found(found)
+    has, lacks = _parts_found(found)
     named = [".".join(identity) for identity in found.cameras if identity]
     of = f" of {some_of(named, 4)}" if has and named else ""
     has_text = f"found {' and '.join(has)}{of}" if has else "nothing of a camera was found in it"
@@ -469,3 +471,16 @@ def _rotation(entry: Entry) -> Array:
     if len(values) == 3:
         return np.asarray(Rotation.from_rotvec(values).as_matrix(), dtype=float)
     return entry.numbers(3, 3)
+
+
+def _parts_found(found: Found) -> tuple[list[str], list[str]]:
+    """Which of intrinsics, image size, rotation and translation a file has, and which ones are missing: two
+    lists of words for messages."""
+    needed = {
+        "K or focal length": INTRINSIC,
+        "image size": SIZE,
+        "rotation": ROTATION,
+        "translation": TRANSLATION,
+    }
+    has = [name for name, words in needed.items() if words & found.roles]
+    return has, [name for name in needed if name not in has]

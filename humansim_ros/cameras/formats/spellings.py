@@ -593,16 +593,3 @@ def numbers_found(file: CalibrationFile, most: int = 4, least: int = 1) -> list[
             key = ".".join(str(key) for key in keys)[-60:]
             found.append(f"{key} ({' x '.join(map(str, shape))})")
     return found
-
-
-def parts_found(found: Found) -> tuple[list[str], list[str]]:
-    """Which of intrinsics, image size, rotation and translation a file has, and which ones are missing: two
-    lists of words for messages."""
-    needed = {
-        "K or focal length": INTRINSIC,
-        "image size": SIZE,
-        "rotation": ROTATION,
-        "translation": TRANSLATION,
-    }
-    has = [name for name, words in needed.items() if words & found.roles]
-    return has, [name for name in needed if name not in has]

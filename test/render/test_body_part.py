@@ -16,7 +16,7 @@ from humansim_ros import Camera, Human, load_human
 from humansim_ros.errors import MeshError, RenderError
 from humansim_ros.files.mesh.mesh import MATERIAL_LABELS, Mesh
 from humansim_ros.people.humans.human import human_from_arrays, read_human, write_human
-from humansim_ros.people.loading.levels import levels_of
+from humansim_ros.people.loading.loading import levels_of
 from humansim_ros.people.makehuman.building import build
 from humansim_ros.people.makehuman.data import people_data
 from humansim_ros.people.makehuman.shape import MakeHumanConfig, Outfit

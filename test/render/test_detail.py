@@ -14,9 +14,8 @@ from conftest import ROOT
 
 from humansim_ros import Scene, Simulation, load_human
 from humansim_ros.cameras import Camera
-from humansim_ros.files.mesh.mesh import split_seams
-from humansim_ros.files.mesh.simplification import compact
-from humansim_ros.people.loading.levels import levels_of
+from humansim_ros.files.mesh.mesh import compact, split_seams
+from humansim_ros.people.loading.loading import levels_of
 from humansim_ros.render.frame.body_buffers import LARGEST_ERROR, coarsest, pixels_per_metre
 from humansim_ros.types import Array, Indices
 

@@ -2,7 +2,7 @@
 
     python tools/assets/simplify_humans.py
 
-Run it when a built-in human or ``VERSION`` of ``humansim_ros/people/loading/levels.py`` has changed.
+Run it when a built-in human or ``LEVELS_VERSION`` of ``humansim_ros/people/loading/loading.py`` has changed.
 
 Edges collapse into one of their vertices, so that the remaining vertices are a subset. Collapses with the
 smallest quadric error [Garland 1997] come first. The error counts in several poses at once, so that a surface
@@ -20,11 +20,10 @@ from scipy.spatial.transform import Rotation
 
 from humansim_ros.cli.human import built_in_humans
 from humansim_ros.files.mesh import Simplification, split_seams
-from humansim_ros.files.mesh.simplification import followed, without_degenerate
+from humansim_ros.files.mesh.mesh import followed, without_degenerate
 from humansim_ros.files.reading import resource_root, write_npz
 from humansim_ros.people.humans.human import Human
-from humansim_ros.people.loading.levels import ARRAYS, FOLDER, path_of
-from humansim_ros.people.loading.loading import load_human
+from humansim_ros.people.loading.loading import LEVELS_ARRAYS, LEVELS_FOLDER, levels_path, load_human
 from humansim_ros.types import Array, Indices
 
 #: Number of triangles of each level, as a share of all triangles.
@@ -43,15 +42,17 @@ _TWICE = np.where(_UPPER[0] == _UPPER[1], 1.0, 2.0)
 
 
 def main() -> None:
-    folder = resource_root() / FOLDER
+    folder = resource_root() / LEVELS_FOLDER
     folder.mkdir(exist_ok=True)
     for old in folder.glob("*.npz"):
         old.unlink()
     for name in built_in_humans():
         human = load_human(name)
         levels = make_levels(human)
-        path = path_of(human, folder)
-        write_npz(path, {each: getattr(levels, each).astype(kind) for each, (_, kind) in ARRAYS.items()})
+        path = levels_path(human, folder)
+        write_npz(
+            path, {each: getattr(levels, each).astype(kind) for each, (_, kind) in LEVELS_ARRAYS.items()}
+        )
         errors = ", ".join(f"{1e3 * error:.1f}" for error in levels.errors[1:])
         print(f"{name}: {path.stat().st_size / 1e3:.0f} kB, errors {errors} mm")
 

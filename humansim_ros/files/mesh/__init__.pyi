@@ -15,9 +15,11 @@ from humansim_ros.files.mesh.mesh import MESH_SUFFIXES as MESH_SUFFIXES
 from humansim_ros.files.mesh.mesh import SKIN as SKIN
 from humansim_ros.files.mesh.mesh import Material as Material
 from humansim_ros.files.mesh.mesh import Mesh as Mesh
+from humansim_ros.files.mesh.mesh import Simplification as Simplification
 from humansim_ros.files.mesh.mesh import SkinnedMesh as SkinnedMesh
 from humansim_ros.files.mesh.mesh import WornName as WornName
 from humansim_ros.files.mesh.mesh import closed_surfaces as closed_surfaces
+from humansim_ros.files.mesh.mesh import compact as compact
 from humansim_ros.files.mesh.mesh import has_signature as has_signature
 from humansim_ros.files.mesh.mesh import normalise_weights as normalise_weights
 from humansim_ros.files.mesh.mesh import padded as padded
@@ -32,5 +34,3 @@ from humansim_ros.files.mesh.normals import rasterise_uv as rasterise_uv
 from humansim_ros.files.mesh.normals import subdivide as subdivide
 from humansim_ros.files.mesh.normals import welded as welded
 from humansim_ros.files.mesh.obj import material_files as material_files
-from humansim_ros.files.mesh.simplification import Simplification as Simplification
-from humansim_ros.files.mesh.simplification import compact as compact

@@ -1,10 +1,10 @@
 from humansim_ros.people.loading.figure import count_betas as count_betas
-from humansim_ros.people.loading.levels import levels_of as levels_of
 from humansim_ros.people.loading.loading import SUFFIXES as SUFFIXES
 from humansim_ros.people.loading.loading import MeshHuman as MeshHuman
 from humansim_ros.people.loading.loading import find_human as find_human
 from humansim_ros.people.loading.loading import fit_mesh as fit_mesh
 from humansim_ros.people.loading.loading import forget_people_data as forget_people_data
+from humansim_ros.people.loading.loading import levels_of as levels_of
 from humansim_ros.people.loading.loading import load_human as load_human
 from humansim_ros.people.loading.loading import make_human as make_human
 from humansim_ros.people.loading.loading import make_person as make_person

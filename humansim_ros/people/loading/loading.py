@@ -24,11 +24,13 @@ from humansim_ros.files.mesh import (
     MAX_BYTES,
     MESH_SUFFIXES,
     Mesh,
+    Simplification,
     SkinnedMesh,
     has_signature,
     material_files,
     read_format,
     read_mesh_or_figure,
+    split_seams,
 )
 from humansim_ros.files.reading import MAX_BYTES as MAX_NPZ_BYTES
 from humansim_ros.files.reading import (
@@ -41,9 +43,11 @@ from humansim_ros.files.reading import (
     missing_file,
     only_one_process,
     read_bytes,
+    read_npz,
     read_table,
     resolve_relative,
     resource_path,
+    resource_root,
 )
 from humansim_ros.files.yaml import Axis, ByteColor, Expected, Section, read_yaml, validated
 from humansim_ros.motion.body import Skeleton, dominant_bones, hanim_skeleton
@@ -488,3 +492,44 @@ def _part_colors(human: Human, clothes: Clothes) -> NDArray[np.uint8]:
     hair = (up > 0.40) & (up - 0.75 * ahead > 0.54)
     colors[hair & (colors == np.array(clothes.skin, np.uint8)).all(1)] = clothes.hair
     return colors
+
+
+#: Increase this number when the same human gets other levels, and run tools/assets/simplify_humans.py.
+LEVELS_VERSION = 1
+#: Folder of the levels of the humans of the package.
+LEVELS_FOLDER = "assets/humans/levels"
+#: Arrays of a file of levels, each with its type in memory and its type in the file.
+LEVELS_ARRAYS: dict[str, tuple[type, type]] = {
+    "parents": (np.intp, np.int32),
+    "coordinate_parents": (np.intp, np.int32),
+    "removed_at": (np.uint8, np.uint8),
+    "errors": (float, float),
+}
+
+
+def levels_of(human: Human) -> Simplification | None:
+    """Read the levels of detail of a human of the package. None for other humans."""
+    path = levels_path(human, resource_root() / LEVELS_FOLDER)
+    return read_levels(path) if path.is_file() else None
+
+
+def levels_path(human: Human, folder: Path) -> Path:
+    """File of the levels of a human in a folder. Its name is a digest of all that the levels depend on."""
+    mesh, weights = human.mesh, human.weights
+    digest = hashlib.sha256(f"{LEVELS_VERSION} {human.skinning}".encode())
+    for values in (mesh.vertices, weights.data, human.skeleton.rest_inverse):
+        digest.update(np.ascontiguousarray(values, dtype="<f4").tobytes())
+    for values in (mesh.triangles, split_seams(mesh)[2], weights.indices, weights.indptr):
+        digest.update(np.ascontiguousarray(values, dtype="<i4").tobytes())
+    return folder / f"{digest.hexdigest()[:40]}.npz"
+
+
+def read_levels(path: Path) -> Simplification:
+    """Read levels. Raises MeshError for a file that has no levels."""
+    arrays = read_npz(path, MeshError, "file of levels of detail")
+    try:
+        return Simplification(
+            **{name: arrays[name].astype(kind) for name, (kind, _) in LEVELS_ARRAYS.items()}
+        )
+    except KeyError as missing:
+        raise MeshError("an array is missing", path=path, key=str(missing.args[0])) from None

@@ -283,7 +283,7 @@ def test_a_mirrored_rig_is_refused(tmp_path: Path) -> None:
     text = (tmp_path / "rig.yaml").read_text()
     flipped = GOOD.R * [[-1], [1], [1]]
     rows = ", ".join(str(values) for values in flipped.tolist())
-    start = text.index("    R: ")
+    start = text.index("    R:")
     (tmp_path / "rig.yaml").write_text(text[:start] + f"    R: [{rows}]\n" + text[text.index("    t: ") :])
     result = humansim("show", tmp_path / "rig.yaml")
     assert (

@@ -192,6 +192,14 @@ def changed_k4a(path: str, value: Any) -> str:
     return changed(k4a(("color",)), f"CalibrationInformation.Cameras.0.{path}", value)
 
 
+def k4a_of_one_place(count: int) -> dict[str, Any]:
+    """Colour cameras with one location. The second is named after it, since ``color`` is taken."""
+    content = k4a(("color",) * count)
+    for camera in content["CalibrationInformation"]["Cameras"]:
+        camera["Location"] = "lid"
+    return content
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -204,6 +212,7 @@ def changed_k4a(path: str, value: Any) -> str:
         (changed_k4a("Intrinsics.ModelParameters.10", 0.1), "a centre of distortion beside the axis"),
         (changed_k4a("SensorWidth", 0), "SensorWidth: needs a whole number above zero"),
         (changed_k4a("Rt.Rotation", [1, 2, 3]), "Rt.Rotation: needs 3 x 3 numbers, not 3"),
+        (json.dumps(k4a_of_one_place(3)), "Cameras.2: there are two cameras with the name 'lid'"),
         (json.dumps({**ONE, "resolution_x": None}), "resolution_x: is missing"),
         (json.dumps({**ONE, "lens": "long"}), "lens: 'long' is not a number"),
         (json.dumps({**ONE, "sensor_width": 0}), "sensor_width: needs a sensor above zero"),

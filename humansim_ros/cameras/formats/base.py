@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import yaml
@@ -25,6 +25,7 @@ from humansim_ros.files.yaml import line_of
 from humansim_ros.geometry import quaternion_to_matrix
 from humansim_ros.types import Array, ImageSize
 
+_Camera = TypeVar("_Camera")
 Key = str | int
 Keys = tuple[Key, ...]
 
@@ -277,14 +278,14 @@ class CalibrationFile:
             raise CameraError(str(reason), path=self.path, line=line, key=key) from None
 
     def add(
-        self, cameras: dict[str, RawCamera], name: str, camera: RawCamera, *keys: Key, line: int | None = None
+        self, cameras: dict[str, _Camera], name: str, camera: _Camera, *keys: Key, line: int | None = None
     ) -> None:
         """Add a camera under a unique name.
 
         Args:
             cameras: Cameras of the file by name. The camera is added to them.
             name: Name of the camera.
-            camera: Camera in the unit and axes of the file.
+            camera: Camera in the unit and axes of the file, or the mapping of its keys.
             keys: Key path of the camera, for errors.
             line: Line of the camera, for errors.
         """

@@ -132,9 +132,7 @@ def _transforms(file: CalibrationFile) -> Cameras:
         size = _size(frame)
         if size is None and file.given_size is None and not frame.has("cx"):
             size, assumed = _NERF_SIZE, True
-        if name in cameras:
-            raise file.error(f"there are two cameras with the name {name!r}", *at)
-        cameras[name] = _frame(frame, size)
+        file.add(cameras, name, _frame(frame, size), *at)
     if assumed:
         width, height = _NERF_SIZE
         message = f"w and h are missing; {width}x{height} is assumed, as in the synthetic scenes of NeRF"

@@ -170,7 +170,7 @@ def _k4a(file: CalibrationFile) -> Cameras:
         if mode is None:
             skipped.append(name)
         else:
-            cameras[name] = _k4a_camera(file, at, file.given_size or sensor, *mode)
+            file.add(cameras, name, _k4a_camera(file, at, file.given_size or sensor, *mode), *at)
     if not cameras:
         raise file.error("no camera has a mode of this size", "size")
     if skipped:

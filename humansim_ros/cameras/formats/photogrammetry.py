@@ -351,7 +351,7 @@ def _meshroom(file: CalibrationFile) -> Cameras:
         name = without_suffix(path.rsplit("/", 1)[-1])
         lens = _meshroom_lens(file, _lens_of(file, at, "intrinsicId", lenses))
         pose = _pose_of(file, poses.get(str(view.get("poseId", number))), turned=True)
-        cameras[name if name not in cameras else f"{name}_{number}"] = {**lens, **pose}
+        file.add(cameras, name if name not in cameras else f"{name}_{number}", {**lens, **pose}, *at)
     return [{"name": name, **camera} for name, camera in cameras.items()]
 
 

@@ -200,7 +200,7 @@ class CameraShot:
     @property
     def adjacent_frame(self) -> AdjacentFrame:
         """Bodies and camera at the stamp, for use as the next or previous frame of another shot."""
-        return AdjacentFrame(self.state.bodies, self.camera.camera_at(self.pose_at(0.0)))
+        return AdjacentFrame(self.state.bodies, self.posed)
 
     def take(self, renderer: Renderer) -> View:
         """Render what the camera sees during its exposure, and apply its sensor to rgb. ``renderer``:

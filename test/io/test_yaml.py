@@ -32,7 +32,7 @@ HOSTILE = {
     "itself": ("a: &a\n  b: [*a]\n", 1, "contains itself"),
     "a chain": (CHAIN, 48, "more than 50 nested levels"),
     "a deep list": ("a: " + "[" * 51 + "]" * 51, 1, "more than 50 nested levels"),
-    "a very deep list": ("a: " + "[" * 5000, None, "more than 50 nested levels"),
+    "a very deep list": ("a: " + "[" * 5000, 1, "more than 50 nested levels"),
     "a key of many": (laughs("[{}]") + "? [*a9]\n: 1\n", 6, "more than 100000 keys and values, with all"),
     "a great many": ("a: [" + "0," * 150_000 + "]", 1, "more than 100000 keys and values"),
 }

@@ -28,19 +28,23 @@ _TEXT, _BOOLEAN = "tag:yaml.org,2002:str", "tag:yaml.org,2002:bool"
 
 
 class Loader(yaml.SafeLoader):
-    """SafeLoader with a limit on the number of nodes in the text."""
+    """SafeLoader with a limit on the number of nodes in the text, and of their levels."""
 
     def __init__(self, text: str) -> None:
         super().__init__(text)
-        self._nodes = 0
+        self._nodes = self._level = 0
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
         """Compose a node, and count it."""
         self._nodes += 1
-        if self._nodes > _MAX_NODES:
+        self._level += 1
+        if self._nodes > _MAX_NODES or self._level > _MAX_DEPTH:
             mark: Any = self.peek_event().start_mark
-            raise yaml.composer.ComposerError(None, None, _TOO_MANY, mark)
-        return super().compose_node(parent, index)
+            problem = _TOO_MANY if self._nodes > _MAX_NODES else _TOO_DEEP
+            raise yaml.composer.ComposerError(None, None, problem, mark)
+        node = super().compose_node(parent, index)
+        self._level -= 1
+        return node
 
 
 def read_yaml(

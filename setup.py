@@ -31,6 +31,7 @@ COMMANDS = [
 REQUIRES = [
     "defusedxml>=0.7",
     "imageio-ffmpeg>=0.5,<0.8",
+    "jinja2>=3.0",
     "moderngl>=5.8",
     "numpy>=1.26",
     "opencv-python-headless>=4.6,<4.12",

@@ -128,9 +128,9 @@ def _boxes(truth: Path, estimate: Sequence[str], gate: float | None) -> Comparis
     """Compare upright 3D boxes of people."""
     from humansim_ros.data.evaluation.boxes import DEFAULT_GATE, evaluate_boxes
     from humansim_ros.data.evaluation.export_truth import ExportTruth, is_export, open_box_truth
-    from humansim_ros.data.evaluation.html import table_html_report
+    from humansim_ros.data.evaluation.html import html_report
     from humansim_ros.data.evaluation.readers.box_files import read_box_file
-    from humansim_ros.data.evaluation.report import BOX_HEADER, box_rows, box_summary, show_boxes, to_data
+    from humansim_ros.data.evaluation.report import show, to_data
 
     if len(estimate) > 1:
         raise EvaluationError("give one file of boxes", key="--estimate")
@@ -138,28 +138,18 @@ def _boxes(truth: Path, estimate: Sequence[str], gate: float | None) -> Comparis
     if not found.frames and is_export(truth) and "aicity" not in ExportTruth(truth).formats:
         return _images(truth, estimate, None, None)  # the file is one of MOTChallenge
     result = evaluate_boxes(open_box_truth(truth, found), found, DEFAULT_GATE if gate is None else gate)
-
-    def page() -> str:
-        return table_html_report(result, box_summary(result), BOX_HEADER, box_rows(result))
-
-    return Comparison(to_data(result), show_boxes(result), page)
+    return Comparison(to_data(result), show(result), lambda: html_report(result))
 
 
 def _navigation(truth: Path, estimate: Sequence[str], radius: float | None) -> Comparison:
     """Compare the path of a robot with the people of the truth."""
     from humansim_ros.data.bags import is_bag
     from humansim_ros.data.evaluation.export_truth import is_export
-    from humansim_ros.data.evaluation.html import table_html_report
+    from humansim_ros.data.evaluation.html import html_report
     from humansim_ros.data.evaluation.navigation import DEFAULT_RADIUS, evaluate_navigation
     from humansim_ros.data.evaluation.nearby import bag_nearby, robot_size, scene_nearby
     from humansim_ros.data.evaluation.readers.robot_paths import read_robot_path
-    from humansim_ros.data.evaluation.report import (
-        CLOSENESS_HEADER,
-        closeness_rows,
-        navigation_summary,
-        show_navigation,
-        to_data,
-    )
+    from humansim_ros.data.evaluation.report import show, to_data
     from humansim_ros.scene.core import Scene
 
     if len(estimate) > 1:
@@ -173,11 +163,7 @@ def _navigation(truth: Path, estimate: Sequence[str], radius: float | None) -> C
     if radius is None:
         radius = DEFAULT_RADIUS if size is None else size[0]
     result = evaluate_navigation(nearby, path.source, radius)
-
-    def page() -> str:
-        return table_html_report(result, navigation_summary(result), CLOSENESS_HEADER, closeness_rows(result))
-
-    return Comparison(to_data(result), show_navigation(result), page)
+    return Comparison(to_data(result), show(result), lambda: html_report(result))
 
 
 def _images(
@@ -185,10 +171,10 @@ def _images(
 ) -> Comparison:
     """Compare detections in images."""
     from humansim_ros.data.evaluation.export_truth import open_image_truth
-    from humansim_ros.data.evaluation.html import image_html_report
+    from humansim_ros.data.evaluation.html import html_report
     from humansim_ros.data.evaluation.images import evaluate_images
     from humansim_ros.data.evaluation.readers.detections import read_image_estimates
-    from humansim_ros.data.evaluation.report import show_images, to_data
+    from humansim_ros.data.evaluation.report import show, to_data
     from humansim_ros.people.keypoints import keypoint_set
 
     source = open_image_truth(truth, keypoints)
@@ -198,9 +184,9 @@ def _images(
 
     def page() -> str:
         with closing(source.pictures()) as pictures:
-            return image_html_report(result, pictures)
+            return html_report(result, pictures)
 
-    return Comparison(to_data(result), show_images(result), page)
+    return Comparison(to_data(result), show(result), page)
 
 
 def write_bag(

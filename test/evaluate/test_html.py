@@ -65,7 +65,7 @@ def test_the_report_is_one_page_with_everything() -> None:
     parser.feed(page)
     assert parser.open == []
     assert not re.findall(r"(?:src|href)=|url\(|@import|<script", page)
-    assert page.count("<svg") == 4 + 10
+    assert page.count("<svg") == 5 + 10
     for text in ("MPJPE", "IDF1", "anna", "l_knee", "49 of 50", "at 1.960 s: 49.0 mm"):
         assert text in page
     for svg in re.findall(r"<svg.*?</svg>", page):

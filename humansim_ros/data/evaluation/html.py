@@ -2,46 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
-from humansim_ros.data.evaluation.boxes import BoxEvaluation
 from humansim_ros.data.evaluation.evaluation import Evaluation, WorstPose
-from humansim_ros.data.evaluation.images import ImageEvaluation, WorstImage
+from humansim_ros.data.evaluation.images import ImageEvaluation, KindScores, WorstImage
 from humansim_ros.data.evaluation.joint_names import body_joint
 from humansim_ros.data.evaluation.metrics import AUC_THRESHOLDS, pck
-from humansim_ros.data.evaluation.navigation import NavigationEvaluation
 from humansim_ros.data.evaluation.pictures import ESTIMATE_COLOR, TRUTH_COLOR, Pictures, Shape, draw_over
-from humansim_ros.data.evaluation.report import (
-    PART_HEADER,
-    TITLES,
-    AnyEvaluation,
-    camera_count_rows,
-    camera_header,
-    camera_rows,
-    image_summary,
-    keypoint_rows,
-    millimetres,
-    name_rows,
-    part_rows,
-    percent,
-    pixels,
-    summary,
-)
-from humansim_ros.data.formats.markup import (
-    Markup,
-    element,
-    joined,
-    page,
-    picture,
-    polyline,
-    section,
-    svg,
-    table,
-)
+from humansim_ros.data.evaluation.report import TITLES, AnyEvaluation, millimetres, percent, quantity, tables
+from humansim_ros.data.formats.markup import page, part, picture, table
 from humansim_ros.people.keypoints import keypoint_set
 from humansim_ros.types import Array
 
@@ -53,6 +27,59 @@ COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 _INTERVALS = 5
 #: Most points of a line in a plot, since a screen cannot show more.
 _MOST_POINTS = 1000
+#: Pairs of joints of the package's skeleton that are connected by a line in drawn poses.
+_LINES = (
+    "vt3_end vt3 l_shoulder l_elbow l_wrist",
+    "vt3 r_shoulder r_elbow r_wrist",
+    "l_shoulder l_hip l_knee l_ankle",
+    "r_shoulder r_hip r_knee r_ankle",
+    "l_hip r_hip",
+    "l_shoulder r_shoulder",
+)
+#: Heading and content of sections of the page.
+_Sections = list[tuple[str, Markup]]
+
+
+def html_report(evaluation: AnyEvaluation, pictures: Pictures | None = None) -> str:
+    """HTML page with all tables. For poses also with errors over time and by joint, PCK curve, and people by
+    frame; for poses and detections in images with the worst ones.
+
+    ``pictures``: images of the cameras, to draw the worst poses or detections over. If None, the page has no
+    images.
+
+    Raises:
+        HumansimError: An image cannot be rendered or read.
+    """
+    plots: _Sections = []
+    worst: list[tuple[str, str, _Sections]] = []
+    if isinstance(evaluation, Evaluation):
+        plots = list(_plots(evaluation))
+        views = "From the front, and from above"
+        if pictures is not None:
+            views = "In the camera that shows most of the person, from the front, and from above"
+        text = f"{views}, in the colours of truth and estimate."
+        worst.append(("Worst poses", text, _worst_poses(evaluation, pictures)))
+    elif isinstance(evaluation, ImageEvaluation):
+        for kind, scores in evaluation.kinds.items():
+            if scores.by_keypoint:
+                errors = {name: each.error for name, each in scores.by_keypoint.items()}
+                plots.append(("Error by keypoint", bar_plot(errors, "px")))
+            if pictures is not None:
+                drawn = _worst_images(evaluation, kind, scores, pictures)
+                worst.append((f"Worst {TITLES[kind][0]}", "In the colours of truth and estimate.", drawn))
+    metrics, *others = [(each.heading, table(each.header, each.rows)) for each in tables(evaluation)]
+    return page(
+        "Evaluation",
+        "evaluation",
+        template="evaluation",
+        truth=evaluation.truth,
+        estimate=evaluation.estimate,
+        figures=[metrics, *plots, *others],
+        worst=worst,
+    )
+
+
+# --- plots
 
 
 def line_plot(
@@ -69,30 +96,29 @@ def line_plot(
     known = [(x, y) for x, y in lines.values() if np.isfinite(y).any()]
     if not known:
         return Markup()
-    left, right = min(float(x[0]) for x, _ in known), max(float(x[-1]) for x, _ in known)
+    span = min(float(x[0]) for x, _ in known), max(float(x[-1]) for x, _ in known)
     highest = top or max(float(np.nanmax(y)) for _, y in known) or 1.0
-    shapes = _axes((left, right), highest, x_label, y_label)
+    drawn = []
     for number, (name, (x, y)) in enumerate(lines.items()):
-        color = COLORS[number % len(COLORS)]
         chosen = np.unique(np.linspace(0, len(x) - 1, _MOST_POINTS).astype(np.intp))
-        points = _pixels(x[chosen], y[chosen], (left, right), highest)
-        shapes += [polyline(part, color, 1.5) for part in _finite_parts(points)]
-        shapes.append(element("text", name, x=_LEFT + 8 + 110 * number, y=_TOP - 3, fill=color))
-    return _plot(shapes, HEIGHT)
+        parts = _finite_parts(_pixels(x[chosen], y[chosen], span, highest))
+        paths = [" ".join(f"{left:.1f},{up:.1f}" for left, up in each) for each in parts]
+        drawn.append((name, COLORS[number % len(COLORS)], paths))
+    columns, rows = np.array(_ticks(*span)), np.array(_ticks(0.0, highest))
+    x_ticks = _labelled(columns, _pixels(columns, 0 * columns, span, highest)[:, 0])
+    y_ticks = _labelled(rows, _pixels(0 * rows, rows, span, highest)[:, 1])
+    area = _LEFT, _TOP, WIDTH - _RIGHT, HEIGHT - _BOTTOM
+    return part("line_plot", WIDTH, HEIGHT, area, drawn, x_ticks, y_ticks, x_label, y_label)
 
 
 def bar_plot(values: Mapping[str, float | None], unit: str) -> Markup:
     """Plot with a horizontal bar and a number for each name. If the value is None, the bar is missing."""
     widest = max((value for value in values.values() if value is not None), default=0.0) or 1.0
-    shapes = []
-    for row, (name, value) in enumerate(values.items()):
-        y = 18 * row + 14
-        width = 0.0 if value is None else (WIDTH - 250) * value / widest
-        text = "–" if value is None else f"{value:.1f} {unit}"
-        shapes.append(element("text", name, x=150, y=y, text_anchor="end"))
-        shapes.append(element("rect", x=158, y=y - 10, width=width, height=12, fill=COLORS[0]))
-        shapes.append(element("text", text, x=164 + width, y=y))
-    return _plot(shapes, 18 * len(values) + 8)
+    bars = [
+        (name, (WIDTH - 250) * (value or 0.0) / widest, quantity(value, unit, 1))
+        for name, value in values.items()
+    ]
+    return part("bar_plot", WIDTH, bars, COLORS[0])
 
 
 def pose_plot(truth: Array, estimate: Array, edges: Sequence[tuple[int, int]]) -> Markup:
@@ -107,29 +133,10 @@ def pose_plot(truth: Array, estimate: Array, edges: Sequence[tuple[int, int]]) -
         for pose, color in ((truth, COLORS[0]), (estimate, COLORS[1])):
             points = (pose - centre) * scale
             pixels = np.stack([120 + 250 * number - points[:, 1], 120 - points[:, axis]], axis=1)
-            for start, end in edges:
-                if np.isfinite(pixels[[start, end]]).all():
-                    (x1, y1), (x2, y2) = pixels[[start, end]].tolist()
-                    shapes.append(element("line", x1=x1, y1=y1, x2=x2, y2=y2, stroke=color))
-            for x, y in pixels[np.isfinite(pixels).all(axis=1)].tolist():
-                shapes.append(element("circle", cx=x, cy=y, r=2.5, fill=color))
-    return _plot(shapes, 240, 500)
-
-
-def _axes(span: tuple[float, float], highest: float, x_label: str, y_label: str) -> list[Markup]:
-    bottom, right = HEIGHT - _BOTTOM, WIDTH - _RIGHT
-    shapes = []
-    for value in _ticks(0.0, highest):
-        y = bottom - value / highest * (bottom - _TOP)
-        shapes.append(element("line", x1=_LEFT, y1=y, x2=right, y2=y, stroke="#cdd1d7"))
-        shapes.append(element("text", f"{value:g}", x=_LEFT - 5, y=y + 4, text_anchor="end"))
-    for value in _ticks(*span):
-        x = _LEFT + (value - span[0]) / ((span[1] - span[0]) or 1.0) * (right - _LEFT)
-        shapes.append(element("text", f"{value:g}", x=x, y=bottom + 14, text_anchor="middle"))
-    middle = (_LEFT + right) / 2
-    shapes.append(element("text", x_label, x=middle, y=HEIGHT - 4, text_anchor="middle"))
-    upright = f"translate(12 {HEIGHT / 2}) rotate(-90)"
-    return [*shapes, element("text", y_label, transform=upright, text_anchor="middle")]
+            finite = np.isfinite(pixels).all(axis=1)
+            lines = [pixels[[start, end]].tolist() for start, end in edges if finite[start] and finite[end]]
+            shapes.append((color, lines, pixels[finite].tolist()))
+    return part("pose_plot", 500, 240, shapes)
 
 
 def _ticks(low: float, high: float) -> list[float]:
@@ -143,7 +150,13 @@ def _ticks(low: float, high: float) -> list[float]:
     return [float(f"{number * step:.12g}") for number in np.arange(first, last + 1).tolist()]
 
 
+def _labelled(values: Array, places: Array) -> list[tuple[str, float]]:
+    """Text and place of each tick."""
+    return [(f"{value:g}", place) for value, place in zip(values, places.tolist(), strict=True)]
+
+
 def _pixels(x: Array, y: Array, span: tuple[float, float], highest: float) -> Array:
+    """Places (N, 2) of values in a plot."""
     width, height = WIDTH - _LEFT - _RIGHT, HEIGHT - _TOP - _BOTTOM
     share = (x - span[0]) / ((span[1] - span[0]) or 1.0)
     return np.stack([_LEFT + width * share, HEIGHT - _BOTTOM - height * np.minimum(y / highest, 1)], axis=1)
@@ -157,94 +170,11 @@ def _finite_parts(points: Array) -> list[Array]:
     return [part for part, known in parts if len(part) and known[0]]
 
 
-def _plot(shapes: Sequence[str], height: int, width: int = WIDTH) -> Markup:
-    return svg(shapes, width, height, font_family="sans-serif", font_size="11", fill="#3c4048")
+# --- figures of poses
 
 
-#: Pairs of joints of the package's skeleton that are connected by a line in drawn poses.
-_LINES = (
-    "vt3_end vt3 l_shoulder l_elbow l_wrist",
-    "vt3 r_shoulder r_elbow r_wrist",
-    "l_shoulder l_hip l_knee l_ankle",
-    "r_shoulder r_hip r_knee r_ankle",
-    "l_hip r_hip",
-    "l_shoulder r_shoulder",
-)
-
-
-def html_report(evaluation: Evaluation, pictures: Pictures | None = None) -> str:
-    """HTML page with tables, errors over time and by joint, PCK curve, people by frame, and worst poses.
-
-    ``pictures``: images of the cameras, to draw the worst poses over. If None, the page has no images.
-
-    Raises:
-        HumansimError: An image cannot be rendered or read.
-    """
-    e = evaluation
-    views = "From the front, and from above"
-    if pictures is not None:
-        views = "In the camera that shows most of the person, from the front, and from above"
-    figures = [
-        section("Metrics", table((), summary(e))),
-        section("Error over time", _error_over_time(e)),
-        section("Error by joint (MPJPE)", bar_plot({n: _mm(j.mpjpe) for n, j in e.by_joint.items()}, "mm")),
-        section("Share of correct joints (PCK) by threshold", _pck_curve(e)),
-        section("People by frame", _people_over_time(e)),
-        section("People", _people_table(e)),
-        section(
-            "Error by number of cameras with the joint in their image",
-            table(("cameras", "joints", "MPJPE"), camera_count_rows(e)) if e.by_cameras else "",
-        ),
-    ]
-    return _page(
-        e,
-        element("div", *figures, class_="row"),
-        element("h2", "Worst poses"),
-        element("p", f"{views}, in the colours of truth and estimate."),
-        element("div", *_worst(e, pictures), class_="row"),
-    )
-
-
-def table_html_report(
-    evaluation: BoxEvaluation | NavigationEvaluation,
-    metrics: Iterable[Sequence[str]],
-    header: Sequence[str],
-    people: Iterable[Sequence[str]],
-) -> str:
-    """HTML page with two tables: metrics and people.
-
-    Args:
-        evaluation: The result; the page shows where truth and estimate come from.
-        metrics: Rows of the table of metrics.
-        header: Names of the columns of the table of people.
-        people: Rows of the table of people.
-    """
-    figures = section("Metrics", table((), metrics)), section("People", table(header, people))
-    return _page(evaluation, element("div", *figures, class_="row"))
-
-
-def _page(evaluation: AnyEvaluation, *content: str) -> str:
-    return page(
-        "Evaluation",
-        "evaluation",
-        element("h1", "Evaluation"),
-        element("p", f"Truth: {evaluation.truth}", class_="truth"),
-        element("p", f"Estimate: {evaluation.estimate}", class_="estimate"),
-        *content,
-    )
-
-
-def _mm(metres: float | None) -> float | None:
-    return None if metres is None else metres * 1000
-
-
-def _seconds(e: Evaluation) -> Array:
-    """Times (N,) of the compared frames since the first one."""
-    return np.asarray((e.frame_times - e.frame_times[0]) * 1e-9, float)
-
-
-def _error_over_time(e: Evaluation) -> Markup:
-    times = _seconds(e)
+def _plots(e: Evaluation) -> Iterator[tuple[str, Markup]]:
+    times = np.asarray((e.frame_times - e.frame_times[0]) * 1e-9, float)
     with np.errstate(invalid="ignore"):
         count = np.isfinite(e.errors).sum(axis=1)
         mean = 1000 * np.nansum(e.errors, axis=1) / np.where(count, count, np.nan)
@@ -254,35 +184,20 @@ def _error_over_time(e: Evaluation) -> Markup:
         rows = [index for index, name in enumerate(e.matches.person) if name == person]
         error[e.matches.frame[rows]] = mean[rows]
         lines[person] = times, error
-    return line_plot(lines, "time (s)", "mean error (mm)")
-
-
-def _pck_curve(e: Evaluation) -> Markup:
+    yield "Error over time", line_plot(lines, "time (s)", "mean error (mm)")
+    errors = {name: None if j.mpjpe is None else 1000 * j.mpjpe for name, j in e.by_joint.items()}
+    yield "Error by joint (MPJPE)", bar_plot(errors, "mm")
     shares = [100 * (pck(e.counted_errors, float(t), e.missed_joints) or 0.0) for t in AUC_THRESHOLDS]
-    return line_plot({"PCK": (1000 * AUC_THRESHOLDS, np.array(shares))}, "threshold (mm)", "share (%)", 100)
+    curve = {"PCK": (1000 * AUC_THRESHOLDS, np.array(shares))}
+    yield "Share of correct joints (PCK) by threshold", line_plot(curve, "threshold (mm)", "share (%)", 100)
+    counts = e.found_by_frame.astype(float).T
+    people = dict(zip(("found", "missed", "false"), ((times, each) for each in counts), strict=True))
+    yield "People by frame", line_plot(people, "time (s)", "people")
+    parts = {name: None if share is None else 100 * share for name, share in e.pcp.by_person.items()}
+    yield "Share of correct limbs (PCP) by person", bar_plot(parts, "%")
 
 
-def _people_over_time(e: Evaluation) -> Markup:
-    counts = e.found_by_frame.astype(float)
-    lines = {name: (_seconds(e), counts[:, i]) for i, name in enumerate(("found", "missed", "false"))}
-    return line_plot(lines, "time (s)", "people")
-
-
-def _people_table(e: Evaluation) -> Markup:
-    rows = (
-        (
-            name,
-            f"{p.found} of {p.present}",
-            millimetres(p.mpjpe),
-            millimetres(p.pa_mpjpe),
-            percent(e.pcp.by_person.get(name)),
-        )
-        for name, p in e.by_person.items()
-    )
-    return table(("person", "found", "MPJPE", "PA-MPJPE", "PCP"), rows)
-
-
-def _worst(e: Evaluation, pictures: Pictures | None) -> list[Markup]:
+def _worst_poses(e: Evaluation, pictures: Pictures | None) -> _Sections:
     places = {body_joint(name): index for index, name in reversed(list(enumerate(e.joints)))}
     chains = [[places[name] for name in line.split() if name in places] for line in _LINES]
     edges = [pair for chain in chains for pair in pairwise(chain)]
@@ -293,7 +208,7 @@ def _worst(e: Evaluation, pictures: Pictures | None) -> list[Markup]:
         title = f"{pose.person} at {pose.stamp * 1e-9:.3f} s: {millimetres(pose.error)}"
         truth, estimate = e.matches.truth[row], e.matches.estimate[row]
         over = Markup() if pictures is None else _over_image(pictures, pose, truth, estimate, edges)
-        sections.append(section(title, joined([over, pose_plot(truth, estimate, edges)])))
+        sections.append((title, over + pose_plot(truth, estimate, edges)))
     return sections
 
 
@@ -316,60 +231,35 @@ def _over_image(
         Shape(color, points, edges)
         for color, points in zip((TRUTH_COLOR, ESTIMATE_COLOR), pixels[found], strict=True)
     ]
-    drawn = picture(draw_over(image, shapes), f"{pose.person} in {found}")
-    return joined([element("p", found), drawn, element("br")])
+    return Markup("<p>{}</p>{}<br>").format(
+        found, picture(draw_over(image, shapes), f"{pose.person} in {found}")
+    )
 
 
-def image_html_report(evaluation: ImageEvaluation, pictures: Pictures | None = None) -> str:
-    """HTML page with tables and, for each kind of detection, the worst detections drawn over the images.
-
-    ``pictures``: images to draw over. If None, no images are shown.
-
-    Raises:
-        HumansimError: An image cannot be rendered or read.
-    """
-    parts = [section("Metrics", table((), image_summary(evaluation)))]
-    for kind, scores in evaluation.kinds.items():
-        title, word = TITLES[kind]
-        parts += [
-            section(f"{title.capitalize()}: cameras", table(camera_header(kind), camera_rows(scores))),
-            section(
-                f"{title.capitalize()}: people and objects",
-                table(("name", "found", f"mean {word}"), name_rows(scores)),
-            ),
-        ]
-        if scores.by_part:
-            parts.append(section("Face and hands", table(PART_HEADER, part_rows(scores))))
-        if scores.by_keypoint:
-            bars = {name: each.error for name, each in scores.by_keypoint.items()}
-            parts.append(section("Error by keypoint", bar_plot(bars, "px")))
-            rows = table(("keypoint", "error", "bias x, y (px)"), keypoint_rows(scores))
-            parts.append(section("Keypoints", rows))
-    content = [element("div", *parts, class_="row")]
-    for kind, scores in evaluation.kinds.items() if pictures is not None else ():
-        title, word = TITLES[kind]
-        content.append(element("h2", f"Worst {title}"))
-        content.append(element("p", "In the colours of truth and estimate."))
-        pairs = []
-        for worst in scores.worst:
-            error = f", {pixels(worst.error)}" if worst.error is not None else ""
-            heading = (
-                f"{worst.name} in {worst.camera}, frame {worst.frame}: {word} {percent(worst.similarity)}"
-            )
-            pairs.append(section(heading + error, _picture(evaluation, kind, worst, pictures)))
-        content.append(element("div", *pairs, class_="row"))
-    return _page(evaluation, *content)
+# --- figures of detections in images
 
 
-def _picture(evaluation: ImageEvaluation, kind: str, worst: WorstImage, pictures: Pictures | None) -> Markup:
-    image = pictures.image(worst.stamp, worst.camera) if pictures is not None else None
-    if image is None:
-        return Markup()
-    truth, estimate = evaluation.matches[kind, worst.image, worst.name]
-    shapes = [_shape(evaluation, kind, truth, TRUTH_COLOR)]
-    if estimate is not None:
-        shapes.append(_shape(evaluation, kind, estimate, ESTIMATE_COLOR))
-    return picture(draw_over(image, shapes), f"{worst.name} in {worst.camera}")
+def _worst_images(
+    evaluation: ImageEvaluation, kind: str, scores: KindScores, pictures: Pictures
+) -> _Sections:
+    sections = []
+    for worst in scores.worst:
+        similarity = f"{TITLES[kind][1]} {percent(worst.similarity)}"
+        heading = f"{worst.name} in {worst.camera}, frame {worst.frame}: {similarity}"
+        error = "" if worst.error is None else f", {quantity(worst.error, 'px')}"
+        image, content = pictures.image(worst.stamp, worst.camera), Markup()
+        if image is not None:
+            shapes = _shapes(evaluation, kind, worst)
+            content = picture(draw_over(image, shapes), f"{worst.name} in {worst.camera}")
+        sections.append((heading + error, content))
+    return sections
+
+
+def _shapes(evaluation: ImageEvaluation, kind: str, worst: WorstImage) -> list[Shape]:
+    """Shapes of the annotation and, if it is not missed, of the detection."""
+    rows = evaluation.matches[kind, worst.image, worst.name]
+    colors = (TRUTH_COLOR, ESTIMATE_COLOR)
+    return [_shape(evaluation, kind, row, color) for row, color in zip(rows, colors, strict=True) if row]
 
 
 def _shape(

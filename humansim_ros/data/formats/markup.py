@@ -1,13 +1,19 @@
-"""Elements of HTML and SVG for reports that consist of one file. All texts are escaped."""
+"""HTML and SVG for reports that consist of one file: templates of ``config/pages``, and elements.
+
+All texts are escaped, unless they are :class:`~markupsafe.Markup` already.
+"""
 
 from __future__ import annotations
 
 import base64
 from collections.abc import Iterable, Sequence
-from html import escape
+from functools import cache
+from typing import Any
 
 import cv2
 import numpy as np
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup, escape
 from numpy.typing import NDArray
 
 from humansim_ros.files.reading import resource_path
@@ -18,13 +24,42 @@ _EMPTY = frozenset(("br", "circle", "img", "line", "polyline", "rect"))
 _JPEG_QUALITY = 82
 
 
-class Markup(str):
-    """Text that is HTML or SVG already. It is not escaped again."""
+@cache
+def _templates() -> Environment:
+    templates = Environment(
+        loader=FileSystemLoader(resource_path("config")),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=StrictUndefined,
+    )
+    templates.filters["px"] = _value
+    return templates
+
+
+def page(title: str, style: str, *content: str, template: str = "page", **values: Any) -> str:
+    """Text of an HTML page.
+
+    Args:
+        title: Title of the page.
+        style: Name of a style sheet in ``config/styles``.
+        content: Elements and texts, for the template ``page``.
+        template: Name of a template in ``config/pages``.
+        values: What the template needs.
+    """
+    found = _templates().get_template(f"pages/{template}.html")
+    return found.render(title=title, style=style, content=joined(content), **values)
+
+
+def part(name: str, *values: Any) -> Markup:
+    """Call a macro of ``config/pages/parts.html``."""
+    macro = getattr(_templates().get_template("pages/parts.html").module, name)
+    return Markup(macro(*values).strip())
 
 
 def joined(parts: Iterable[str]) -> Markup:
     """Join elements and texts. Plain texts are escaped."""
-    return Markup("".join(part if isinstance(part, Markup) else escape(part) for part in parts))
+    return Markup().join(parts)
 
 
 def element(tag: str, *content: str, **attributes: str | float | None) -> Markup:
@@ -52,35 +87,21 @@ def _value(value: str | float) -> str:
     return f"{round(value, 2) + 0.0:.10g}" if isinstance(value, float) else str(value)
 
 
-def page(title: str, style: str, *content: str) -> str:
-    """Text of an HTML page. ``style``: name of a style sheet in ``config/styles``."""
-    sheet = resource_path(f"config/styles/{style}.css").read_text("utf-8")
-    head = element("head", Markup('<meta charset="utf-8">'), element("title", title))
-    head = Markup(head.replace("</head>", f"<style>\n{sheet}</style></head>"))
-    body = element("body", *content)
-    return f'<!DOCTYPE html>\n<html lang="en">{head}\n{body}</html>\n'
-
-
 def section(title: str, content: str) -> Markup:
     """A section of a page: a heading and content."""
-    return element("section", element("h2", title), content or element("p", "No data."))
+    return part("section", title, content)
 
 
-def table(header: Sequence[str], rows: Iterable[Sequence[str]], classes: Iterable[str | None] = ()) -> Markup:
+def table(header: Sequence[str], rows: Iterable[Sequence[str]], classes: Sequence[str | None] = ()) -> Markup:
     """Table of texts. ``classes``: class of each row. If empty, rows have no class."""
-    lines = [element("tr", *(element("th", word) for word in header))] if header else []
-    kinds = iter(classes)
-    for row in rows:
-        lines.append(element("tr", *(element("td", cell) for cell in row), class_=next(kinds, None)))
-    return element("table", *lines)
+    return part("table", header, rows, classes)
 
 
 def picture(image: NDArray[np.uint8], title: str) -> Markup:
     """Element with an image (H, W, 3) RGB, embedded as JPEG."""
     _, encoded = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
-    data = base64.b64encode(encoded.tobytes()).decode("ascii")
     height, width = image.shape[:2]
-    return element("img", alt=title, width=width, height=height, src=f"data:image/jpeg;base64,{data}")
+    return part("picture", title, width, height, base64.b64encode(encoded.tobytes()).decode("ascii"))
 
 
 def svg(shapes: Iterable[str], width: float, height: float, **attributes: str | float | None) -> Markup:

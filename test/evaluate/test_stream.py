@@ -105,7 +105,7 @@ def test_the_truth_of_a_scene_is_computed_for_all_frames_although_a_window_comes
 
     live = LiveEvaluation("live", LiveOptions(), Walkers())  # type: ignore[arg-type]
     for index in range(20):
-        live.add_estimate(frame(index, "anna", "bert"), "/poses", index)
+        live.estimate.add(frame(index, "anna", "bert"), "/poses", index)
     assert live.window(5 * PERIOD * 1e-9).frames.compared < 10
     assert live.total().frames.compared == 20
 
@@ -113,8 +113,8 @@ def test_the_truth_of_a_scene_is_computed_for_all_frames_although_a_window_comes
 def test_a_tracker_that_finds_nobody_is_evaluated() -> None:
     live = LiveEvaluation("live", LiveOptions())
     for index in range(10):
-        live.add_truth(frame(index, "anna", "bert"), "/truth", index, None)
-        live.add_estimate(frame(index), "/poses", index)
+        live.truth.add(frame(index, "anna", "bert"), "/truth", index, None)
+        live.estimate.add(frame(index), "/poses", index)
     with pytest.warns(HumansimWarning, match="nobody is in the estimate: everybody is missed"):
         total = live.total()
     assert total.people.missed == 20 and total.people.recall == 0

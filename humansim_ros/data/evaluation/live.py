@@ -88,30 +88,23 @@ class LiveEvaluation:
     Args:
         source: Name of the estimate, for errors.
         options: How the estimate is read and compared.
-        scene: Scene for which the truth is computed at the stamps of the estimate. If None, :meth:`add_truth`
-            adds the truth.
+        scene: Scene for which the truth is computed at the stamps of the estimate. If None, messages of the
+            truth are added to :attr:`truth`.
+
+    Attributes:
+        truth: Messages of the truth.
+        estimate: Messages of the estimate. It refuses a stamp or frame that does not fit the truth.
     """
 
     def __init__(self, source: str, options: LiveOptions, scene: SceneTruth | None = None) -> None:
         self._options, self._scene = options, scene
-        self.truth = EstimateStream("the truth", MAX_POINTS, MAX_FRAMES)
-        self.estimate = EstimateStream(source, MAX_POINTS, MAX_FRAMES)
+        self.truth = EstimateStream("the truth", MAX_POINTS, MAX_FRAMES, self._note_time)
+        self.estimate = EstimateStream(source, MAX_POINTS, MAX_FRAMES, self._check)
         #: First and newest stamp of the truth.
         self._known: tuple[int, int] | None = None
 
-    def add_truth(self, frame: PoseFrame, topic: str, arrival: int, person: str | None) -> None:
-        """Add a message of the truth.
-
-        Args:
-            frame: People of the message.
-            topic: Topic of the message.
-            arrival: Nanoseconds of any clock that does not go back.
-            person: Name that the topic gives to the person.
-
-        Raises:
-            EvaluationError: For the same reasons as in ``EstimateStream.add``.
-        """
-        if frame.stamp is not None and self.truth.add(frame, topic, arrival, person):
+    def _note_time(self, frame: PoseFrame) -> None:
+        if frame.stamp is not None and self._scene is None:
             self.add_time(frame.stamp)
 
     def add_time(self, stamp: int) -> None:
@@ -119,31 +112,9 @@ class LiveEvaluation:
         first, newest = self._known or (stamp, stamp)
         self._known = min(first, stamp), max(newest, stamp)
 
-    def add_estimate(
-        self,
-        frame: PoseFrame,
-        topic: str,
-        arrival: int,
-        person: str | None = None,
-        latency: float | None = None,
-    ) -> None:
-        """Add a message of the estimate.
-
-        Args:
-            frame, topic, arrival, person: The same as in :meth:`add_truth`.
-            latency: Seconds since the frame of the message. None if unknown.
-
-        Raises:
-            EvaluationError: The stamp or the frame does not fit the truth. The message is ignored.
-        """
-        self._check(frame)
-        self.estimate.add(frame, topic, arrival, person, latency)
-
     def _check(self, frame: PoseFrame) -> None:
-        if frame.stamp is None:
-            return
         check_world(frame)
-        if frame.stamp == 0:
+        if not frame.stamp:
             raise EvaluationError("the message has no stamp: give it the stamp of the images")
         if self._known is None:
             return

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -42,10 +42,18 @@ class EstimateStream:
         max_points: Most joint positions that are stored. The oldest frames are forgotten first. If None, no
             limit.
         max_frames: Most frames that are stored. If None, no limit.
+        check: Called with each message that has a stamp. It raises EvaluationError for a message that must
+            not be added.
     """
 
-    def __init__(self, source: str, max_points: int | None = None, max_frames: int | None = None) -> None:
-        self.source = source
+    def __init__(
+        self,
+        source: str,
+        max_points: int | None = None,
+        max_frames: int | None = None,
+        check: Callable[[PoseFrame], None] = lambda frame: None,
+    ) -> None:
+        self.source, self._check = source, check
         self._frames: Frames[_Part] = Frames(
             max_frames=max_frames, max_size=max_points, size_of=lambda part: part.points
         )
@@ -99,6 +107,7 @@ class EstimateStream:
         """
         if frame.stamp is None:
             return False
+        self._check(frame)
         self._check_names(frame.people)
         self._messages += 1
         self._out_of_order += frame.stamp < self._newest.get(topic, 0)

@@ -114,12 +114,12 @@ class EvaluatorNode(SuiteNode):
         self._results.clear()
 
     def _on_truth(self, frame: PoseFrame, topic: str, person: str | None) -> None:
-        self.evaluation.add_truth(frame, topic, time.monotonic_ns(), person)
+        self.evaluation.truth.add(frame, topic, time.monotonic_ns(), person)
         self.count("truths")
 
     def _on_estimate(self, frame: PoseFrame, topic: str, person: str | None) -> None:
         latency = None if frame.stamp is None else self._latency(frame.stamp)
-        self.evaluation.add_estimate(frame, topic, time.monotonic_ns(), person, latency)
+        self.evaluation.estimate.add(frame, topic, time.monotonic_ns(), person, latency)
         self._heard = time.monotonic()
         self.count("frames")
         if latency is not None:

@@ -14,16 +14,16 @@ import numpy as np
 from humansim_ros.cameras.camera import Camera
 from humansim_ros.data.bags import is_bag
 from humansim_ros.data.evaluation.boxes import BoxTracks, scene_boxes
-from humansim_ros.data.evaluation.images import ImageTruth, image_table
+from humansim_ros.data.evaluation.images import ImageTruth
 from humansim_ros.data.evaluation.pictures import ScenePictures
 from humansim_ros.data.evaluation.pose_sequence import PoseSequence
 from humansim_ros.data.evaluation.readers.box_files import read_box_file
 from humansim_ros.data.evaluation.readers.estimates import read_estimates
 from humansim_ros.data.evaluation.readers.pose_files import ReadOptions
 from humansim_ros.data.formats.aicity import TRUTH_FILE
-from humansim_ros.data.formats.coco import CHANNELS, CocoWriter, coco_document, scene_categories
+from humansim_ros.data.formats.coco import CHANNELS, coco_document, coco_images, scene_categories
 from humansim_ros.data.formats.plan import INDEX, read_index
-from humansim_ros.data.formats.writer import ExportFolder, ExportFrame, ExportScene, ExportSettings
+from humansim_ros.data.formats.writer import ExportFrame, ExportScene, ExportSettings
 from humansim_ros.errors import EvaluationError, located
 from humansim_ros.files.reading import MAX_IMAGE_BYTES, decode_image, read_bytes, read_json
 from humansim_ros.people.keypoints import KeypointSet, keypoint_set
@@ -108,24 +108,12 @@ class ExportTruth:
     def images(self, numbers: Collection[int], keypoints: KeypointSet | None = None) -> ImageTruth:
         """Truth of all images of the COCO file. The parameters are ignored, since only scenes need them."""
         document = self._document
-        return ImageTruth(
-            document["images"],
-            document["annotations"],
-            document["categories"],
-            self.keypoints,
-            str(self.folder),
-        )
+        return ImageTruth.of(document, self.keypoints, str(self.folder))
 
     def boxes(self) -> BoxTracks:
         """Upright boxes of people in all frames. Raises EvaluationError if the export has no boxes."""
         name = f"aicity/{TRUTH_FILE}"
-        if name not in self._files:
-            raise EvaluationError(
-                "the export has no boxes in map: export it with --format aicity, or give its scene",
-                path=self.folder,
-                key="--truth",
-            )
-        self._check(name)
+        self._check(name, "boxes in map")
         found = read_box_file(self.folder / name)
         frames = {index: found.at(index) for index in self._frames}
         names = dict(enumerate(self._index.get("humans", ()), 1))
@@ -138,26 +126,24 @@ class ExportTruth:
 
     @cached_property
     def _document(self) -> dict[str, Any]:
-        if _COCO not in self._files:
-            raise EvaluationError(
-                "the export has no truth in images: export it with --format coco, or give its scene",
-                path=self.folder,
-                key="--truth",
-            )
-        self._check(_COCO)
+        self._check(_COCO, "truth in images")
         document: dict[str, Any] = read_json(self.folder / _COCO, EvaluationError, "COCO", _MAX_BYTES)
         return document
 
     @cached_property
     def _numbers(self) -> dict[tuple[str, int], int]:
-        return image_table(self._document["images"])
+        return {(row["camera"], row["frame"]): row["id"] for row in self._document["images"]}
 
     @cached_property
     def _sizes(self) -> dict[int, tuple[int, int]]:
         return {row["id"]: (row["width"], row["height"]) for row in self._document["images"]}
 
-    def _check(self, name: str) -> None:
-        """Raise EvaluationError unless a file is the same as when the index was written."""
+    def _check(self, name: str, content: str = "") -> None:
+        """Raise EvaluationError unless a file is the same as when the index was written. ``content``: what
+        the export lacks without this file."""
+        if name not in self._files:
+            text = f"the export has no {content}: export it with --format {name.partition('/')[0]}"
+            raise EvaluationError(f"{text}, or give its scene", path=self.folder, key="--truth")
         data = read_bytes(self.folder / name, EvaluationError, "exported", _MAX_BYTES)
         if hashlib.sha256(data).hexdigest() != self._files[name].get("sha256"):
             raise EvaluationError(
@@ -285,15 +271,12 @@ class SceneImages:
             )
         described = ExportScene.of(self.scene)
         settings = ExportSettings(described, frames, judged.name)
-        writer, folder = CocoWriter(settings), ExportFolder(Path())
         with Simulation(self.scene, CHANNELS) as simulation:
             records = [
-                (index, writer.frame(ExportFrame(simulation.frame(index), settings), folder))
-                for index in frames
+                (index, coco_images(ExportFrame(simulation.frame(index), settings))) for index in frames
             ]
         document = coco_document(records, *scene_categories(described, judged), first=self._first(frames[0]))
-        source = str(self.scene.path or "the scene")
-        return ImageTruth(document["images"], document["annotations"], document["categories"], judged, source)
+        return ImageTruth.of(document, judged, str(self.scene.path or "the scene"))
 
     def pictures(self) -> ScenePictures:
         """Colour images of the scene, for reports."""
@@ -308,15 +291,8 @@ def open_image_truth(path: Path, keypoints: str | None) -> ExportTruth | SceneIm
     Raises:
         HumansimError: The scene or export is wrong, or the path is a bag.
     """
-    if is_export(path):
-        return ExportTruth(path)
-    if is_bag(path) or path.is_dir():
-        raise EvaluationError(
-            "the truth of detections in images is a scene, or a folder of humansim export",
-            path=path,
-            key="--truth",
-        )
-    return SceneImages(Scene.load(path), keypoint_set(keypoints or "coco17"))
+    found = _scene_or_export(path, "detections in images is a scene, or a folder of humansim export")
+    return SceneImages(found, keypoint_set(keypoints or "coco17")) if isinstance(found, Scene) else found
 
 
 def open_box_truth(path: Path, estimate: BoxTracks) -> BoxTracks:
@@ -326,13 +302,16 @@ def open_box_truth(path: Path, estimate: BoxTracks) -> BoxTracks:
     Raises:
         HumansimError: The scene or export is wrong or has no boxes, or the path is a bag.
     """
-    if is_export(path):
-        return ExportTruth(path).boxes()
-    if is_bag(path) or path.is_dir():
-        raise EvaluationError(
-            "the truth of boxes is a scene, or a folder of humansim export with the format aicity",
-            path=path,
-            key="--truth",
-        )
+    text = "boxes is a scene, or a folder of humansim export with the format aicity"
+    found = _scene_or_export(path, text)
     first, last = min(estimate.frames, default=0), max(estimate.frames, default=0)
-    return scene_boxes(Scene.load(path), range(first, last + 1))
+    return scene_boxes(found, range(first, last + 1)) if isinstance(found, Scene) else found.boxes()
+
+
+def _scene_or_export(path: Path, known: str) -> Scene | ExportTruth:
+    """Open a truth that is no bag. ``known``: end of the sentence "the truth of …", for the error."""
+    if is_export(path):
+        return ExportTruth(path)
+    if is_bag(path) or path.is_dir():
+        raise EvaluationError(f"the truth of {known}", path=path, key="--truth")
+    return Scene.load(path)

@@ -67,6 +67,11 @@ class ImageTruth:
     keypoints: KeypointSet
     source: str = ""
 
+    @classmethod
+    def of(cls, document: Mapping[str, Any], keypoints: KeypointSet, source: str) -> ImageTruth:
+        """Truth with the content of a COCO file."""
+        return cls(*(document[key] for key in ("images", "annotations", "categories")), keypoints, source)
+
 
 @dataclass(frozen=True, repr=False)
 class Detections2D:
@@ -543,8 +548,3 @@ def _pycocotools() -> tuple[Any, Any]:
             "detections in images need pycocotools; install it with: pip install 'humansim_ros[evaluate]'"
         ) from None
     return COCO, COCOeval
-
-
-def image_table(images: Sequence[Mapping[str, Any]]) -> dict[tuple[str, int], int]:
-    """Number of each image by camera and frame."""
-    return {(str(row["camera"]), int(row["frame"])): int(row["id"]) for row in images}

@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.cameras.camera import Camera
 from humansim_ros.data.formats.writer import ExportFolder, ExportFrame, ExportScene, FormatWriter, Record
 from humansim_ros.people.keypoints import KeypointSet, keypoint_set
 from humansim_ros.scene.truth import OUTSIDE, REQUIRED_CHANNELS, BodyBox, KeypointView
@@ -42,31 +41,7 @@ class CocoWriter(FormatWriter):
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
         """Return images and annotations of a frame, still without ids."""
-        scene = self.settings.scene
-        images = []
-        for camera, truth in frame.frame.truth.items():
-            keypoints = frame.frame.keypoints[self.settings.keypoints][camera]
-            annotations = []
-            for name, label in scene.labels.items():
-                box = truth.boxes[name]
-                if not box.pixels:
-                    continue
-                annotation = _region(truth.view.instance == label, box) | {"name": name}
-                if name in keypoints:
-                    flat = person_keypoints(keypoints[name])
-                    annotation |= divided_keypoints(flat, self.settings.keypoints)
-                annotations.append(annotation)
-            images.append(
-                {
-                    "file_name": frame.image(camera).removeprefix("images/"),
-                    "camera": camera,
-                    "frame": frame.index,
-                    "stamp": frame.frame.stamp,
-                    **calibration_entry(frame.frame.cameras[camera]),
-                    "annotations": annotations,
-                }
-            )
-        return images
+        return coco_images(frame)
 
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
         """Number the annotations, and write both files."""
@@ -82,6 +57,43 @@ class CocoWriter(FormatWriter):
                 for image in content["images"]:
                     image["license"] = 1
             folder.write(file, json.dumps(content) + "\n")
+
+
+def coco_images(frame: ExportFrame) -> list[dict[str, Any]]:
+    """Images of a frame with their annotations, still without ids: boxes, keypoints, and masks as RLE. They
+    have no pixels, so that a process can send them to another one."""
+    images, keypoints_of = [], frame.frame.keypoints[frame.settings.keypoints]
+    for camera, truth in frame.frame.truth.items():
+        keypoints, annotations = keypoints_of[camera], []
+        for name, label in frame.settings.scene.labels.items():
+            box = truth.boxes[name]
+            if not box.pixels:
+                continue
+            annotation = _region(truth.view.instance == label, box) | {"name": name}
+            if name in keypoints:
+                flat = person_keypoints(keypoints[name])
+                annotation |= divided_keypoints(flat, frame.settings.keypoints)
+            annotations.append(annotation)
+        image = {"file_name": frame.image(camera).removeprefix("images/"), **image_entry(frame, camera)}
+        images.append({**image, "annotations": annotations})
+    return images
+
+
+def image_entry(frame: ExportFrame, camera: str) -> dict[str, Any]:
+    """Camera, frame, stamp, size and calibration of an image: x = K distorted(R X + t)."""
+    own = frame.frame.cameras[camera]
+    return {
+        "camera": camera,
+        "frame": frame.index,
+        "stamp": frame.frame.stamp,
+        "width": own.size[0],
+        "height": own.size[1],
+        "K": own.K.tolist(),
+        "R": own.R.tolist(),
+        "t": own.t.tolist(),
+        "distortion_model": own.model,
+        "distortion": list(own.distortion),
+    }
 
 
 def scene_categories(
@@ -204,17 +216,4 @@ def _region(mask: NDArray[np.bool_], box: BodyBox) -> dict[str, Any]:
         "iscrowd": 0,
         "visible_fraction": round(box.visible_fraction, 6),
         "truncation": round(box.truncation, 6),
-    }
-
-
-def calibration_entry(camera: Camera) -> dict[str, Any]:
-    """Size and calibration of the camera of an image: x = K distorted(R X + t)."""
-    return {
-        "width": camera.size[0],
-        "height": camera.size[1],
-        "K": camera.K.tolist(),
-        "R": camera.R.tolist(),
-        "t": camera.t.tolist(),
-        "distortion_model": camera.model,
-        "distortion": list(camera.distortion),
     }

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable
 
-from humansim_ros.data.formats.coco import calibration_entry, person_keypoints
+from humansim_ros.data.formats.coco import image_entry, person_keypoints
 from humansim_ros.data.formats.webdataset import box_entry
 from humansim_ros.data.formats.writer import ExportFolder, ExportFrame, FormatWriter, Record
 
@@ -28,15 +28,11 @@ class MetadataWriter(FormatWriter):
             people = [name for name in self.settings.scene.people if truth.boxes[name].pixels]
             boxes = [box_entry(truth.boxes[name]) for name in people]
             configs = self.settings.scene.configs
-            calibration = calibration_entry(frame.frame.cameras[camera])
             lines.append(
                 {
                     "file_name": frame.image(camera),
                     "scene": self.settings.scene.title,
-                    "camera": camera,
-                    "frame": frame.index,
-                    "stamp": frame.frame.stamp,
-                    **calibration,
+                    **image_entry(frame, camera),
                     "objects": {
                         "name": people,
                         "body": [str(configs[name].body) if name in configs else "" for name in people],

@@ -21,7 +21,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from humansim_ros.data.formats.coco import calibration_entry, person_keypoints
+from humansim_ros.data.formats.coco import image_entry, person_keypoints
 from humansim_ros.data.formats.images import encoded_image
 from humansim_ros.data.formats.writer import ExportFolder, ExportFrame, FormatWriter, Record
 from humansim_ros.errors import ExportError
@@ -55,8 +55,7 @@ class WebDatasetWriter(FormatWriter):
         view, truth = shown.views[camera], shown.truth[camera]
         suffix = settings.image_suffix
         yield suffix, encoded_image(view.rgb, settings.scene.cameras[camera].encoding, suffix)
-        entry = {"camera": camera, "frame": frame.index, "stamp": shown.stamp}
-        yield ".camera.json", _json(entry | calibration_entry(shown.cameras[camera]))
+        yield ".camera.json", _json(image_entry(frame, camera))
         keypoints = shown.keypoints[settings.keypoints][camera]
         names = keypoint_set(settings.keypoints).names
         bodies = {

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.cameras.camera import Camera
+from humansim_ros.render.pictures import draw_disc, draw_line
 from humansim_ros.scene.config import FIRST_STAMP
 from humansim_ros.scene.core import Frame, Scene, Simulation
 from humansim_ros.types import Array, Image
@@ -23,8 +24,6 @@ SIDE = 480
 #: pixels.
 _MARGIN, _LEAST = 0.35, 48
 _WHITE = (255, 255, 255)
-#: Fractional bits of coordinates for drawing.
-_SHIFT = 4
 
 
 class Pictures(Protocol):
@@ -150,19 +149,17 @@ def _section(points: Array, width: int, height: int) -> tuple[int, int, int, int
 def _draw(canvas: NDArray[np.uint8], shape: Shape, corner: Array, scale: float) -> None:
     """Draw points, lines and a box of a shape. Each has a white edge, so that it is visible on any image."""
 
-    def place(points: Array) -> list[list[int]]:
-        placed = ((points - corner + 0.5) * scale - 0.5) * (1 << _SHIFT)
-        return np.rint(np.clip(placed, -(1 << 20), 1 << 20)).astype(int).tolist()
+    def place(points: Array) -> Array:
+        return (points - corner + 0.5) * scale - 0.5
 
-    known: NDArray[np.bool_] = np.asarray(np.isfinite(shape.points).all(axis=1))
-    spots = place(np.where(known[:, None], shape.points, 0.0))
+    points = place(shape.points)
+    known: NDArray[np.bool_] = np.asarray(np.isfinite(points).all(axis=1))
+    lines = [points[list(edge)] for edge in shape.edges if known[list(edge)].all()]
+    if shape.box is not None:
+        (left, top), (right, bottom) = place(np.array([shape.box[:2], shape.box[:2] + shape.box[2:]]) - 0.5)
+        lines.append(np.array([[left, top], [right, top], [right, bottom], [left, bottom], [left, top]]))
     for color, wider in ((_WHITE, 2), (shape.color, 0)):
-        if shape.box is not None:
-            first, last = place(np.array([shape.box[:2], shape.box[:2] + shape.box[2:]]) - 0.5)
-            cv2.rectangle(canvas, first, last, color, 2 + wider, cv2.LINE_AA, _SHIFT)
-        for start, end in shape.edges:
-            if known[start] and known[end]:
-                cv2.line(canvas, spots[start], spots[end], color, 2 + wider, cv2.LINE_AA, _SHIFT)
-        for index in np.flatnonzero(known).tolist():
-            radius = (4 << _SHIFT) + (wider << _SHIFT - 1)
-            cv2.circle(canvas, spots[index], radius, color, -1, cv2.LINE_AA, _SHIFT)
+        for line in lines:
+            draw_line(canvas, line, color, 2 + wider)
+        for point in points[known]:
+            draw_disc(canvas, point, 4 + wider / 2, color)

@@ -334,8 +334,6 @@ class _Comparison:
         self._of_all = _Group()
         self._of_camera: dict[str, _Group] = defaultdict(_Group)
         self._of_name: dict[str, _Group] = defaultdict(_Group)
-        #: Differences (N, K, 2) of keypoints from the truth, pixels; NaN where one is absent.
-        self._differences: list[Array] = []
         #: True keypoints (K, 3) of people who were found: x, y, visibility.
         self._found: list[Array] = []
         self._worst: list[WorstImage] = []
@@ -408,12 +406,20 @@ class _Comparison:
             for name, group in sorted(self._of_name.items())
         }
         self._worst.sort(key=lambda each: (each.similarity, -(each.error or 0.0)))
+        by_keypoint: dict[str, KeypointScore] = {}
+        by_part: dict[str, PartScore] = {}
+        if self.kind == "keypoints":
+            shape = -1, len(self.truth.keypoints), 3
+            differences = np.array(self._of_all.distances, float).reshape(shape)[..., :2]
+            found = np.array(self._found, float).reshape(shape)
+            by_keypoint = _keypoint_scores(self.truth.keypoints, differences)
+            by_part = _part_scores(self.truth.keypoints, np.linalg.norm(differences, axis=-1), found)
         return KindScores(
             all=self._scores(self._of_all, self._precision),
             by_camera=by_camera,
             by_name=by_name,
-            by_keypoint=self._by_keypoint(),
-            by_part=self._by_part(),
+            by_keypoint=by_keypoint,
+            by_part=by_part,
             worst=self._worst[:WORST],
         )
 
@@ -428,32 +434,22 @@ class _Comparison:
             error=_pixel_errors(group.distances) if self.kind == "keypoints" else None,
         )
 
-    def _by_part(self) -> dict[str, PartScore]:
-        if self.kind != "keypoints":
-            return {}
-        count = len(self.truth.keypoints)
-        distances = np.linalg.norm(
-            np.array(self._of_all.distances, float).reshape(-1, count, 3)[..., :2], axis=-1
-        )
-        truth = np.array(self._found, float).reshape(-1, count, 3)
-        return {
-            part: _part_score(part, distances[:, list(numbers)], truth[:, list(numbers)])
-            for part, numbers in self.truth.keypoints.parts.items()
-        }
 
-    def _by_keypoint(self) -> dict[str, KeypointScore]:
-        if self.kind != "keypoints":
-            return {}
-        count = len(self.truth.keypoints)
-        differences = np.array(self._of_all.distances, float).reshape(-1, count, 3)
-        scores = {}
-        for index, name in enumerate(self.truth.keypoints.names):
-            own = differences[np.isfinite(differences[:, index]).all(axis=1), index, :2]
-            x, y = own.mean(axis=0).tolist() if len(own) else (0.0, 0.0)
-            scores[name] = KeypointScore(
-                mean_error(np.linalg.norm(own, axis=1)), (x, y) if len(own) else None
-            )
-        return scores
+def _keypoint_scores(keypoints: KeypointSet, differences: Array) -> dict[str, KeypointScore]:
+    """Scores by keypoint. ``differences``: (N, K, 2) differences from the truth, pixels; NaN if absent."""
+    scores = {}
+    for index, name in enumerate(keypoints.names):
+        own = differences[np.isfinite(differences[:, index]).all(axis=1), index]
+        x, y = own.mean(axis=0).tolist() if len(own) else (0.0, 0.0)
+        scores[name] = KeypointScore(mean_error(np.linalg.norm(own, axis=1)), (x, y) if len(own) else None)
+    return scores
+
+
+def _part_scores(keypoints: KeypointSet, distances: Array, truth: Array) -> dict[str, PartScore]:
+    """Scores of face and hands. ``distances``: (N, K) of found people from the truth, pixels. ``truth``:
+    (N, K, 3) x, y, visibility."""
+    parts = {part: list(numbers) for part, numbers in keypoints.parts.items()}
+    return {part: _part_score(part, distances[:, own], truth[:, own]) for part, own in parts.items()}
 
 
 def _part_score(part: str, distances: Array, truth: Array) -> PartScore:

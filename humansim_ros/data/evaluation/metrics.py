@@ -69,19 +69,17 @@ def auc(errors: Array, missing: int = 0) -> float | None:
 
 
 def correct_parts(
-    truth: Array, estimate: Array, limbs: Sequence[tuple[LimbEnd, LimbEnd]], alpha: float = 0.5
+    truth: Array, estimate: Array, limbs: Sequence[tuple[LimbEnd, LimbEnd]]
 ) -> NDArray[np.int8]:
     """Whether each limb of each pose (M, L) counts as correct for PCP: 1 correct, 0 wrong, -1 not in the
     truth.
 
-    A limb is correct if the mean distance of its ends is at most ``alpha`` times its length
-    [Belagiannis 2014].
+    A limb is correct if the mean distance of its ends is at most half its length [Belagiannis 2014].
 
     Args:
         truth: (M, C, 3) metres.
         estimate: (M, C, 3) metres.
         limbs: Joints at the ends of L limbs.
-        alpha: Allowed error as a share of the length.
     """
 
     def ends_of(poses: Array) -> Array:
@@ -92,7 +90,7 @@ def correct_parts(
     length = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=2)
     error = np.linalg.norm(ends_of(estimate) - ends, axis=3).mean(axis=1)
     with np.errstate(invalid="ignore"):
-        correct = error <= alpha * length
+        correct = error <= 0.5 * length
     return np.where(np.isnan(length), -1, correct).astype(np.int8).T
 
 

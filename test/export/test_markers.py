@@ -78,27 +78,3 @@ def test_a_c3d_file_has_more_than_255_points(tmp_path: Path, count: int, length:
     own = read_c3d_points(tmp_path / "many.c3d", ExportError, 1 << 24)
     assert own.labels == written.names
     np.testing.assert_allclose(own.points, written.positions, atol=1e-6)
-
-
-@pytest.mark.parametrize(("count", "length"), [(480, 127), (70_000, 5)])
-def test_more_names_than_a_c3d_file_can_hold_are_refused(count: int, length: int) -> None:
-    with pytest.raises(ExportError, match=f"cannot hold the names of {count} points"):
-        c3d_bytes(many(count, length))
-
-
-def test_names_that_a_file_cannot_hold_are_refused() -> None:
-    def named(name: str) -> MarkerPaths:
-        return MarkerPaths((name,), np.zeros((1, 1, 3)), 30.0)
-
-    for name in ("two\twords", "", "line\nend"):
-        with pytest.raises(ExportError, match="cannot have a point named"):
-            trc_text(named(name), "x.trc")
-    for name in ("Knöchel", "x" * 128, " "):
-        with pytest.raises(ExportError, match="cannot have a point named"):
-            c3d_bytes(named(name))
-
-
-def test_paths_must_fit_their_names() -> None:
-    for names, shape in ((NAMES, (4, 2, 3)), (NAMES, (0, 3, 3)), ((), (4, 0, 3)), (("a", "a"), (4, 2, 3))):
-        with pytest.raises(ExportError):
-            MarkerPaths(names, np.zeros(shape), 30.0)

@@ -13,7 +13,8 @@ from typing import Any
 import cv2
 import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from markupsafe import Markup, escape
+from markupsafe import Markup as Markup
+from markupsafe import escape
 from numpy.typing import NDArray
 
 from humansim_ros.files.reading import resource_path

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from humansim_ros.cameras.formats import H36M, PANOPTIC, Z_UP_FROM_FILE, CalibrationFormat
 from humansim_ros.data.formats.openpose import calibration_text
 from humansim_ros.data.formats.writer import ExportFolder, ExportFrame, ExportSettings, FormatWriter, Record
-from humansim_ros.errors import ExportError
 from humansim_ros.geometry import WORLD_FROM_BODY
 from humansim_ros.people.keypoints import keypoint_set
 from humansim_ros.types import Array
@@ -22,9 +21,6 @@ from humansim_ros.types import Array
 _MILLIMETRES = 1000.0
 #: Most names in one parameter of a C3D file, since the number of names is stored in a byte.
 _C3D_LABELS = 255
-#: Most bytes of names and descriptions in a C3D file. All parameters share 255 blocks of 512 bytes, and the
-#: package c3d counts each parameter twice.
-_C3D_NAME_BYTES = 60_000
 
 
 @dataclass(frozen=True)
@@ -36,22 +32,12 @@ class MarkerPaths:
         positions: (F, K, 3) in ``map``, metres; NaN where a point is missing.
         rate: Frames per second.
         first_frame: Number of the first frame in its scene, from 0. Its time is ``first_frame / rate``.
-
-    Raises:
-        ExportError: The shapes do not fit, there is no frame or no point, or names repeat.
     """
 
     names: tuple[str, ...]
     positions: Array
     rate: float
     first_frame: int = 0
-
-    def __post_init__(self) -> None:
-        frames, points = self.positions.shape[0], len(self.names)
-        if self.positions.shape != (frames, points, 3) or not frames or not points:
-            raise ExportError(f"{points} points cannot have positions of shape {self.positions.shape}")
-        if len(set(self.names)) < points:
-            raise ExportError(f"two points have the same name: {', '.join(self.names)}")
 
     @property
     def missing(self) -> NDArray[np.bool_]:
@@ -65,12 +51,7 @@ def trc_text(paths: MarkerPaths, name: str) -> str:
     The axes are those of OpenSim and of body space: x_trc = y_map, y_trc = z_map, z_trc = x_map. A missing
     point has three empty fields. Frames count from 1, times are seconds from the start of the scene.
     ``name``: name of the file, which is in its first line.
-
-    Raises:
-        ExportError: A name has a tab or a line end.
     """
-    if bad := [point for point in paths.names if not point.strip() or not point.isprintable()]:
-        raise ExportError(f"a TRC file cannot have a point named {bad[0]!r}", path=name)
     return "".join(f"{line}\n" for line in _trc_lines(name, paths))
 
 
@@ -109,28 +90,13 @@ def c3d_bytes(paths: MarkerPaths) -> bytes:
 
     A missing point has the residual -1. Frames count as in the scene, from 1. Names after the 255th are in
     ``POINT:LABELS2``, ``LABELS3`` and so on. Needs the package c3d.
-
-    Raises:
-        ExportError: A name is too long or not in ASCII, or there are more names than the file can hold.
     """
-    if bad := [name for name in paths.names if not name.strip() or not name.isascii() or len(name) > 127]:
-        raise ExportError(
-            f"a C3D file cannot have a point named {bad[0]!r}: use at most 127 ASCII characters"
-        )
-    # all names of a parameter have the same length
-    parts = [paths.names[first : first + _C3D_LABELS] for first in range(0, len(paths.names), _C3D_LABELS)]
-    widths = [max(map(len, part)) for part in parts]
-    size = sum(len(part) * (width + 1) for part, width in zip(parts, widths, strict=True))
-    if size > _C3D_NAME_BYTES:
-        raise ExportError(
-            f"a C3D file cannot hold the names of {len(paths.names)} points, {size} bytes with padding, "
-            f"at most {_C3D_NAME_BYTES}: use fewer points, or shorter names"
-        )
     import c3d  # of an extra
 
     writer = c3d.Writer(point_rate=paths.rate, point_units="mm")
-    for number, (part, width) in enumerate(zip(parts, widths, strict=True), 1):
-        suffix = "" if number == 1 else str(number)
+    parts = [paths.names[first : first + _C3D_LABELS] for first in range(0, len(paths.names), _C3D_LABELS)]
+    for number, part in enumerate(parts, 1):
+        suffix, width = "" if number == 1 else str(number), max(map(len, part))  # all have the same length
         labels = "".join(name.ljust(width) for name in part)
         writer.point_group.add_str(f"LABELS{suffix}", "Point labels.", labels, width, len(part))
         blank = " " * len(part)

@@ -15,7 +15,7 @@ import numpy as np
 
 from humansim_ros.data.evaluation.alignment import axes_matrix, body_size
 from humansim_ros.data.evaluation.pose_sequence import PoseSequence, SequenceBuilder
-from humansim_ros.errors import EvaluationError
+from humansim_ros.errors import EvaluationError, located
 from humansim_ros.files.reading import npy_array, read_bytes, read_json, read_text
 from humansim_ros.motion.files import MarkerFile, label_parts, number, read_c3d_points, read_trc_points
 from humansim_ros.people.keypoints import COUNTED_SETS, keypoint_set
@@ -30,6 +30,7 @@ _HELP = (
     "the first line must name the columns: time (seconds), stamp (nanoseconds) or frame; person, if there "
     "are several; then joint, x, y, z, or three columns of each joint, such as l_knee_x, l_knee_y, l_knee_z"
 )
+_NO_PERIOD = "frame numbers need a truth with more than one frame"
 #: Names of columns in files of Anipose and FreeMoCap, with the names that this module uses.
 _FOREIGN = {"fnum": "frame", "keypoint": "joint"}
 #: Columns of FreeMoCap: those with times, in files where each row is a frame; and those that tell which rows
@@ -116,7 +117,7 @@ def _read(rows: Any, path: Path, options: ReadOptions) -> PoseSequence:
     if clock is None or not (by_joint or joints):
         raise EvaluationError(_HELP, path=path, line=1)
     if clock in ("frame", "row") and not options.period:
-        raise EvaluationError("frame numbers need a truth with more than one frame", path=path, line=1)
+        raise EvaluationError(_NO_PERIOD, path=path, line=1)
     chosen = {name: text for name, text in _BODY_ROWS.items() if name in columns and "joint" in foreign}
     alone = path.stem if foreign or clock == "row" else "1"
     poses: dict[tuple[int, str], tuple[list[str], list[list[float]], float | None]] = {}
@@ -131,11 +132,9 @@ def _read(rows: Any, path: Path, options: ReadOptions) -> PoseSequence:
         word = row[columns[clock]] if clock in columns else str(len(poses))
         time = _csv_time(word, clock, options, path, line)
         person = row[columns["person"]].strip() if "person" in columns else alone
-        score = (
-            number(row[columns["score"]], EvaluationError, path, line, "score")
-            if "score" in columns
-            else None
-        )
+        score = None
+        if "score" in columns:
+            score = number(row[columns["score"]], EvaluationError, path, line, "score")
         names, positions, _ = poses.setdefault((time, person), ([], [], score))
         given = {row[columns["joint"]].strip(): [columns[a] for a in "xyz"]} if by_joint else joints
         for name, places in given.items():
@@ -225,18 +224,19 @@ def read_json_3d(path: Path, options: ReadOptions) -> PoseSequence:
     builder = SequenceBuilder(str(path))
     for file in files:
         content = read_json(file, EvaluationError, "JSON", MAX_BYTES, nan=True)
-        time = _file_time(file, options)
-        builder.add_frame(time)
         facts = content if isinstance(content, dict) else {}
-        if isinstance(content, list):
-            _add_people(builder, time, content, "keypoints3d", file, options)
-        elif isinstance(facts.get("bodies"), list):
-            _add_panoptic(builder, time, facts["bodies"], file, options)
-        elif isinstance(facts.get("people"), list):
-            _add_people(builder, time, facts["people"], "pose_keypoints_3d", file, options)
-        else:
-            text = "neither Panoptic (key bodies), OpenPose (key people) nor EasyMocap (a list)"
-            raise EvaluationError(text, path=file)
+        with located(EvaluationError, file):
+            time = _file_time(file.stem, options)
+            builder.add_frame(time)
+            if isinstance(content, list):
+                _add_people(builder, time, content, "keypoints3d", options)
+            elif isinstance(facts.get("bodies"), list):
+                _add_panoptic(builder, time, facts["bodies"], options)
+            elif isinstance(facts.get("people"), list):
+                _add_people(builder, time, facts["people"], "pose_keypoints_3d", options)
+            else:
+                text = "neither Panoptic (key bodies), OpenPose (key people) nor EasyMocap (a list)"
+                raise EvaluationError(text)
     return builder.build()
 
 
@@ -251,46 +251,46 @@ def read_npy(path: Path, options: ReadOptions) -> PoseSequence:
     except ValueError as reason:
         raise EvaluationError(f"no poses of FreeMoCap: {reason}", path=path) from None
     body, count = keypoint_set(_BODY).names, values.shape[1]
-    names = body if count in _FREEMOCAP and options.names in (None, body) else _names(count, path, options)
+    with located(EvaluationError, path):
+        names = body if count in _FREEMOCAP and options.names in (None, body) else _names(count, options)
     builder = SequenceBuilder(str(path))
     for frame, points in enumerate(values[:, : len(names)].astype(float)):
         builder.add(options.start + frame * options.period, path.stem, names, points)
     return _metres(builder.build(), options)
 
 
-def _names(count: int, path: Path, options: ReadOptions, key: str | None = None) -> tuple[str, ...]:
+def _names(count: int, options: ReadOptions) -> tuple[str, ...]:
     """Names of ``count`` points: from the options, or from the keypoint set with as many points. Raises
     EvaluationError."""
     names = options.names or (COUNTED_SETS[count].names if count in COUNTED_SETS else ())
     if len(names) != count:
         known = f"the set has {len(names)}" if names else "give --keypoints"
-        raise EvaluationError(f"{count} keypoints without names; {known}", path=path, key=key)
+        raise EvaluationError(f"{count} keypoints without names; {known}")
     return names
 
 
-def _file_time(path: Path, options: ReadOptions) -> int:
-    numbers = re.findall(r"\d+", path.stem.replace("body3DScene", "").replace("_keypoints", ""))
+def _file_time(name: str, options: ReadOptions) -> int:
+    """Stamp of the frame that a file is named after, nanoseconds."""
+    numbers = re.findall(r"\d+", name.replace("body3DScene", "").replace("_keypoints", ""))
     if not numbers:
-        raise EvaluationError("the name of the file needs the number of its frame at the end", path=path)
+        raise EvaluationError("the name of the file needs the number of its frame at the end")
     if not options.period:
-        raise EvaluationError("frame numbers need a truth with more than one frame", path=path)
+        raise EvaluationError(_NO_PERIOD)
     return options.start + int(numbers[-1][-12:]) * options.period
 
 
-def _add_panoptic(
-    builder: SequenceBuilder, time: int, bodies: Sequence[Any], path: Path, options: ReadOptions
-) -> None:
+def _add_panoptic(builder: SequenceBuilder, time: int, bodies: Sequence[Any], options: ReadOptions) -> None:
     to_map = np.eye(3) if options.axes else axes_matrix("y-down")
     for body in bodies:
         key = next((key for key in _PANOPTIC if isinstance(body, dict) and key in body), None)
         if key is None:
-            raise EvaluationError(f"a body without {' or '.join(_PANOPTIC)}", path=path, key="bodies")
-        values = _matrix(body[key], 4, path, f"bodies.{key}")
-        if len(values) != len(_PANOPTIC[key]):
-            raise EvaluationError(f"{len(values)} joints", path=path, key=f"bodies.{key}")
+            raise EvaluationError(f"a body without {' or '.join(_PANOPTIC)}", key="bodies")
+        with located(key=f"bodies.{key}"):
+            values = _matrix(body[key])
+            if len(values) != len(_PANOPTIC[key]):
+                raise EvaluationError(f"{len(values)} joints")
         values[values[:, 3] < 0] = np.nan  # Panoptic marks joints that were not seen in this way
-        person = body.get("id")
-        score = body.get("score")
+        person, score = body.get("id"), body.get("score")
         builder.add(
             time,
             None if person is None else str(person),
@@ -301,24 +301,18 @@ def _add_panoptic(
 
 
 def _add_people(
-    builder: SequenceBuilder,
-    time: int,
-    people: Sequence[Any],
-    field: str,
-    path: Path,
-    options: ReadOptions,
+    builder: SequenceBuilder, time: int, people: Sequence[Any], field: str, options: ReadOptions
 ) -> None:
     """Add the people of one frame of OpenPose or EasyMocap. ``field``: key of the points of a person."""
     for person in people:
         points = person.get(field) if isinstance(person, dict) else None
         if not points:
-            raise EvaluationError(
-                f"these are 2D keypoints of one camera ({field} is empty); give a 3D estimate",
-                path=path,
-                key="people",
-            )
-        values = _matrix(points, 4, path, f"people.{field}")
-        names = _names(len(values), path, options, "people")
+            text = f"these are 2D keypoints of one camera ({field} is empty); give a 3D estimate"
+            raise EvaluationError(text, key="people")
+        with located(key=f"people.{field}"):
+            values = _matrix(points)
+        with located(key="people"):
+            names = _names(len(values), options)
         values[values[:, 3] <= 0] = np.nan  # both mark absent keypoints in this way
         number = person.get("person_id", person.get("id", -1))
         number = number[0] if isinstance(number, list) and number else number
@@ -326,13 +320,14 @@ def _add_people(
         builder.add(time, name, names, values[:, :3])
 
 
-def _matrix(values: Any, columns: int, path: Path, key: str) -> Array:
+def _matrix(values: Any) -> Array:
+    """Rows x, y, z and confidence or score (N, 4) of a list of numbers or rows."""
     try:
         numbers = np.array(values, dtype=float)
     except (TypeError, ValueError):
-        raise EvaluationError("not a list of numbers", path=path, key=key) from None
-    if numbers.ndim == 2 and numbers.shape[1] == columns:
+        raise EvaluationError("not a list of numbers") from None
+    if numbers.ndim == 2 and numbers.shape[1] == 4:
         return numbers
-    if numbers.ndim != 1 or len(numbers) % columns or not len(numbers):
-        raise EvaluationError(f"the numbers must come in groups of {columns}", path=path, key=key)
-    return numbers.reshape(-1, columns)
+    if numbers.ndim != 1 or len(numbers) % 4 or not len(numbers):
+        raise EvaluationError("the numbers must come in groups of 4")
+    return numbers.reshape(-1, 4)

@@ -27,15 +27,15 @@ class CroissantWriter(FormatWriter):
         card lists all files of the export with their hashes, and the images by camera. So the writers of the
         other formats must have finished."""
         files = [
-            {
-                "@type": "cr:FileObject",
-                "@id": name,
-                "name": name,
-                "contentUrl": name,
-                "encodingFormat": _MEDIA_TYPES.get(PurePosixPath(name).suffix, "application/octet-stream"),
-                "contentSize": f"{entry['bytes']} B",
-                "sha256": entry["sha256"],
-            }
+            _node(
+                "FileObject",
+                name,
+                name=name,
+                contentUrl=name,
+                encodingFormat=_MEDIA_TYPES.get(PurePosixPath(name).suffix, "application/octet-stream"),
+                contentSize=f"{entry['bytes']} B",
+                sha256=entry["sha256"],
+            )
             for name, entry in sorted(folder.written.items())
         ]
         folder.root_folder().write(CARD, json.dumps(self._card(files), indent=1) + "\n")
@@ -49,29 +49,19 @@ class CroissantWriter(FormatWriter):
             f"frames {first} to {last} of a scene at {settings.rate:g} Hz, made by humansim_ros "
             f"{__version__}. index.json has the scene, seeds, versions and the hashes of all files."
         )
-        return {
-            "@context": _CONTEXT,
-            "@type": "sc:Dataset",
-            "conformsTo": "http://mlcommons.org/croissant/1.0",
-            **card_header(scene.about, scene.title, made, settings.license_links),
-            "distribution": [*files, *self._image_sets()],
-            "recordSet": [_image_records(camera) for camera in settings.cameras],
-        }
-
-    def _image_sets(self) -> list[dict[str, Any]]:
-        """The images of each camera as a set of files."""
-        suffix = self.settings.image_suffix
-        return [
-            {
-                "@type": "cr:FileSet",
-                "@id": f"images-{camera}",
-                "name": f"images-{camera}",
-                "description": f"Colour images of {camera}; their names are the numbers of the frames.",
-                "encodingFormat": _MEDIA_TYPES[suffix],
-                "includes": f"images/{camera}/*{suffix}",
-            }
-            for camera in self.settings.cameras
+        suffix = settings.image_suffix
+        images = [
+            _node(
+                "FileSet",
+                f"images-{camera}",
+                description=f"Colour images of {camera}; their names are the numbers of the frames.",
+                encodingFormat=_MEDIA_TYPES[suffix],
+                includes=f"images/{camera}/*{suffix}",
+            )
+            for camera in settings.cameras
         ]
+        header = card_header(scene.about, scene.title, made, settings.license_links)
+        return _data_set(header, [*files, *images], [_image_records(camera) for camera in settings.cameras])
 
 
 def _image_records(camera: str) -> dict[str, Any]:
@@ -81,7 +71,7 @@ def _image_records(camera: str) -> dict[str, Any]:
         _field(f"{name}/frame", "sc:Text", files, {"fileProperty": "filename"}, r"^(\d+)\."),
         _field(f"{name}/image", "sc:ImageObject", files, {"fileProperty": "content"}),
     ]
-    return _records(name, fields, key={"@id": f"{name}/frame"})
+    return _node("RecordSet", name, key={"@id": f"{name}/frame"}, field=fields)
 
 
 def card_header(about: AboutConfig, name: str, made: str, licenses: Mapping[str, str]) -> dict[str, Any]:
@@ -120,18 +110,18 @@ def data_set_card(
         image_suffix: Suffix of the images.
         metadata: Name of the file that each scene has, with a line of JSON for each image.
     """
-    kinds = {"images": _MEDIA_TYPES[image_suffix], "metadata": "application/jsonlines"}
-    patterns = {"images": f"images/*/*{image_suffix}", "metadata": metadata}
     sets = [
-        {
-            "@type": "cr:FileSet",
-            "@id": f"{name}-files",
-            "name": f"{name}-files",
-            "description": f"{name.capitalize()} of all scenes, in folders SPLIT/SCENE.",
-            "encodingFormat": kinds[name],
-            "includes": f"*/scene_*/{pattern}",
-        }
-        for name, pattern in patterns.items()
+        _node(
+            "FileSet",
+            f"{name}-files",
+            description=f"{name.capitalize()} of all scenes, in folders SPLIT/SCENE.",
+            encodingFormat=kind,
+            includes=f"*/scene_*/{pattern}",
+        )
+        for name, kind, pattern in (
+            ("images", _MEDIA_TYPES[image_suffix], f"images/*/*{image_suffix}"),
+            ("metadata", "application/jsonlines", metadata),
+        )
     ]
     # mlcroissant 1.1.1 applies the patterns of two fields of a property to each other, and those of a
     # reference twice: there is one field of each property, and the first folder matches its own name
@@ -148,40 +138,46 @@ def data_set_card(
         _field(f"metadata/{key}", kind, "metadata-files", {"column": key}) for key, kind in columns.items()
     ]
     names = [
-        {"@type": "cr:Field", "@id": f"splits/{key}", "name": key, "dataType": kind}
-        for key, kind in {"name": "sc:Text", "url": "sc:URL"}.items()
+        _node("Field", "splits/name", dataType="sc:Text"),
+        _node("Field", "splits/url", dataType="sc:URL"),
     ]
     data = [
         {"splits/name": name, "splits/url": _SPLITS[name]} if name in _SPLITS else {"splits/name": name}
         for name in splits
     ]
+    split = {"@id": "splits/name"}
+    records = [
+        _node("RecordSet", "splits", dataType="cr:Split", key=split, data=data, field=names),
+        _node("RecordSet", "images", field=images),
+        _node("RecordSet", "metadata", field=lines),
+    ]
+    return _data_set(header, sets, records)
+
+
+def _data_set(
+    header: Mapping[str, Any], distribution: Sequence[Mapping[str, Any]], records: Sequence[Mapping[str, Any]]
+) -> dict[str, Any]:
     return {
         "@context": _CONTEXT,
         "@type": "sc:Dataset",
         "conformsTo": "http://mlcommons.org/croissant/1.0",
         **header,
-        "distribution": sets,
-        "recordSet": [
-            _records("splits", names, dataType="cr:Split", key={"@id": "splits/name"}, data=data),
-            _records("images", images),
-            _records("metadata", lines),
-        ],
+        "distribution": distribution,
+        "recordSet": records,
     }
+
+
+def _node(kind: str, identifier: str, **properties: Any) -> dict[str, Any]:
+    """A node of a card. Its name is the last part of its identifier, unless ``properties`` have another."""
+    name = identifier.rpartition("/")[2]
+    return {"@type": f"cr:{kind}", "@id": identifier, "name": name, **properties}
 
 
 def _field(
     identifier: str, kind: str, file_set: str, extract: Mapping[str, str], regex: str = ""
 ) -> dict[str, Any]:
     """Definition of a field of records. The values of the field come from the files of a file set."""
-    source = {"fileSet": {"@id": file_set}, "extract": dict(extract)}
-    return {
-        "@type": "cr:Field",
-        "@id": identifier,
-        "name": identifier.rpartition("/")[2],
-        "dataType": kind,
-        "source": source | ({"transform": {"regex": regex}} if regex else {}),
-    }
-
-
-def _records(name: str, fields: Sequence[Mapping[str, Any]], **more: Any) -> dict[str, Any]:
-    return {"@type": "cr:RecordSet", "@id": name, "name": name, **more, "field": list(fields)}
+    source: dict[str, Any] = {"fileSet": {"@id": file_set}, "extract": extract}
+    if regex:
+        source["transform"] = {"regex": regex}
+    return _node("Field", identifier, dataType=kind, source=source)

@@ -70,7 +70,8 @@ class ImageTruth:
     @classmethod
     def of(cls, document: Mapping[str, Any], keypoints: KeypointSet, source: str) -> ImageTruth:
         """Truth with the content of a COCO file."""
-        return cls(*(document[key] for key in ("images", "annotations", "categories")), keypoints, source)
+        images, annotations, categories = (document[k] for k in ("images", "annotations", "categories"))
+        return cls(images, annotations, categories, keypoints, source)
 
 
 @dataclass(frozen=True, repr=False)

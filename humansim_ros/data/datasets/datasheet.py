@@ -20,7 +20,7 @@ import yaml
 
 from humansim_ros.data.datasets.recipe import RecipeConfig
 from humansim_ros.data.formats.croissant import card_header
-from humansim_ros.data.formats.markup import Markup, element, joined, page, picture, section, svg, table
+from humansim_ros.data.formats.markup import Markup, page, picture
 from humansim_ros.data.formats.statistics import ANGLES, HISTOGRAMS, Histogram, Totals
 from humansim_ros.data.formats.writer import LICENSES, frame_name
 from humansim_ros.errors import ExportError
@@ -29,7 +29,6 @@ from humansim_ros.people.makehuman import MONK_TONES
 
 #: Address of the paper by Gebru et al.
 _PAPER = "https://doi.org/10.1145/3458723"
-_INK, _PALE, _BAR, _LINE = "#1d2433", "#6b7385", "#2f6fab", "#dfe3ea"
 #: Width, height and margins (sides, top, bottom) of a plot, pixels.
 _WIDTH, _HEIGHT, _MARGIN, _TOP, _BOTTOM = 330, 170, 12, 30, 34
 #: Number of example images, and their width in pixels.
@@ -174,51 +173,36 @@ _SPLIT_HEADER = ("split", "scenes", "images", "people")
 
 def datasheet(summary: DataSetSummary) -> str:
     """Datasheet as one HTML page, which loads no other files."""
-    totals = summary.totals
-    about = summary.config.about
-    cameras = sum(totals.histograms["fov"].values())
+    totals, about = summary.totals, summary.config.about
     tiles = {
         "scenes": totals.scenes,
         "images": totals.images,
         "people": len(totals.people),
-        "cameras": cameras,
+        "cameras": sum(totals.histograms["fov"].values()),
         "boxes": sum(totals.histograms["visible"].values()),
         "poses": sum(totals.histograms["knee.flexion"].values()) // 2,
     }
     facts = [about.version, about.date, ", ".join(about.creators), ", ".join(summary.own_licenses)]
-    answers = _answers(summary)
-    plots = dict(_plots(summary))
     return page(
-        summary.title,
         "datasheet",
-        element("h1", summary.title),
-        element("p", " · ".join(filter(None, ["Datasheet", *facts])), class_="lead"),
-        element(
-            "div",
-            *(
-                element("div", element("b", f"{n:,}"), element("span", name), class_="tile")
-                for name, n in tiles.items()
-            ),
-            class_="tiles",
-        ),
-        element("div", *_examples(summary.examples), class_="examples"),
-        *(_answered(title, answers.pop(title), summary) for title in ("Motivation", "Composition")),
-        *(section(title, element("div", *shapes, class_="row")) for title, shapes in plots.items()),
-        *(_answered(title, rows, summary) for title, rows in answers.items()),
-        element(
-            "p",
-            f"Questions after Gebru et al., Datasheets for datasets, 2021, {_PAPER}.",
-            class_="lead",
-        ),
+        title=summary.title,
+        facts=" · ".join(filter(None, ["Datasheet", *facts])),
+        tiles=tiles,
+        examples=list(_examples(summary.examples)),
+        answers=_answers(summary),
+        split_header=_SPLIT_HEADER,
+        splits=_split_rows(summary),
+        plots=list(_plots(summary)),
+        paper=_PAPER,
+        width=_WIDTH,
+        height=_HEIGHT,
+        margin=_MARGIN,
+        bottom=_HEIGHT - _BOTTOM,
+        ink="#1d2433",
+        pale="#6b7385",
+        bar="#2f6fab",
+        line="#dfe3ea",
     )
-
-
-def _answered(title: str, rows: Mapping[str, str], summary: DataSetSummary) -> Markup:
-    """HTML of a section of the datasheet. ``rows``: answers by question."""
-    parts = [joined([element("h3", question), element("p", text)]) for question, text in rows.items()]
-    if title == "Composition":
-        parts.append(table(_SPLIT_HEADER, _split_rows(summary)))
-    return section(title, joined(parts))
 
 
 def _examples(paths: Iterable[Path]) -> Iterator[Markup]:
@@ -254,15 +238,20 @@ def example_paths(root: Path, scenes: Mapping[str, Sequence[str]], frames: int, 
     return paths
 
 
-def _plots(summary: DataSetSummary) -> Iterator[tuple[str, list[Markup]]]:
+#: A plot: its kind, which is a macro of the template, and what the macro draws.
+_Plot = dict[str, Any]
+
+
+def _plots(summary: DataSetSummary) -> Iterator[tuple[str, list[_Plot]]]:
     totals, people = summary.totals, list(summary.totals.people.values())
+    traits = [
+        _columns(row, row.count(person[key] for person in people if key in person), (0, row.bins))
+        for key, row in _TRAITS.items()
+    ]
     yield (
         "People",
         [
-            *(
-                _columns(row, row.count(person[key] for person in people if key in person), (0, row.bins))
-                for key, row in _TRAITS.items()
-            ),
+            *traits,
             _bars("Sex", Counter(person.get("sex", "not known") for person in people)),
             _skin(Counter(person["skin"] for person in people if "skin" in person)),
             _bars("Clothes", Counter(word for person in people for word in person.get("clothes", ()))),
@@ -280,7 +269,7 @@ def _plots(summary: DataSetSummary) -> Iterator[tuple[str, list[Markup]]]:
         yield title, plots
 
 
-def _histogram(name: str, totals: Totals) -> Markup:
+def _histogram(name: str, totals: Totals) -> _Plot:
     """Histogram of a quantity, from its first to its last bin with values."""
     row, counts = HISTOGRAMS[name], totals.histograms[name]
     used = sorted(number for number, count in counts.items() if count)
@@ -288,111 +277,71 @@ def _histogram(name: str, totals: Totals) -> Markup:
     return _columns(row, counts, span)
 
 
-def _columns(row: Histogram, counts: Mapping[int, int], span: tuple[int, int]) -> Markup:
+def _columns(row: Histogram, counts: Mapping[int, int], span: tuple[int, int]) -> _Plot:
     """Columns of a histogram for the bins from ``span[0]`` up to, but not including, ``span[1]``."""
     first, last = span
     most = max((counts.get(number, 0) for number in range(*span)), default=0) or 1
-    step, bottom = (_WIDTH - 2 * _MARGIN) / (last - first), _HEIGHT - _BOTTOM
-    shapes = [_title(row.title)]
-    shapes.append(element("line", x1=_MARGIN, y1=bottom, x2=_WIDTH - _MARGIN, y2=bottom, stroke=_LINE))
+    step = (_WIDTH - 2 * _MARGIN) / (last - first)
+    columns = []
     for number in (each for each in range(first, last) if counts.get(each)):
-        height = max(1.0, (bottom - _TOP) * counts[number] / most)
-        x = _MARGIN + step * (number - first) + 0.5
-        bar = element("rect", x=x, y=bottom - height, width=max(step - 1, 1.0), height=height, fill=_BAR)
+        height = max(1.0, (_HEIGHT - _BOTTOM - _TOP) * counts[number] / most)
         ends = f"{row.edge(number):.4g} to {row.edge(number + 1):.4g} {row.unit}"
-        shapes.append(element("g", element("title", f"{ends}: {counts[number]:,}"), bar))
+        x = _MARGIN + step * (number - first) + 0.5
+        columns.append((x, height, max(step - 1, 1.0), f"{ends}: {counts[number]:,}"))
     is_count = row.width == 1 and not row.unit
-    for number in range(first, last + (not is_count), max(1, -(-(last - first) // 6))):
-        x = _MARGIN + step * (number - first + 0.5 * is_count)
-        shapes.append(_text(f"{row.edge(number):.4g}", x, bottom + 14, "middle"))
-    shapes.append(_note(counts, most, row.of, row.unit))
-    return svg(shapes, _WIDTH, _HEIGHT)
+    ticks = [
+        (_MARGIN + step * (number - first + 0.5 * is_count), f"{row.edge(number):.4g}")
+        for number in range(first, last + (not is_count), max(1, -(-(last - first) // 6)))
+    ]
+    note = _note(counts, most, row.of, row.unit)
+    return {"kind": "columns", "title": row.title, "columns": columns, "ticks": ticks, "note": note}
 
 
-def _title(text: str) -> Markup:
-    return element("text", text, x=_MARGIN, y=16, font_size=13, font_weight=600, fill=_INK)
-
-
-def _text(text: str, x: float, y: float, anchor: str = "start", color: str = _PALE) -> Markup:
-    return element(
-        "text", text, x=x, y=y, font_size=12 if color == _INK else 11, fill=color, text_anchor=anchor
-    )
-
-
-def _note(counts: Mapping[int, int], most: int, of: str, unit: str = "") -> Markup:
+def _note(counts: Mapping[int, int], most: int, of: str, unit: str = "") -> str:
     """Text below a plot with columns: unit, total number, and number in the highest column."""
     total = sum(counts.values())
-    text = (
-        f"{f'{unit}, ' if unit else ''}{total:,} {of}, {most:,} in the highest column" if total else "no data"
-    )
-    return _text(text, _MARGIN, _HEIGHT - 5)
+    if not total:
+        return "no data"
+    return f"{f'{unit}, ' if unit else ''}{total:,} {of}, {most:,} in the highest column"
 
 
-def _bars(title: str, counts: Mapping[str, int]) -> Markup:
+def _bars(title: str, counts: Mapping[str, int]) -> _Plot:
     """Chart with a bar for each of the most frequent words. ``counts``: number by word."""
     rows = sorted(counts.items(), key=lambda item: (-item[1], item[0]))
     if len(rows) > _MOST_ROWS + 1:
         left = sum(count for _, count in rows[_MOST_ROWS:])
         rows = [*rows[:_MOST_ROWS], (f"{len(rows) - _MOST_ROWS} others", left)]
     most = max((count for _, count in rows), default=0) or 1
-    shapes = [_title(title)] if rows else [_title(title), _text("no data", _MARGIN, 40)]
-    for number, (name, count) in enumerate(rows):
-        y, width = 40 + 18 * number, (_WIDTH - 190) * count / most
-        shapes.append(_text(name[:22], 132, y, "end", _INK))
-        shapes.append(element("rect", x=140, y=y - 10, width=width, height=12, fill=_BAR))
-        shapes.append(_text(f"{count:,}", 146 + width, y))
-    return svg(shapes, _WIDTH, 48 + 18 * len(rows))
+    bars = [(name[:22], (_WIDTH - 190) * count / most, f"{count:,}") for name, count in rows]
+    return {"kind": "bars", "title": title, "rows": bars}
 
 
-def _skin(counts: Mapping[int, int]) -> Markup:
+def _skin(counts: Mapping[int, int]) -> _Plot:
     """Chart of the number of people by skin tone of the Monk scale, in the colours of the scale."""
     most, step = max(counts.values(), default=0) or 1, (_WIDTH - 2 * _MARGIN) / len(MONK_TONES)
-    bottom = _HEIGHT - _BOTTOM - 6
-    shapes = [_title("Skin tone, Monk scale")]
-    for number, (red, green, blue) in enumerate(MONK_TONES, 1):
-        x, height = _MARGIN + step * (number - 1), (bottom - _TOP) * counts.get(number, 0) / most
-        for top, size in ((bottom - height, height), (bottom + 3, 6.0)):
-            fill = f"rgb({red},{green},{blue})"
-            shapes.append(
-                element(
-                    "rect",
-                    x=x + 1,
-                    y=top,
-                    width=step - 2,
-                    height=size,
-                    fill=fill,
-                    stroke=_PALE,
-                    stroke_width=0.5,
-                )
-            )
-        shapes.append(_text(str(number), x + step / 2, bottom + 20, "middle"))
-    return svg([*shapes, _note(counts, most, "people")], _WIDTH, _HEIGHT)
+    highest = _HEIGHT - _BOTTOM - 6 - _TOP
+    columns = [
+        (_MARGIN + step * number, highest * counts.get(number + 1, 0) / most, step, f"rgb({r},{g},{b})")
+        for number, (r, g, b) in enumerate(MONK_TONES)
+    ]
+    note = _note(counts, most, "people")
+    return {"kind": "scale", "title": "Skin tone, Monk scale", "columns": columns, "note": note}
 
 
-def _ranges(totals: Totals) -> Markup:
+def _ranges(totals: Totals) -> _Plot:
     """Chart of the angles of each joint: a bar from the 5th to the 95th percentile, and the median."""
     width, left, right, low, high = 2 * _WIDTH + 24, 140, 90, -90, 180
     scale = (width - left - right) / (high - low)
-    known = [name for name in ANGLES if totals.histograms[name]]
-    bottom = 34 + 22 * len(known)
-    shapes = [_title("Joint angles: 5th to 95th percentile, and median")]
-    for angle in range(low, high + 1, 30):
-        x = left + scale * (angle - low)
-        shapes.append(element("line", x1=x, y1=26, x2=x, y2=bottom, stroke=_LINE))
-        shapes.append(_text(f"{angle}°", x, bottom + 14, "middle"))
-    for number, name in enumerate(known):
-        y = 40 + 22 * number
+    rows = []
+    for name in (each for each in ANGLES if totals.histograms[each]):
         values = (totals.quantile(name, share) for share in (0.05, 0.5, 0.95))
         first, middle, last = (float(np.clip(value, low, high)) for value in values)
-        x, length = left + scale * (first - low), max(scale * (last - first), 1.0)
-        at = left + scale * (middle - low)
-        shapes += [
-            _text(ANGLES[name], left - 10, y + 4, "end", _INK),
-            element("rect", x=x, y=y - 5, width=length, height=10, fill=_BAR),
-            element("line", x1=at, x2=at, y1=y - 8, y2=y + 8, stroke=_INK, stroke_width=2),
-            _text(f"{first:.0f}° to {last:.0f}°", width - right + 8, y + 4),
-        ]
-    return svg(shapes, width, bottom + 22)
+        places = [left + scale * (value - low) for value in (first, middle)]
+        length = max(scale * (last - first), 1.0)
+        rows.append((ANGLES[name], places[0], length, places[1], f"{first:.0f}° to {last:.0f}°"))
+    ticks = [(left + scale * (angle - low), f"{angle}°") for angle in range(low, high + 1, 30)]
+    title = "Joint angles: 5th to 95th percentile, and median"
+    return {"kind": "ranges", "title": title, "rows": rows, "ticks": ticks}
 
 
 # -- the page of Hugging Face

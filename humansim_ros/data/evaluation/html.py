@@ -7,7 +7,6 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from markupsafe import Markup
 
 from humansim_ros.data.evaluation.evaluation import Evaluation, WorstPose
 from humansim_ros.data.evaluation.images import ImageEvaluation, KindScores, WorstImage
@@ -15,7 +14,7 @@ from humansim_ros.data.evaluation.joint_names import body_joint
 from humansim_ros.data.evaluation.metrics import AUC_THRESHOLDS, pck
 from humansim_ros.data.evaluation.pictures import ESTIMATE_COLOR, TRUTH_COLOR, Pictures, Shape, draw_over
 from humansim_ros.data.evaluation.report import TITLES, AnyEvaluation, millimetres, percent, quantity, tables
-from humansim_ros.data.formats.markup import page, part, picture, table
+from humansim_ros.data.formats.markup import Markup, page, part, picture
 from humansim_ros.people.keypoints import keypoint_set
 from humansim_ros.types import Array
 
@@ -67,11 +66,10 @@ def html_report(evaluation: AnyEvaluation, pictures: Pictures | None = None) -> 
             if pictures is not None:
                 drawn = _worst_images(evaluation, kind, scores, pictures)
                 worst.append((f"Worst {TITLES[kind][0]}", "In the colours of truth and estimate.", drawn))
-    metrics, *others = [(each.heading, table(each.header, each.rows)) for each in tables(evaluation)]
+    metrics, *others = [(each.heading, part("table", each.header, each.rows)) for each in tables(evaluation)]
     return page(
-        "Evaluation",
         "evaluation",
-        template="evaluation",
+        title="Evaluation",
         truth=evaluation.truth,
         estimate=evaluation.estimate,
         figures=[metrics, *plots, *others],

@@ -5,10 +5,7 @@ from humansim_ros.data.formats.formats import EXPORT_FORMATS as EXPORT_FORMATS
 from humansim_ros.data.formats.formats import chosen_formats as chosen_formats
 from humansim_ros.data.formats.glb import GlbDocument as GlbDocument
 from humansim_ros.data.formats.markup import Markup as Markup
-from humansim_ros.data.formats.markup import element as element
+from humansim_ros.data.formats.markup import drawing as drawing
 from humansim_ros.data.formats.markup import page as page
-from humansim_ros.data.formats.markup import polyline as polyline
-from humansim_ros.data.formats.markup import svg as svg
-from humansim_ros.data.formats.markup import table as table
 from humansim_ros.data.formats.plan import ExportPlan as ExportPlan
 from humansim_ros.data.formats.plan import parse_range as parse_range

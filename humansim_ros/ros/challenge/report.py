@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
-from humansim_ros.data.formats import Markup, element, page, polyline, svg, table
+from humansim_ros.data.formats import Markup, drawing, page
 from humansim_ros.files.reading import atomic_path
 from humansim_ros.ros.challenge.results import CaseResult, Report
 from humansim_ros.ros.challenge.suite import STRENGTHS
@@ -19,7 +20,7 @@ _TILES, _CURVES, _TILE, _HEIGHT, _GAP = 250, 812, 180, 30, 6
 _CURVE = 96
 #: Heights of the head of the picture, and of the heading of a group of axes, pixels.
 _HEAD, _GROUP = 176, 40
-_INK, _PALE, _BACK, _PAPER = "#1d2433", "#6b7385", "#f3f5f8", "#ffffff"
+_INK, _PALE, _BACK = "#1d2433", "#6b7385", "#f3f5f8"
 #: Colours by share of the baseline's score. They also differ in lightness.
 _SCALE = ((0.0, "#b3324b"), (0.45, "#e0693f"), (0.7, "#f2b84b"), (0.85, "#7fb77e"), (1.0, "#1f8a84"))
 #: Colours of the trackers.
@@ -33,19 +34,37 @@ PICTURE, PAGE = "challenge.svg", "index.html"
 def picture(report: Report, other: Report | None = None) -> Markup:
     """Picture of the results as SVG. ``other``: report of a second tracker, shown below the first."""
     reports = [report] if other is None else [report, other]
-    shapes = list(_head(reports))
     y = _HEAD + 26 * (len(reports) - 1)
-    for group, axes in _groups(report).items():
-        shapes.append(_text(_MARGIN, y + 26, group.upper(), 12, _PALE, "700", spacing=1.5))
+    groups = []
+    for name, axes in _groups(report).items():
+        heading, shown = y + 26, []
         y += _GROUP
         for axis in axes:
-            shapes += _row(reports, axis, y)
+            shown.append(_axis(reports, axis, y))
             y += len(reports) * (_HEIGHT + 2) + _GAP + (4 if len(reports) > 1 else 0)
-    shapes += _legend(report, y + 24)
-    height = y + 66
-    fonts = "Inter, 'Segoe UI', 'DejaVu Sans', Helvetica, sans-serif"
-    paper = element("rect", width=WIDTH, height=height, fill=_PAPER)
-    return svg([paper, *shapes], WIDTH, height, font_family=fonts)
+        groups.append({"name": name.upper(), "y": heading, "axes": shown})
+    cases = sum(1 for each in report.results.values() if each.strength)
+    quick = ", quick" if report.settings.get("is_quick") else ""
+    return drawing(
+        "challenge",
+        width=WIDTH,
+        height=y + 66,
+        margin=_MARGIN,
+        tiles=_TILES,
+        tile_width=_TILE,
+        tile_height=_HEIGHT,
+        curves=_CURVES,
+        curve_width=_CURVE,
+        ink=_INK,
+        pale=_PALE,
+        back=_BACK,
+        suite=f"suite {report.suite}{quick} · {cases} cases",
+        trackers=[_tracker(each, index, len(reports)) for index, each in enumerate(reports)],
+        groups=groups,
+        scale=[color_of(index / 59) for index in range(60)],
+        legend=f"✕ broken: failed, or score or IDF1 below {report.breaks_below:.0%} of the baseline · "
+        "score: joints within 150 mm × real people among the found ones, %",
+    )
 
 
 def _groups(report: Report) -> dict[str, list[str]]:
@@ -56,25 +75,19 @@ def _groups(report: Report) -> dict[str, list[str]]:
     return groups
 
 
-def _head(reports: Sequence[Report]) -> Iterator[Markup]:
-    yield _text(_MARGIN, 62, "Where does the tracker break?", 30, _INK, "700")
-    cases = sum(1 for each in reports[0].results.values() if each.strength)
-    quick = ", quick" if reports[0].settings.get("is_quick") else ""
-    yield _text(
-        _MARGIN, 88, f"humansim challenge · suite {reports[0].suite}{quick} · {cases} cases", 14, _PALE
-    )
-    for index, report in enumerate(reports):
-        y = 122 + 40 * index
-        color = _TRACKERS[index]
-        letter = f"{'AB'[index]}  " if len(reports) > 1 else ""
-        name = report.tracker if len(report.tracker) <= _MAX_COMMAND else f"{report.tracker[:_MAX_COMMAND]}…"
-        yield element("rect", x=_MARGIN, y=y - 12, width=4, height=32, rx=2, fill=color)
-        yield _text(_MARGIN + 14, y, f"{letter}{name}", 14, _INK, "600")
-        yield _text(_MARGIN + 14, y + 18, _baseline_words(report.baseline), 13, _PALE)
-    for index, report in enumerate(reports):
-        yield from _ring(
-            report, WIDTH - _MARGIN - 52 - 130 * (len(reports) - 1 - index), 78, index, len(reports)
-        )
+def _tracker(report: Report, index: int, count: int) -> dict[str, Any]:
+    """What the head of the picture shows of a tracker: command, baseline, and robustness as a ring."""
+    name = report.tracker if len(report.tracker) <= _MAX_COMMAND else f"{report.tracker[:_MAX_COMMAND]}…"
+    ring = _TRACKERS[index] if count > 1 else color_of((report.points or 0.0) / 100)
+    return {
+        "color": _TRACKERS[index],
+        "name": f"{'AB'[index]}  {name}" if count > 1 else name,
+        "baseline": _baseline_words(report.baseline),
+        "points": report.points,
+        "x": WIDTH - _MARGIN - 52 - 130 * (count - 1 - index),
+        "ring": ring,
+        "label": f"{'AB'[index]}: robustness" if count > 1 else "robustness",
+    }
 
 
 def _baseline_words(base: CaseResult | None) -> str:
@@ -91,102 +104,59 @@ def _baseline_words(base: CaseResult | None) -> str:
     return " · ".join(words)
 
 
-def _ring(report: Report, x: int, y: int, index: int, count: int) -> Iterator[Markup]:
-    """Draw the robustness of a tracker (0 to 100) as a ring around this number."""
-    if report.points is None:
-        return
-    length = 2 * 3.14159265 * 40
-    filled = length * report.points / 100
-    color = _TRACKERS[index] if count > 1 else color_of(report.points / 100)
-    yield element("circle", cx=x, cy=y, r=40, fill="none", stroke=_BACK, stroke_width=11)
-    yield element(
-        "circle",
-        cx=x,
-        cy=y,
-        r=40,
-        fill="none",
-        stroke=color,
-        stroke_width=11,
-        stroke_linecap="round",
-        stroke_dasharray=f"{filled:.1f} {length:.1f}",
-        transform=f"rotate(-90 {x} {y})",
-    )
-    yield _text(x, y + 10, f"{report.points:.0f}", 28, _INK, "700", "middle")
-    letter = f"{'AB'[index]}: " if count > 1 else ""
-    yield _text(x, y + 66, f"{letter}robustness", 12, _PALE, anchor="middle")
-
-
-def _row(reports: Sequence[Report], axis: str, y: int) -> Iterator[Markup]:
-    info = reports[0].axes[axis]
-    middle = y + len(reports) * (_HEIGHT + 2) / 2
-    yield _text(_MARGIN, middle + 5, info.title, 15, _INK, "600")
+def _axis(reports: Sequence[Report], axis: str, y: int) -> dict[str, Any]:
+    """Title of an axis, and a row of the picture for each report. ``y``: upper end of the first row."""
+    info, rows = reports[0].axes[axis], []
     for index, report in enumerate(reports):
         results = {each.strength: each for each in report.of_axis(axis)}
-        top = y + index * (_HEIGHT + 2)
-        for strength in range(1, STRENGTHS + 1):
-            x = _TILES + (strength - 1) * (_TILE + _GAP)
-            label = info.labels[strength - 1] if index == 0 else ""
-            yield from _tile(report, results.get(strength), label, x, top)
-        if len(reports) > 1:
-            yield _text(_TILES - 16, top + 20, "AB"[index], 12, _TRACKERS[index], "700", "middle")
-        yield from _curve(report, axis, _CURVES, top)
-        broken = report.breaks_at(axis)
-        words = "holds" if broken is None else f"breaks at {broken.label}"
-        color, weight = (_PALE, "400") if broken is None else (_SCALE[0][1], "600")
-        yield _text(_CURVES + _CURVE + 18, top + 20, words, 13, color, weight)
+        top, broken = y + index * (_HEIGHT + 2), report.breaks_at(axis)
+        labels = info.labels if index == 0 else ("",) * STRENGTHS
+        limit, points = _curve(report, axis, top)
+        rows.append(
+            {
+                "y": top,
+                "tiles": [_tile(report, results.get(n), labels[n - 1], n) for n in range(1, STRENGTHS + 1)],
+                "letter": "AB"[index] if len(reports) > 1 else "",
+                "color": _TRACKERS[index],
+                "limit": limit,
+                "points": points,
+                "words": "holds" if broken is None else f"breaks at {broken.label}",
+                "words_color": _PALE if broken is None else _SCALE[0][1],
+                "words_weight": "400" if broken is None else "600",
+            }
+        )
+    return {"title": info.title, "middle": y + len(reports) * (_HEIGHT + 2) / 2 + 5, "rows": rows}
 
 
-def _tile(report: Report, result: CaseResult | None, label: str, x: int, y: int) -> Iterator[Markup]:
-    back = {"x": x, "y": y, "width": _TILE, "height": _HEIGHT, "rx": 6}
+def _tile(report: Report, result: CaseResult | None, label: str, strength: int) -> dict[str, Any]:
+    short = label if len(label) <= _MAX_LABEL else f"{label[: _MAX_LABEL - 1]}…"
+    place = {"x": _TILES + (strength - 1) * (_TILE + _GAP), "label": short}
     if result is None:
-        yield element("rect", **back, fill=_BACK)
-        yield _text(x + 12, y + 20, _short(label), 12, "#a3aab8")
-        return
+        return {**place, "number": None}
     share = _share(report, result)
-    fill = color_of(share)
-    ink = "#ffffff" if share < 0.5 or share > 0.93 else _INK
-    title = f"{result.label}: {result.failure or f'score {result.score:.0f}'}"
-    number = f"{result.score:.0f}" if not result.failure else "failed"
     mark = "✕ " if report.is_broken(result) else ""
-    yield element(
-        "g",
-        element("title", title),
-        element("rect", **back, fill=fill),
-        _text(x + 12, y + 20, _short(label), 12, ink),
-        _text(x + _TILE - 12, y + 20, f"{mark}{number}", 14, ink, "700", "end"),
-    )
+    return {
+        **place,
+        "title": f"{result.label}: {result.failure or f'score {result.score:.0f}'}",
+        "fill": color_of(share),
+        "ink": "#ffffff" if share < 0.5 or share > 0.93 else _INK,
+        "number": mark + (f"{result.score:.0f}" if not result.failure else "failed"),
+    }
 
 
-def _curve(report: Report, axis: str, x: int, y: int) -> Iterator[Markup]:
-    """Draw a small curve of the score over the strength of a difficulty, from the baseline on; with a line at
-    the limit below which the tracker is broken."""
-    base = report.baseline
-    results = ([base] if base is not None else []) + report.of_axis(axis)
-    bottom, height = y + _HEIGHT - 5, _HEIGHT - 10
+def _curve(report: Report, axis: str, y: int) -> tuple[float, list[tuple[float, float, str]]]:
+    """Height of the limit below which a tracker is broken; place and colour of each score, from the baseline
+    on, over the strength of a difficulty."""
+    base, bottom, height = report.baseline, y + _HEIGHT - 5, _HEIGHT - 10
     points = [
-        (x + _CURVE * each.strength / STRENGTHS, bottom - height * min(1.0, _share(report, each)), each)
-        for each in results
+        (
+            _CURVES + _CURVE * each.strength / STRENGTHS,
+            bottom - height * min(1.0, _share(report, each)),
+            _SCALE[0][1] if report.is_broken(each) else _INK,
+        )
+        for each in ([base] if base is not None else []) + report.of_axis(axis)
     ]
-    limit = bottom - height * report.breaks_below
-    dashed = {"stroke": "#c9cfda", "stroke_dasharray": "3 3"}
-    yield element("line", x1=x, y1=limit, x2=x + _CURVE, y2=limit, **dashed)
-    yield polyline([(px, py) for px, py, _ in points], _INK, 1.6)
-    for px, py, each in points:
-        fill = _SCALE[0][1] if report.is_broken(each) else _INK
-        yield element("circle", cx=px, cy=py, r=3, fill=fill)
-
-
-def _legend(report: Report, y: int) -> Iterator[Markup]:
-    for index in range(60):
-        x = _TILES + 3 * index
-        yield element("rect", x=x, y=y - 10, width=3.5, height=12, fill=color_of(index / 59))
-    yield _text(_TILES - 8, y, "0", 12, _PALE, anchor="end")
-    yield _text(_TILES + 188, y, "score of the baseline", 12, _PALE)
-    words = (
-        f"✕ broken: failed, or score or IDF1 below {report.breaks_below:.0%} of the baseline · "
-        "score: joints within 150 mm × real people among the found ones, %"
-    )
-    yield _text(WIDTH - _MARGIN, y + 24, words, 12, _PALE, anchor="end")
+    return bottom - height * report.breaks_below, points
 
 
 def _share(report: Report, result: CaseResult) -> float:
@@ -209,33 +179,6 @@ def color_of(share: float) -> str:
             )
             return "#" + "".join(f"{channel:02x}" for channel in mixed)
     return _SCALE[-1][1]
-
-
-def _short(label: str) -> str:
-    return label if len(label) <= _MAX_LABEL else f"{label[: _MAX_LABEL - 1]}…"
-
-
-def _text(
-    x: float,
-    y: float,
-    text: str,
-    size: int,
-    color: str,
-    weight: str = "400",
-    anchor: str = "start",
-    spacing: float | None = None,
-) -> Markup:
-    return element(
-        "text",
-        text,
-        x=x,
-        y=y,
-        font_size=size,
-        font_weight=weight,
-        fill=color,
-        text_anchor=anchor,
-        letter_spacing=spacing,
-    )
 
 
 def _millimetres(value: float | None) -> str:
@@ -286,31 +229,25 @@ def write_pages(folder: Path, report: Report, other: Report | None = None) -> Se
 def html_page(report: Report, other: Report | None = None) -> str:
     """HTML page with the picture, and with the numbers of all cases."""
     reports = {"": report} if other is None else {"A: ": report, "B: ": other}
-    tables = [
-        part
+    trackers = [
+        {
+            "name": f"{name}{each.tracker}",
+            "blind": BLIND if each.is_blind else "",
+            "rows": [_cells(each, result) for result in each.results.values()],
+            "classes": ["broken" if each.is_broken(result) else "" for result in each.results.values()],
+        }
         for name, each in reports.items()
-        for part in (
-            element("h2", f"{name}{each.tracker}"),
-            *([element("p", BLIND)] if each.is_blind else ()),
-            _html_table(each),
-        )
     ]
-    return page("Crash test of a tracker", "challenge", picture(report, other), *tables)
+    header = ("case", "strength", *_COLUMNS)
+    title = "Crash test of a tracker"
+    return page("challenge", title=title, picture=picture(report, other), trackers=trackers, header=header)
 
 
-def _html_table(report: Report) -> Markup:
-    rows, classes = [], []
-    for result in report.results.values():
-        info = report.axes.get(result.axis)
-        rows.append(
-            (
-                "Baseline" if info is None else info.title,
-                result.label if result.strength else "",
-                *(show(result) for show in _COLUMNS.values()),
-            )
-        )
-        classes.append("broken" if report.is_broken(result) else None)
-    return table(("case", "strength", *_COLUMNS), rows, classes)
+def _cells(report: Report, result: CaseResult) -> tuple[str, ...]:
+    info = report.axes.get(result.axis)
+    strength = result.label if result.strength else ""
+    title = "Baseline" if info is None else info.title
+    return (title, strength, *(show(result) for show in _COLUMNS.values()))
 
 
 def show_table(report: Report, other: Report | None = None) -> str:

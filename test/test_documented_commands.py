@@ -234,7 +234,7 @@ def modules_of(text: str) -> set[str]:
             modules |= set(EXTRAS.get(EXTRA_OF.get(name, ""), ()))
         if "--format" in words and words[1] == "export":
             formats = words[words.index("--format") + 1].split(",")
-            modules |= {module for name in formats for module in EXPORT_FORMATS[name].needs}
+            modules |= {module for name in formats for module in EXPORT_FORMATS[name].modules}
         if words[0] == "ros2" or words[1] in ("run", "challenge"):
             modules.add("rclpy")
     if re.search(r"^    pytest ", text, re.MULTILINE):

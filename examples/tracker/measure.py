@@ -22,7 +22,7 @@ from scipy.optimize import linear_sum_assignment
 from tracking import Detections, Person, Settings, Tracker
 
 from humansim_ros import Scene, Simulation
-from humansim_ros.scene import VISIBLE
+from humansim_ros.scene import VISIBLE, Needs
 
 Array = NDArray[np.float64]
 
@@ -142,7 +142,7 @@ def truth_frames(config: dict[str, Any], count: int, rendered: bool = True) -> I
     scene = Scene.from_dict(config)
     with Simulation(scene, channels=("depth", "instance", "part")) as simulation:
         for index in range(count):
-            frame = simulation.frame(index, cameras=None if rendered else ())
+            frame = simulation.frame(index, None if rendered else Needs())
             joints = {name: human.positions for name, human in frame.humans.items()}
             scene_cameras = {
                 name: camera.camera_at(frame.camera_poses[name]) if camera.moves else camera.camera

@@ -34,7 +34,7 @@ from humansim_ros.files.reading import parse_json, size_text
 from humansim_ros.render.device import OpenGLContext
 from humansim_ros.render.frame import GLRenderer, PyrenderRenderer
 from humansim_ros.render.interface import Renderer
-from humansim_ros.scene.core import Frame, Scene, Simulation
+from humansim_ros.scene.core import Frame, Needs, Scene, Simulation
 
 ImageFormat: TypeAlias = Literal["raw", "jpeg", "png"]
 DepthFormat: TypeAlias = Literal["raw", "png"]
@@ -357,11 +357,8 @@ class RecordingWorker:
             changes = topic.latched and topic.per_frame
             part = self._latched if changes else self._parts.setdefault(topic.camera, [])
             part.append((index, topic))
-        self._cameras = recording.cameras
-        self._rectified = {topic.camera for topic in recording.table if topic.rectified_depth}
-        self._scanners = {topic.scanner for topic in recording.table if topic.scanner}
-        channels = frozenset[str]().union(*(topic.channels for topic in recording.table))
-        self._simulation = Simulation(recording.scene, sorted(channels), renderer=renderer)
+        self._needs = Needs.of(recording.table)
+        self._simulation = Simulation(recording.scene, renderer=renderer)
         self._started = False
         self.costs = Costs()
 
@@ -379,7 +376,7 @@ class RecordingWorker:
             HumansimError: The frame cannot be rendered.
         """
         start = time.process_time()
-        frame = self._simulation.frame(index, self._cameras, self._rectified, self._scanners)
+        frame = self._simulation.frame(index, self._needs)
         self.costs.add(RENDERING, start)
         chunks = [self._chunk(frame, topics) for topics in self._parts.values()]
         latched = self._messages(frame, self._latched)

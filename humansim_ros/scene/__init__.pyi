@@ -6,6 +6,7 @@ from humansim_ros.scene.core.camera import CameraPose as CameraPose
 from humansim_ros.scene.core.camera import SceneCamera as SceneCamera
 from humansim_ros.scene.core.environment import Environment as Environment
 from humansim_ros.scene.core.findings import Finding as Finding
+from humansim_ros.scene.core.needs import Needs as Needs
 from humansim_ros.scene.core.objects import SceneObject as SceneObject
 from humansim_ros.scene.core.playback import Playback as Playback
 from humansim_ros.scene.core.scene import Scene as Scene

@@ -17,6 +17,7 @@ from humansim_ros.errors import HumansimError, RenderError, SceneError
 from humansim_ros.render import ALL_CHANNELS
 from humansim_ros.render.interface import CHANNEL_TABLE
 from humansim_ros.render.pictures import write_png
+from humansim_ros.scene import Needs
 from humansim_ros.scene.pictures.sheets import MAX_SIDE, _Layout, snapshot
 from humansim_ros.scene.pictures.top_view import top_view
 from humansim_ros.scene.pictures.views import color_channel, color_image
@@ -182,13 +183,13 @@ def simulation() -> Iterator[Simulation]:
 
 
 def test_a_frame_has_the_cameras_that_are_asked_for(simulation: Simulation) -> None:
-    whole, one = simulation.frame(3), simulation.frame(3, cameras=["eye_1"])
+    whole, one = simulation.frame(3), simulation.frame(3, Needs(("rgb",), ["eye_1"]))
     assert list(one.views) == list(one.truth) == list(one.cameras) == ["eye_1"]
     assert (one.views["eye_1"].rgb == whole.views["eye_1"].rgb).all()
     with pytest.raises(
         SceneError, match=r"no camera .eye_9.; did you mean .eye_\d.\? There are eye_0, eye_1, eye_2"
     ):
-        simulation.frame(0, cameras=["eye_9"])
+        simulation.frame(0, Needs(cameras=["eye_9"]))
 
 
 @pytest.mark.parametrize("encoding", ["rgb8", "bgr8", "mono8", "bayer_rggb8"])

@@ -21,7 +21,7 @@ from humansim_ros.data import messages
 from humansim_ros.data.messages.humans import joints_message, motion_message, vertices_message
 from humansim_ros.data.messages.legends import motion_legend
 from humansim_ros.geometry import unit_quaternions
-from humansim_ros.scene import Scene, Simulation
+from humansim_ros.scene import Needs, Scene, Simulation
 from humansim_ros.scene.core.live import JointSource, LiveRetargeter
 
 sys.path.append(str(ROOT / "tools"))
@@ -209,10 +209,11 @@ def simulated(scene: Path, frames: Sequence[int] = range(FRAMES)) -> field_hashe
     from humansim_ros.render.interface.channels import ALL_CHANNELS
 
     def sent() -> Iterator[tuple[str, Any]]:
-        with Simulation(Scene.load(scene), ALL_CHANNELS) as simulation:
+        needs = Needs(ALL_CHANNELS, scanners=None, rectified=["lens"])
+        with Simulation(Scene.load(scene)) as simulation:
             topics = [topic for topic in scene_topics(simulation.scene) if not topic.absolute]
             for index in frames:
-                frame = simulation.frame(index, rectified_depth=["lens"])
+                frame = simulation.frame(index, needs)
                 for topic in topics:
                     if not topic.per_frame and index != frames[0]:
                         continue

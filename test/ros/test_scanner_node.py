@@ -14,7 +14,7 @@ from humansim_ros.data.messages.topics import ScannerTopics, scene_topics
 from humansim_ros.data.recording import SceneRecording, record
 from humansim_ros.ros.nodes.recorder import has_message_per_frame
 from humansim_ros.ros.processes.node_processes import scene_processes
-from humansim_ros.scene import Scene, Simulation
+from humansim_ros.scene import Needs, Scene, Simulation
 from humansim_ros.testing import SceneGraph
 
 highlevel = pytest.importorskip("rosbags.highlevel")
@@ -51,7 +51,7 @@ def expected(scene: Scene, scanner: str, frames: int) -> list[tuple[Any, Any]]:
         return [
             (topics.points.build(sweep, sweep.stamp), topics.truth.build(sweep, sweep.stamp))
             for index in range(frames)
-            for sweep in simulation.frame(index, cameras=[], scanners=[scanner]).sweeps[scanner]
+            for sweep in simulation.frame(index, Needs(scanners=[scanner])).sweeps[scanner]
         ]
 
 

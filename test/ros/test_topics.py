@@ -18,8 +18,7 @@ from humansim_ros.data.messages.topic import Topic
 from humansim_ros.data.messages.topics import CameraTopics, scene_topics
 from humansim_ros.data.messages.types import is_made
 from humansim_ros.ros.graph.qos import offered_profile
-from humansim_ros.scene import Scene, Simulation
-from humansim_ros.scene.core.simulation import Frame
+from humansim_ros.scene import Frame, Needs, Scene, Simulation
 
 pytest.importorskip("rosbags")  # of the serialiser
 
@@ -72,11 +71,9 @@ def scene(scene_path: Path) -> Scene:
 @pytest.fixture(scope="module")
 def frames(scene: Scene) -> list[Frame]:
     """The same frame, simulated twice, with all channels."""
-    topics = scene_topics(scene)
-    channels = sorted(frozenset().union(*(topic.channels for topic in topics)))
-    rectified = {topic.camera for topic in topics if topic.rectified_depth}
-    with Simulation(scene, channels) as simulation:
-        frames = [simulation.frame(3, rectified_depth=rectified) for _ in range(2)]
+    needs = Needs.of(scene_topics(scene))
+    with Simulation(scene) as simulation:
+        frames = [simulation.frame(3, needs) for _ in range(2)]
         for frame in frames:
             assert set(frame.depth_sensors.values())  # rendered now
         return frames

@@ -12,7 +12,7 @@ from humansim_ros import Scene, Simulation
 from humansim_ros.data.messages.cdr import serialised
 from humansim_ros.data.messages.topics import scene_topics
 from humansim_ros.render.interface.channels import ALL_CHANNELS
-from humansim_ros.scene.core.simulation import Frame
+from humansim_ros.scene.core import Frame, Needs
 
 #: Frame that is compared: sweeps of all scanners have ended with it.
 INDEX = 6
@@ -20,9 +20,9 @@ INDEX = 6
 
 def simulated(scene: Scene) -> Frame:
     """A frame of a scene with all channels."""
-    with Simulation(scene, ALL_CHANNELS) as simulation:
+    with Simulation(scene) as simulation:
         rectified = [name for name, each in scene.scene_cameras.items() if each.rectified]
-        frame = simulation.frame(INDEX, rectified_depth=rectified)
+        frame = simulation.frame(INDEX, Needs(ALL_CHANNELS, scanners=None, rectified=rectified))
         for name in frame.depth_sensors:
             frame.depth_sensors[name].aligned  # noqa: B018  # rendered on access
         return frame

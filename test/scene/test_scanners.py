@@ -11,7 +11,7 @@ import pytest
 import trimesh
 
 from humansim_ros import HumansimError, Scene, Simulation
-from humansim_ros.scene.core.simulation import Frame
+from humansim_ros.scene import Frame, Needs
 from humansim_ros.scene.features.scanners.feature import LiveScanning, Sweep
 
 FRONT = {"position": [3, 0, 1.5], "look_at": [0, 0, 1], "size": [64, 48]}
@@ -50,7 +50,7 @@ def simulation(loaded: Scene) -> Simulation:
 
 
 def frame(played: Simulation, index: int) -> Frame:
-    return played.frame(index, cameras=[])
+    return played.frame(index, Needs(scanners=None))
 
 
 def sweep(played: Simulation, index: int) -> Sweep:

@@ -49,11 +49,11 @@ def test_states_of_adjacent_frames_are_computed_once(
     computed: list[int], timings: list[tuple[int, int]], compared: Any
 ) -> None:
     scene = scene_of(timings)
-    states = SceneStates(scene, compared=compared)
+    states = SceneStates(scene)
     most = 0
     for index in range(60):
         steps = {each.timing.step for each in scene.scene_cameras.values() if index in each.timing}
-        adjacent = states.adjacent(index, steps)
+        adjacent = states.adjacent(index, steps, compared)
         states.at(index)
         for step in steps:
             for name, sign in zip(ADJACENT_NAMES, (1, -1), strict=True):

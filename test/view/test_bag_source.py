@@ -20,7 +20,7 @@ from humansim_ros.data.bags.writer import BagWriter
 from humansim_ros.data.recording import RecordingPlan, SceneRecording, record
 from humansim_ros.errors import BagError, HumansimError
 from humansim_ros.people.humans.human import write_human
-from humansim_ros.scene import Frame
+from humansim_ros.scene import Frame, Needs
 from humansim_ros.scene.pictures.views import color_channel
 from humansim_ros.view.sources.bag_source import BagViewSource
 from humansim_ros.view.sources.picking import PIXEL_CHANNELS, pixel_info
@@ -450,7 +450,7 @@ def test_an_estimate_is_beside_the_truth_with_its_error(tmp_path: Path, scene: S
         for message in reader.messages([each.name for each in topics]):
             found[reader.topics[message.topic].name].append((message.stamp, bytes(message.data)))
     with Simulation(scene, channels=()) as simulation:
-        frames = [simulation.frame(index, ()) for index in range(FRAMES)]
+        frames = [simulation.frame(index, Needs()) for index in range(FRAMES)]
     poses = topic("/tracker/poses", "sensor_msgs/msg/MultiDOFJointState")
     late = [(frame.stamp + 10**8, estimate(frame.stamp, frame)) for frame in frames]
     path = written(tmp_path / "bag", [*((each, found[each.name]) for each in topics), (poses, late)])

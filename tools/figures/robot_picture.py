@@ -10,7 +10,7 @@ import sys
 import cv2
 
 from humansim_ros.files.reading.assets import resource_path
-from humansim_ros.scene import Scene, Simulation
+from humansim_ros.scene import Needs, Scene, Simulation
 
 #: Frames that are shown.
 _FRAMES = (25, 70, 150)
@@ -18,8 +18,9 @@ _FRAMES = (25, 70, 150)
 
 def main(output: str) -> None:
     scene = Scene.load(resource_path("config/scenes/robot.yaml"))
-    with Simulation(scene, channels=("rgb",)) as simulation:
-        frames = [simulation.frame(index, cameras=("left", "room")) for index in _FRAMES]
+    needs = Needs(("rgb",), ("left", "room"))
+    with Simulation(scene) as simulation:
+        frames = [simulation.frame(index, needs) for index in _FRAMES]
     rows = [cv2.hconcat([frame.views[name].rgb for frame in frames]) for name in ("left", "room")]
     picture = cv2.resize(cv2.vconcat(rows), None, fx=0.625, fy=0.625, interpolation=cv2.INTER_AREA)
     cv2.imwrite(output, picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 88])

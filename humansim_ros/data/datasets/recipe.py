@@ -53,7 +53,7 @@ from humansim_ros.scene.config import (
     checked_license,
     file_keys,
 )
-from humansim_ros.scene.core import RandomNumbers, Scene, SceneSource, Simulation, random_numbers
+from humansim_ros.scene.core import Needs, RandomNumbers, Scene, SceneSource, Simulation, random_numbers
 from humansim_ros.scene.truth import REQUIRED_CHANNELS, BodyBox
 
 if TYPE_CHECKING:
@@ -515,9 +515,10 @@ class Recipe:
             raise _Unmet("require.pixels", text)
         last = self.config.frames - 1
         frames = np.unique(np.linspace(0, last, min(last + 1, _CHECKED_FRAMES)).round().astype(int))
-        with closing(Simulation(scene, REQUIRED_CHANNELS["boxes"])) as simulation:
+        needs = Needs(REQUIRED_CHANNELS["boxes"])
+        with closing(Simulation(scene)) as simulation:
             for index in frames.tolist():
-                truth = simulation.frame(index, scanners=()).truth
+                truth = simulation.frame(index, needs).truth
                 for name in scene.actors:
                     self._check_person(name, index, [each.boxes[name] for each in truth.values()])
 

@@ -21,7 +21,8 @@ from humansim_ros.data.evaluation.readers.box_files import read_box_file
 from humansim_ros.data.evaluation.readers.estimates import read_estimates
 from humansim_ros.data.evaluation.readers.pose_files import ReadOptions
 from humansim_ros.data.formats.aicity import TRUTH_FILE
-from humansim_ros.data.formats.coco import CHANNELS, coco_document, coco_images, scene_categories
+from humansim_ros.data.formats.coco import coco_document, coco_images, scene_categories
+from humansim_ros.data.formats.formats import EXPORT_FORMATS
 from humansim_ros.data.formats.plan import INDEX, read_index
 from humansim_ros.data.formats.writer import ExportFrame, ExportScene, ExportSettings
 from humansim_ros.errors import EvaluationError, located
@@ -271,9 +272,11 @@ class SceneImages:
             )
         described = ExportScene.of(self.scene)
         settings = ExportSettings(described, frames, judged.name)
-        with Simulation(self.scene, CHANNELS) as simulation:
+        needs = EXPORT_FORMATS["coco"].needs
+        with Simulation(self.scene) as simulation:
             records = [
-                (index, coco_images(ExportFrame(simulation.frame(index), settings))) for index in frames
+                (index, coco_images(ExportFrame(simulation.frame(index, needs), settings)))
+                for index in frames
             ]
         document = coco_document(records, *scene_categories(described, judged), first=self._first(frames[0]))
         return ImageTruth.of(document, judged, str(self.scene.path or "the scene"))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from humansim_ros.cameras.camera import Camera
 from humansim_ros.render.pictures import draw_disc, draw_line
 from humansim_ros.scene.config import FIRST_STAMP
-from humansim_ros.scene.core import Frame, Scene, Simulation
+from humansim_ros.scene.core import Frame, Needs, Scene, Simulation
 from humansim_ros.types import Array, Image
 
 #: Colours of truth and estimate, as in the plots.
@@ -68,9 +68,9 @@ class ScenePictures:
 
     def _frame(self, stamp: int, cameras: Sequence[str]) -> Frame:
         if self._simulation is None:
-            self._simulation = Simulation(self._scene, ("rgb",), FIRST_STAMP)
+            self._simulation = Simulation(self._scene, start=FIRST_STAMP)
         index = round((stamp - FIRST_STAMP) * 1e-9 * self._scene.config.rate)
-        return self._simulation.frame(index, cameras)
+        return self._simulation.frame(index, Needs(("rgb",), cameras))
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.data.formats.writer import ExportFolder, ExportFrame, ExportScene, FormatWriter, Record
 from humansim_ros.people.keypoints import KeypointSet, keypoint_set
-from humansim_ros.scene.truth import OUTSIDE, REQUIRED_CHANNELS, BodyBox, KeypointView
+from humansim_ros.scene.truth import OUTSIDE, BodyBox, KeypointView
 
 _PERSON = "person"
 #: Set of COCO-WholeBody. For each part of the body: field, keypoints, and whether the part has a box.
@@ -32,8 +32,6 @@ _WHOLE_BODY = {
     "lefthand": ("lefthand_kpts", range(91, 112), True),
     "righthand": ("righthand_kpts", range(112, 133), True),
 }
-#: Image channels that are rendered for annotations.
-CHANNELS = tuple(sorted({*REQUIRED_CHANNELS["joints"], *REQUIRED_CHANNELS["boxes"]}))
 
 
 class CocoWriter(FormatWriter):

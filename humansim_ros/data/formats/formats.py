@@ -16,6 +16,7 @@ from humansim_ros.data.formats.writer import FormatWriter
 from humansim_ros.errors import ExportError, unknown
 from humansim_ros.files.reading import read_table
 from humansim_ros.render.interface import CHANNEL_TABLE
+from humansim_ros.scene.core import Needs
 from humansim_ros.scene.truth import REQUIRED_CHANNELS
 
 #: Name of the format that writes the tree of colour images. Formats that name images need this format, too.
@@ -42,7 +43,7 @@ class ExportFormat:
             :data:`ANY_SWEEPS`.
         keypoints: Keypoint set that the format always has. Empty if there is a choice.
         images: Whether the files name colour images, so that the tree of images is written, too.
-        needs: Python modules that the format needs and that the package does not install by default. extra:
+        modules: Python modules that the format needs and that the package does not install by default. extra:
             Name of the extra of the package that installs these modules.
     """
 
@@ -52,7 +53,7 @@ class ExportFormat:
     content: frozenset[str] = frozenset()
     keypoints: str = ""
     images: bool = False
-    needs: tuple[str, ...] = ()
+    modules: tuple[str, ...] = ()
     extra: str = "export"
 
     @property
@@ -68,10 +69,16 @@ class ExportFormat:
         derived = (channel for name in self.content for channel in _CHANNELS_OF.get(name, ()))
         return frozenset(derived) | (self.content & CHANNEL_TABLE.keys())
 
+    @property
+    def needs(self) -> Needs:
+        """What the format needs of a frame: channels of all cameras, and sweeps of all laser scanners."""
+        swept = self.content & {SWEEPS, ANY_SWEEPS}
+        return Needs(self.channels, None if self.channels else (), None if swept else ())
+
 
 def _read(name: str, row: Mapping[str, Any]) -> ExportFormat:
-    content, needs = frozenset(row.get("content", ())), tuple(row.get("needs", ()))
-    return ExportFormat(name, **{**row, "content": content, "needs": needs})
+    content, modules = frozenset(row.get("content", ())), tuple(row.get("modules", ()))
+    return ExportFormat(name, **{**row, "content": content, "modules": modules})
 
 
 #: All formats by name, in the order in which they are written.
@@ -96,7 +103,7 @@ def chosen_formats(names: Sequence[str]) -> list[ExportFormat]:
         wanted.add(IMAGES)
     rows = [row for row in EXPORT_FORMATS.values() if row.name in wanted]
     for row in rows:
-        if missing := [module for module in row.needs if find_spec(module) is None]:
+        if missing := [module for module in row.modules if find_spec(module) is None]:
             raise ExportError(
                 f"the format {row.name} needs {', '.join(missing)}; "
                 f"install it: pip install 'humansim_ros[{row.extra}]'",

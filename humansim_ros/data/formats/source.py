@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import platform
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Protocol
@@ -13,13 +13,13 @@ import cv2
 import numpy as np
 
 from humansim_ros import __version__
-from humansim_ros.data.formats.formats import ANY_SWEEPS, SWEEPS, ExportFormat, needed_channels
+from humansim_ros.data.formats.formats import SWEEPS, ExportFormat, needed_channels
 from humansim_ros.data.formats.writer import ExportScene
 from humansim_ros.errors import ExportError, SceneError
 from humansim_ros.files.reading import read_blocks
 from humansim_ros.render.device import OpenGLContext
 from humansim_ros.scene.config import map_files
-from humansim_ros.scene.core import Frame, Scene, SceneCamera, Simulation
+from humansim_ros.scene.core import Frame, Needs, Scene, SceneCamera, Simulation
 
 
 class FrameReader(Protocol):
@@ -114,8 +114,7 @@ class SimulatedSource:
         sweeping = [row.name for row in self.formats if SWEEPS in row.content]
         if sweeping and not self.simulated.scanners:
             raise ExportError(f"{sweeping[0]} needs a laser scanner, and the scene has none", key="--format")
-        wanted = sweeping or any(ANY_SWEEPS in row.content for row in self.formats)
-        return _SimulatedFrames(self.simulated, needed_channels(self.formats), None if wanted else ())
+        return _SimulatedFrames(self.simulated, Needs.of(self.formats))
 
     def provenance(self, frames: range) -> dict[str, Any]:
         """Describe the scene, seeds, versions, and the faults of cameras that have faults."""
@@ -145,19 +144,15 @@ def _faults(camera: SceneCamera, frames: range) -> dict[str, Any]:
 
 
 class _SimulatedFrames:
-    """Makes frames of a scene. Without channels nothing is rendered. ``scanners``: see
-    :meth:`Simulation.frame`."""
+    """Makes frames of a scene with what formats need."""
 
-    def __init__(
-        self, scene: Scene, channels: Collection[str], scanners: Collection[str] | None = ()
-    ) -> None:
-        self._scanners = scanners
-        self._cameras = None if channels else ()
-        self._simulation = Simulation(scene, channels)
+    def __init__(self, scene: Scene, needs: Needs) -> None:
+        self._needs = needs
+        self._simulation = Simulation(scene)
 
     def frame(self, index: int) -> Frame:
         """Render a frame."""
-        return self._simulation.frame(index, self._cameras, scanners=self._scanners)
+        return self._simulation.frame(index, self._needs)
 
     def close(self) -> None:
         """Free the renderer."""

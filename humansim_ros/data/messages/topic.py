@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
 
 from humansim_ros.data.messages.types import name_of
-from humansim_ros.scene.core import NO_FAULTS, Frame, FrameFaults
+from humansim_ros.scene.core import NO_FAULTS, Frame, FrameFaults, Needs
 
 Content = TypeVar("Content")
 
@@ -59,6 +59,13 @@ class Topic(Generic[Content]):
     scanner: str = ""
     sparse: bool = False
     absolute: bool = False
+
+    @property
+    def needs(self) -> Needs:
+        """What the message needs of a frame."""
+        cameras = (self.camera,) if self.camera else ()
+        scanners = (self.scanner,) if self.scanner else ()
+        return Needs(self.channels, cameras, scanners, cameras if self.rectified_depth else ())
 
     def in_namespace(self, namespace: str) -> str:
         """Absolute name of the topic for nodes in a namespace."""

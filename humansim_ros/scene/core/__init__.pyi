@@ -24,6 +24,7 @@ from humansim_ros.scene.core.names import check_node_names as check_node_names
 from humansim_ros.scene.core.names import right_camera as right_camera
 from humansim_ros.scene.core.names import skinner_node as skinner_node
 from humansim_ros.scene.core.names import variety_names as variety_names
+from humansim_ros.scene.core.needs import Needs as Needs
 from humansim_ros.scene.core.objects import BUILT_IN_MESHES as BUILT_IN_MESHES
 from humansim_ros.scene.core.objects import FURNITURE as FURNITURE
 from humansim_ros.scene.core.objects import SHAPES as SHAPES

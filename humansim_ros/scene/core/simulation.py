@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -28,12 +29,12 @@ from humansim_ros.render.interface import (
     Body,
     Renderer,
     View,
-    check_channels,
     comparing_with,
 )
 from humansim_ros.scene.config.timing import frame_at
 from humansim_ros.scene.core.camera import CameraPose, SceneCamera
 from humansim_ros.scene.core.faults import NO_FAULTS, FrameFaults
+from humansim_ros.scene.core.needs import Needs
 from humansim_ros.scene.core.playback import Playback
 from humansim_ros.scene.core.scene import Scene, short_list
 from humansim_ros.scene.core.state import CameraShot, DepthCapture, OnAccess, SceneState
@@ -56,16 +57,16 @@ class SceneStates:
     Args:
         scene: The scene.
         start: Stamp of frame 0, nanoseconds.
-        compared: Names of the adjacent frames that cameras compare a frame with.
 
     Attributes:
         playback: Clock and motions, at the state that was asked for last.
     """
 
-    def __init__(self, scene: Scene, start: int = 1, compared: Collection[AdjacentName] = ()) -> None:
+    def __init__(self, scene: Scene, start: int = 1) -> None:
         self.playback = Playback(scene)
         self._scene, self._start = scene, start
-        self._directions = {name: _DIRECTIONS[name] for name in compared}
+        #: Adjacent frames that cameras compared the last frame with.
+        self._directions: dict[AdjacentName, int] = {}
         #: Makers of sweeps by scanner.
         self._scanning = {name: scanner.scanning(scene) for name, scanner in scene.scanners.items()}
         longest = max((scanner.pattern.period for scanner in scene.scanners.values()), default=0.0)
@@ -89,9 +90,17 @@ class SceneStates:
             self._kept[key] = state
         return state
 
-    def adjacent(self, index: int, steps: Collection[int]) -> dict[int, Mapping[AdjacentName, SceneState]]:
-        """States some frames after and before a frame, as far as cameras compare with them. ``steps``:
-        numbers of frames between two pictures of a camera. The result is by step."""
+    def adjacent(
+        self, index: int, steps: Collection[int], compared: Collection[AdjacentName]
+    ) -> dict[int, Mapping[AdjacentName, SceneState]]:
+        """States some frames after and before a frame, by step.
+
+        Args:
+            index: Number of the frame.
+            steps: Numbers of frames between two pictures of a camera.
+            compared: Which adjacent frames cameras compare the frame with.
+        """
+        self._directions = {name: _DIRECTIONS[name] for name in compared}
         self._forget(index)
         return {
             step: {name: self.at(index + sign * step) for name, sign in self._directions.items()}
@@ -285,10 +294,9 @@ class Simulation:
     ) -> None:
         self.scene = scene
         self.channels: tuple[str, ...] = (channels,) if isinstance(channels, str) else tuple(channels)
-        check_channels(self.channels)
+        self._needs = Needs(self.channels, scanners=None)
         self.start = start
-        compared = [name for name in ADJACENT_NAMES if comparing_with(name, self.channels)]
-        self._states = SceneStates(scene, start, compared)
+        self._states = SceneStates(scene, start)
         self.playback = self._states.playback
         self.renderer: Renderer = renderer or scene.make_renderer()
 
@@ -308,21 +316,14 @@ class Simulation:
         """The first ``count`` frames, one after the other."""
         return (self.frame(index) for index in range(count))
 
-    def frame(
-        self,
-        index: int,
-        cameras: Collection[str] | None = None,
-        rectified_depth: Collection[str] = (),
-        scanners: Collection[str] | None = None,
-    ) -> Frame:
+    def frame(self, index: int, needs: Needs | None = None, **former: Any) -> Frame:
         """Frame ``index``. Its stamp is ``start + round(index * period)``.
 
         Args:
             index: Number of the frame, from 0.
-            cameras: Names of the cameras to render; all if None. Those with a rate of their own are rendered
-                only in their frames.
-            rectified_depth: Names of the cameras with depth without lens distortion, too.
-            scanners: Names of the laser scanners with sweeps that are made; all if None.
+            needs: What the frame must have. If None, the channels of the simulation for all cameras, and all
+                laser scanners. Cameras with a rate of their own are rendered only in their frames.
+            former: Deprecated arguments ``cameras``, ``rectified_depth`` and ``scanners``.
 
         Raises:
             SceneError: There is no camera or scanner of a name.
@@ -330,16 +331,23 @@ class Simulation:
                 from, or has been closed; or OpenGL failed.
         """
         self.renderer.check_usable()  # before playback is set to the frame, which another thread may be using
-        asked = _chosen("camera", self.scene.scene_cameras, cameras)
+        if needs is None and not former:
+            needs = self._needs
+        elif not isinstance(needs, Needs):
+            needs = self._former_needs(**{"cameras": needs, **former})
+        channels = needs.ordered_channels
+        asked = _chosen("camera", self.scene.scene_cameras, needs.cameras)
         chosen = {name: camera for name, camera in asked.items() if index in camera.timing}
-        adjacent = self._states.adjacent(index, {camera.timing.step for camera in chosen.values()})
+        steps = {camera.timing.step for camera in chosen.values()}
+        compared = [name for name in ADJACENT_NAMES if comparing_with(name, channels)]
+        adjacent = self._states.adjacent(index, steps, compared)
         faults = {name: camera.faults.at(index) for name, camera in chosen.items() if camera.faults}
         frozen = {
             name: self._frozen(camera, camera.faults.pictured(index))
             for name, camera in chosen.items()
-            if camera.faults and faults[name].picture and "rgb" in self.channels
+            if camera.faults and faults[name].picture and "rgb" in channels
         }
-        swept = _chosen("scanner", self.scene.scanners, scanners)
+        swept = _chosen("scanner", self.scene.scanners, needs.scanners)
         sweeps = {name: self._states.sweeps(name, index) for name in swept}
         state = self._states.at(index)
         shots = {}
@@ -347,7 +355,7 @@ class Simulation:
             others = adjacent[camera.timing.step].items()
             around = {frame: other.shot(camera).adjacent_frame for frame, other in others}
             shots[name] = replace(
-                state.shot(camera, self.channels),
+                state.shot(camera, channels),
                 faults=faults.get(name, NO_FAULTS),
                 frozen=frozen.get(name),
                 next_frame=around.get("next_frame"),
@@ -370,7 +378,9 @@ class Simulation:
             robot=state.robot,
             models={name: actor.human for name, actor in state.actors.items()},
             rectified_depth={
-                name: shots[name].rectified_depth(self.renderer) for name in rectified_depth if name in shots
+                name: shot.rectified_depth(self.renderer)
+                for name, shot in shots.items()
+                if name in needs.rectified
             },
             faults=faults,
             encodings={name: camera.encoding for name, camera in chosen.items()},
@@ -386,6 +396,14 @@ class Simulation:
             ),
             sweeps=sweeps,
         )
+
+    def _former_needs(
+        self, cameras: Any = None, rectified_depth: Collection[str] = (), scanners: Any = None
+    ) -> Needs:
+        """Needs of deprecated arguments."""
+        text = "cameras, rectified_depth and scanners of Simulation.frame are deprecated: give Needs"
+        warnings.warn(f"{text}; 0.4.0 removes them", DeprecationWarning, stacklevel=3)
+        return Needs(self.channels, cameras, scanners, rectified_depth)
 
     def _measured(self, shot: CameraShot, sensor: DepthSensor) -> DepthCapture:
         self.renderer.check_usable()

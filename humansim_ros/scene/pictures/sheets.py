@@ -22,13 +22,14 @@ from humansim_ros.people.humans import Human
 from humansim_ros.render.interface import CHANNEL_TABLE, View, check_channels
 from humansim_ros.render.pictures import PAPER, TITLE_HEIGHT, draw_text, encode_png, text_size, title_bar
 from humansim_ros.scene.core.camera import SceneCamera
+from humansim_ros.scene.core.needs import Needs
 from humansim_ros.scene.core.scene import Scene
 from humansim_ros.scene.core.simulation import Frame, Simulation
 from humansim_ros.scene.pictures.people import HumanArtist, StickFigureArtist, strip
 from humansim_ros.scene.pictures.rigs import camera_panel
 from humansim_ros.scene.pictures.top_view import top_view
 from humansim_ros.scene.pictures.views import channel_picture, color_channel, draw_joints, joint_colors
-from humansim_ros.scene.truth.camera_truth import OCCLUDED, OUTSIDE, VISIBLE
+from humansim_ros.scene.truth.camera_truth import OCCLUDED, OUTSIDE, REQUIRED_CHANNELS, VISIBLE
 from humansim_ros.types import Array, Image
 
 if TYPE_CHECKING:
@@ -138,7 +139,6 @@ WIDTHS = (160, MAX_SIDE)
 _SMALL = 320
 #: Number of pixels that are rendered per pixel of the sheet, along each axis.
 _OVERSAMPLING = 2
-_JOINT_CHANNELS = ("depth", "instance", "part")
 
 
 @dataclass(frozen=True)
@@ -197,7 +197,7 @@ def snapshot(
     if not 0 <= seconds <= 1e6:
         raise SceneError(f"the time of a snapshot is 0 to 1000000 seconds, not {seconds:g}")
     overlay = joints and "rgb" in channels and bool(scene.actors)
-    rendered = [*channels, *(name for name in _JOINT_CHANNELS if overlay and name not in channels)]
+    rendered = {*channels, *(REQUIRED_CHANNELS["joints"] if overlay else ())}
     index = round(seconds * scene.config.rate)
     sizes = [camera.camera.size for camera in scene.scene_cameras.values()]
     layout = _Layout.of(sizes + [_middle(sizes)] * above, len(channels), width)
@@ -206,9 +206,9 @@ def snapshot(
     columns = []
     posed: dict[str, Camera] = {}
     seconds = index / scene.config.rate
-    with Simulation(scene, channels=rendered) as simulation:
+    with Simulation(scene) as simulation:
         for name in cameras:
-            frame = simulation.frame(index, cameras=[name])
+            frame = simulation.frame(index, Needs(rendered, [name]))
             posed |= frame.cameras
             columns.append(arranged(_channel_tiles(frame, name, channels, layout.tile, overlay), 1))
     if above:

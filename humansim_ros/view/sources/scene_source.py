@@ -19,9 +19,10 @@ from humansim_ros.files.reading import cores
 from humansim_ros.geometry import quaternion_to_matrix
 from humansim_ros.people.humans import Human
 from humansim_ros.scene.config import FIRST_STAMP
-from humansim_ros.scene.core import Frame, Playback, Scene, SceneStates, Simulation
+from humansim_ros.scene.core import Frame, Needs, Playback, Scene, SceneStates, Simulation
 from humansim_ros.scene.features import Sweep
 from humansim_ros.scene.pictures import channel_picture, draw_joints
+from humansim_ros.scene.truth import REQUIRED_CHANNELS
 from humansim_ros.types import Array, Image
 from humansim_ros.view.sources.picking import PIXEL_CHANNELS, pixel_info
 from humansim_ros.view.sources.source import (
@@ -186,7 +187,7 @@ class SceneViewSource(ViewSource):
     @cached_property
     def _simulation(self) -> Simulation:
         """Simulation in this process, which gives the exact truth of clicked pixels."""
-        return Simulation(self.scene, channels=PIXEL_CHANNELS)
+        return Simulation(self.scene)
 
     def _estimate(self, elapsed: int) -> tuple[dict[str, Array], dict[str, float]]:
         """Points and errors of the estimate at a time of the scene, nanoseconds, by person."""
@@ -211,7 +212,7 @@ class SceneViewSource(ViewSource):
 
     def describe(self, camera: str, x: int, y: int) -> PixelInfo:
         if self._exact is None or self._exact.index != self._shown or camera not in self._exact.views:
-            self._exact = self._simulation.frame(self._shown, cameras=[camera])
+            self._exact = self._simulation.frame(self._shown, Needs(PIXEL_CHANNELS, [camera]))
         return pixel_info(self.scene, self._exact, camera, x, y)
 
     def tracks(self) -> SceneTracks:
@@ -252,8 +253,6 @@ class SceneViewSource(ViewSource):
 
 # --- processes that render the images, so that rendering never delays the motion of the page
 
-#: Channels that are needed to find out which joints are visible.
-_JOINT_CHANNELS = ("depth", "instance", "part")
 #: Longest wait for images of a process, seconds.
 _PATIENCE = 60.0
 #: Niceness of the rendering processes, so that the motion of the page goes before its images.
@@ -453,27 +452,21 @@ class _PageImages:
 
 
 class _Painter:
-    """Renders images in a process: one simulation for each set of channels, all with the same renderer."""
+    """Renders images in a process."""
 
     def __init__(self, scene: Scene) -> None:
         self.costs = Costs()
         self._scene = scene
-        self._renderer = scene.make_renderer()
-        self._simulations: dict[tuple[str, ...], Simulation] = {}
+        self._simulation = Simulation(scene)
 
     def close(self) -> None:
-        self._renderer.close()
+        self._simulation.close()
 
     def work(self, part: _Part) -> FrameResult:
         request = part.request
         wanted = set(request.channels)
-        rendered = wanted - {JOINTS} | ({"rgb", *_JOINT_CHANNELS} if JOINTS in wanted else set())
-        channels = tuple(sorted(rendered))
-        simulation = self._simulations.get(channels)
-        if simulation is None:
-            simulation = Simulation(self._scene, channels=channels, renderer=self._renderer)
-            self._simulations[channels] = simulation
-        frame = simulation.frame(request.index, cameras=part.cameras)
+        rendered = wanted - {JOINTS} | ({"rgb", *REQUIRED_CHANNELS["joints"]} if JOINTS in wanted else set())
+        frame = self._simulation.frame(request.index, Needs(rendered, part.cameras))
         images: dict[tuple[str, str], Image] = {}
         for camera in part.cameras:
             width = None if camera in request.full else request.width

@@ -33,8 +33,8 @@ from humansim_ros.errors import EvaluationError, HumansimError, printable, some_
 from humansim_ros.motion.body import body_joints
 from humansim_ros.motion.files import KeyframeTrack
 from humansim_ros.scene.config import FIRST_STAMP
-from humansim_ros.scene.core import Playback, Scene, Simulation
-from humansim_ros.scene.truth import OCCLUDED, VISIBLE
+from humansim_ros.scene.core import Needs, Playback, Scene, Simulation
+from humansim_ros.scene.truth import OCCLUDED, REQUIRED_CHANNELS, VISIBLE
 from humansim_ros.types import Float32Array, Indices
 
 _LOG = logging.getLogger(__name__)
@@ -305,8 +305,8 @@ class _SceneTracks:
 
     def views(self, index: int) -> TrackSample:
         if self._simulation is None:
-            self._simulation = Simulation(self._scene, channels=("depth", "instance", "part"))
-        frame = self._simulation.frame(index, cameras=self._job.cameras)
+            self._simulation = Simulation(self._scene)
+        frame = self._simulation.frame(index, Needs(REQUIRED_CHANNELS["joints"], self._job.cameras))
         seen: dict[str, dict[str, tuple[float, float]]] = {}
         for camera, truth in frame.truth.items():
             for person, joints in truth.joints.items():

@@ -16,8 +16,8 @@ from humansim_ros.motion.files.files import read_motion as read_motion
 from humansim_ros.people.humans.human import Human as Human
 from humansim_ros.people.loading.loading import load_human as load_human
 from humansim_ros.render.interface.channels import View as View
+from humansim_ros.scene.core.frame import Frame as Frame
 from humansim_ros.scene.core.scene import Scene as Scene
-from humansim_ros.scene.core.simulation import Frame as Frame
 from humansim_ros.scene.core.simulation import Simulation as Simulation
 
 __version__: str

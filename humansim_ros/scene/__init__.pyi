@@ -6,11 +6,11 @@ from humansim_ros.scene.core.camera import CameraPose as CameraPose
 from humansim_ros.scene.core.camera import SceneCamera as SceneCamera
 from humansim_ros.scene.core.environment import Environment as Environment
 from humansim_ros.scene.core.findings import Finding as Finding
+from humansim_ros.scene.core.frame import Frame as Frame
 from humansim_ros.scene.core.needs import Needs as Needs
 from humansim_ros.scene.core.objects import SceneObject as SceneObject
 from humansim_ros.scene.core.playback import Playback as Playback
 from humansim_ros.scene.core.scene import Scene as Scene
-from humansim_ros.scene.core.simulation import Frame as Frame
 from humansim_ros.scene.core.simulation import Simulation as Simulation
 from humansim_ros.scene.truth.camera_truth import NOTHING as NOTHING
 from humansim_ros.scene.truth.camera_truth import OCCLUDED as OCCLUDED

@@ -22,7 +22,7 @@ from humansim_ros.data.messages.people import DETECTIONS_2D, MESSAGE_TYPES
 from humansim_ros.data.messages.transforms import TF, Transforms, read_links
 from humansim_ros.data.messages.types import made_type, readable_type
 from humansim_ros.errors import EvaluationError, HumansimWarning, RosError
-from humansim_ros.scene.core.simulation import Frame
+from humansim_ros.scene.core.frame import Frame
 
 FRAMES = 12
 SCENE: dict[str, Any] = {

@@ -34,7 +34,7 @@ from humansim_ros.data.messages.people import GROUND, read_people
 from humansim_ros.data.messages.topics import scene_topics
 from humansim_ros.errors import EvaluationError, RosError, SceneError
 from humansim_ros.scene.config.config import AdaptersConfig
-from humansim_ros.scene.core.simulation import Frame
+from humansim_ros.scene.core.frame import Frame
 from humansim_ros.scene.truth import standing
 
 ALL = {

@@ -19,7 +19,7 @@ from humansim_ros.data import recording
 from humansim_ros.data.recording import RecordingPlan, SceneRecording, record
 from humansim_ros.errors import BagError
 from humansim_ros.scene import Scene, Simulation
-from humansim_ros.scene.core.simulation import Frame
+from humansim_ros.scene.core.frame import Frame
 
 rosbags_typesys = pytest.importorskip("rosbags.typesys")
 FRAMES = 4

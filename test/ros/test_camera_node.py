@@ -24,10 +24,10 @@ from waiting import PATIENCE
 from humansim_ros.cameras import Camera
 from humansim_ros.cameras.formats.calibration import read_calibration
 from humansim_ros.data import messages
+from humansim_ros.data.messages import CameraTopics
 from humansim_ros.data.messages.cameras import object_message
 from humansim_ros.data.messages.headers import scene_time_message
 from humansim_ros.data.messages.humans import joints_message, vertices_message
-from humansim_ros.data.messages.topics import CameraTopics
 from humansim_ros.errors import HumansimError
 from humansim_ros.motion import hanim_skeleton
 from humansim_ros.ros.graph.qos import LATCHED

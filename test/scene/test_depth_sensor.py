@@ -18,7 +18,7 @@ from humansim_ros.cameras import Camera, write_calibration
 from humansim_ros.data.messages.topics import scene_topics
 from humansim_ros.errors import HumansimError, RenderError
 from humansim_ros.scene import Scene, Simulation, check_scene
-from humansim_ros.scene.core.simulation import Frame
+from humansim_ros.scene.core.frame import Frame
 from humansim_ros.view.sources.seen_topics import seen_topics
 
 Values = NDArray[Any]

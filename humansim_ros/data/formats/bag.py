@@ -25,10 +25,10 @@ from humansim_ros.data.bags.reader import BagReader
 from humansim_ros.data.formats.formats import BODIES, BOXES, KEYPOINTS, POSITIONS, ExportFormat
 from humansim_ros.data.formats.source import versions
 from humansim_ros.data.formats.writer import ExportCamera, ExportScene
+from humansim_ros.data.messages.camera_topics import COMPRESSED
 from humansim_ros.data.messages.camera_truth import BODY_KINDS, JOINT_POINT, body_box, joint_places
 from humansim_ros.data.messages.cdr import deserialised
 from humansim_ros.data.messages.frames import Frames
-from humansim_ros.data.messages.topics import COMPRESSED
 from humansim_ros.data.messages.types import (
     CameraInfo,
     CompressedImage,

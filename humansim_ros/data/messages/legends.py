@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
@@ -13,7 +13,7 @@ from humansim_ros.files.mesh import MATERIAL_LABELS
 from humansim_ros.files.reading import parse_json
 from humansim_ros.motion.body import Skeleton
 from humansim_ros.people.keypoints import KEYPOINT_SETS
-from humansim_ros.scene.core import FaultSchedule, JointSource
+from humansim_ros.scene.core import FaultSchedule, JointSource, Scene
 from humansim_ros.scene.truth import NOTHING, OCCLUDED, OUTSIDE, PERSON, SELF, THING, VISIBLE
 
 
@@ -43,6 +43,16 @@ def instance_legend(labels: Mapping[str, int]) -> String:
 def part_legend(skeleton: Skeleton) -> String:
     """Build ``<camera>/part/legend``: the name of the bone for each pixel value."""
     return _legend({"0": "background"} | {str(i): name for i, name in enumerate(skeleton.names, 1)})
+
+
+def label_legends(scene: Scene) -> dict[str, Callable[[], String]]:
+    """Functions that build the legends of the channels ``instance`` and ``part``, by channel. A legend says
+    what each number of a label image means."""
+    legends = {"instance": lambda: instance_legend(scene.labels)}
+    if scene.actors:
+        skeleton = next(iter(scene.actors.values())).human.skeleton
+        legends["part"] = lambda: part_legend(skeleton)
+    return legends
 
 
 def material_legend() -> String:

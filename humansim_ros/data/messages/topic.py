@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Generic, TypeVar
 
 from humansim_ros.data.messages.types import name_of
@@ -60,7 +61,7 @@ class Topic(Generic[Content]):
     sparse: bool = False
     absolute: bool = False
 
-    @property
+    @cached_property
     def needs(self) -> Needs:
         """What the message needs of a frame."""
         cameras = (self.camera,) if self.camera else ()
@@ -103,3 +104,8 @@ class Topic(Generic[Content]):
 
     def _faults(self, frame: Frame) -> FrameFaults:
         return frame.faults[self.camera] if self.faulty else NO_FAULTS
+
+
+def sent_once(name: str, kind: type[Any], build: Callable[[], Any], **settings: Any) -> Topic[None]:
+    """Topic with one message for the whole scene. ``settings``: other attributes of the topic."""
+    return Topic(name, kind, lambda *_: build(), lambda _: None, latched=True, per_frame=False, **settings)

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -20,33 +21,18 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped, TransformStamped
 
 from humansim_ros.data import messages
-from humansim_ros.data.messages import CameraTopics, PublishedCalibration, read_lens
+from humansim_ros.data.messages import CameraTopics, PublishedCalibration, Topic, read_lens
 from humansim_ros.errors import HumansimError, RosError, SceneError, located, printable, unknown
 from humansim_ros.geometry import matrix_to_quaternion, quaternion_to_matrix, slerp
 from humansim_ros.render.interface import comparing_with
 from humansim_ros.ros.graph.qos import NEWEST
 from humansim_ros.ros.nodes.frame_synchronizer import FrameSynchronizer
-from humansim_ros.ros.nodes.publishers import (
-    CalibrationService,
-    CameraDriver,
-    DepthSensorPublishers,
-    FaultsPublisher,
-    ImagePublishers,
-    InfoPublishers,
-    TruthPublishers,
-)
+from humansim_ros.ros.nodes.publishers import CalibrationService, CameraDriver, CameraPublishers
 from humansim_ros.ros.playing.clock import PictureTimer
 from humansim_ros.ros.processes.node import SceneNode
 from humansim_ros.ros.processes.runtime import run_node
 from humansim_ros.ros.processes.transforms import TransformSender
-from humansim_ros.scene.core import (
-    CameraPose,
-    CameraShot,
-    Scene,
-    SceneCamera,
-    SceneState,
-)
-from humansim_ros.scene.truth import CameraTruth
+from humansim_ros.scene.core import CameraPose, CameraShot, Frame, Needs, Scene, SceneCamera, SceneState
 from humansim_ros.types import Image
 
 #: Most received poses that are stored, since frames are a little older than the newest pose.
@@ -209,33 +195,28 @@ class CameraNode(SceneNode):
         frame = self._optical_frame(name)
         self._in_rig = renderer is not None
         self._renderer = renderer if self._in_rig else self.make_renderer()
-        self._topics = CameraTopics(self.scene, self._camera, frame, self._renderer.channels)
+        _ = self.scene.joint_surfaces  # computed now: later it would delay a frame
+        calibration = PublishedCalibration(self._camera)
+        topics = CameraTopics(self.scene, self._camera, frame, self._renderer.channels, calibration)
         self._driver = CameraDriver(self)
-        self._images = ImagePublishers(self, self._topics, self._driver)
+        self._publishers = CameraPublishers(self, topics, self._driver)
         self._timer = PictureTimer(self._camera.timing)
         #: Shots of the last two frames, if flow has subscribers.
         self._last: CameraShot | None = None
         self._previous: CameraShot | None = None
-        self._infos = InfoPublishers(self, self._topics, self._driver)
-        self._truth = TruthPublishers(self, self._topics)
-        self._faults = FaultsPublisher(self, self._topics)
-        self._depth: DepthSensorPublishers | None = None
-        if self._topics.depth_sensor is not None:
-            self._depth = DepthSensorPublishers(self, self._topics.depth_sensor, self._driver)
         schedule = self._camera.faults
         self._freezes = schedule is not None and schedule.config.freeze is not None
         #: Colour image of the last frame before the camera froze, if faults can freeze this camera.
         self._last_colours: Image | None = None
-        self._calibration = PublishedCalibration(self._camera)
-        CalibrationService(self, self._calibration)
+        CalibrationService(self, calibration)
         if url := self.text_parameter(
             "published_info_url",
             "",
             "Calibration file to publish as camera_info in place of the rendered lens; empty: the truth",
         ):
-            self._calibration.replace(read_lens(url, name), url)
-        self._pose = CameraPosePublisher(self, self._camera, self._topics)
-        for legend in self._topics.legends:
+            calibration.replace(read_lens(url, name), url)
+        self._pose = CameraPosePublisher(self, self._camera, topics)
+        for legend in topics.legends:
             self.publish_latched(legend.build(None, 0), legend.name)
         if not self._in_rig:
             moving = [name] if self._camera.moves else []
@@ -290,66 +271,53 @@ class CameraNode(SceneNode):
         self.report_time(1e3 * (time.monotonic() - start), "render")
 
     def _publish_frame(self, state: SceneState) -> None:
-        shot = self._pose.shot(state)
-        channels = self._images.subscribed()
-        if self._last is not None and self._last.state.is_preview != state.is_preview:
+        shot, topics = self._pose.shot(state), self._publishers.subscribed()
+        forward = [topic for topic in topics if topic.channels & _FORWARD]
+        backward = [topic for topic in topics if topic.channels & _BACKWARD]
+        previous = self._previous_shot(shot, bool(forward or backward))
+        topics = [topic for topic in topics if topic not in forward]
+        if previous is None:
+            self._publish_shot(shot, [topic for topic in topics if topic not in backward])
+            return
+        self._publish_shot(replace(shot, previous_frame=previous.adjacent_frame), topics)
+        if forward:
+            complete = replace(previous, next_frame=shot.adjacent_frame)
+            self._publishers.publish(forward, self._captured(complete, Needs.of(forward)))
+
+    def _previous_shot(self, shot: CameraShot, has_flow: bool) -> CameraShot | None:
+        """Shot of the frame before, and remember this one. None if no topic compares frames, or there is no
+        such frame."""
+        if self._last is not None and self._last.state.is_preview != shot.state.is_preview:
             self._last = self._previous = None  # flow does not lead from one to the other
-        if self._last is not None and self._last.state.stamp != state.stamp:  # else the same frame again
+        if self._last is not None and self._last.state.stamp != shot.state.stamp:  # else the same frame again
             self._previous = self._last
         previous = self._previous
-        self._last = shot if channels & (_FORWARD | _BACKWARD) else None
+        self._last = shot if has_flow else None
         if self._last is None:
             self._previous = None
-        if previous is None:
-            self._publish_view(shot, channels - _FORWARD - _BACKWARD)
-            return
-        self._publish_view(replace(shot, previous_frame=previous.adjacent_frame), channels - _FORWARD)
-        if channels & _FORWARD:
-            forward = channels & _FORWARD
-            complete = replace(previous, next_frame=shot.adjacent_frame, channels=forward)
-            self._images.publish(complete.take(self._renderer), forward, previous.state.stamp)
+        return previous
 
-    def _publish_view(self, shot: CameraShot, channels: set[str]) -> None:
+    def _publish_shot(self, shot: CameraShot, topics: Sequence[Topic[Any]]) -> None:
         state, schedule = shot.state, self._camera.faults
         if schedule is not None and not state.is_preview:
             shot = replace(shot, faults=schedule.at_time(state.scene_time))
-        self._faults.publish(shot.faults, state.stamp)
+        for kind in shot.faults.kinds:
+            self.count(f"fault_{kind}")
         with self._driver.frame(state.stamp, shot.faults):
-            self._publish_images(shot, channels)
+            if topics:
+                self._publishers.publish(topics, self._captured(shot, Needs.of(topics)))
+                self.count("frames")
+                self.report_lateness(state.stamp)
 
-    def _publish_images(self, shot: CameraShot, channels: set[str]) -> None:
-        stamp = shot.state.stamp
-        truth_topics = self._truth.subscribed()
-        rectified = self._images.rectified_subscribed()
-        depth_topics = [] if self._depth is None else self._depth.subscribed()
-        rendered = channels | self._truth.needed(truth_topics) | (rectified & {"rgb"})
-        rendered = rendered.union(*(topic.channels for topic in depth_topics))
-        self._infos.publish(self._calibration, stamp)
-        if not rendered and not rectified and not depth_topics:
-            return
-        captured = self._captured(shot, rendered)
-        view = captured.view
-        self._images.publish(view, channels, stamp)
-        if "rgb" in rectified:
-            self._images.publish_rectified("rgb", self._camera.rectify(view.rgb), stamp)
-        if "depth" in rectified:
-            self._images.publish_rectified("depth", shot.rectified_depth(self._renderer), stamp)
-        sensor = self._camera.depth_sensor
-        if self._depth is not None and sensor is not None and depth_topics:
-            measured = shot.measured_depth(self._renderer, sensor)
-            self._depth.publish(depth_topics, (measured, view), stamp)
-        self._truth.publish(truth_topics, captured, stamp)
-        self.count("frames")
-        self.report_lateness(stamp)
-
-    def _captured(self, shot: CameraShot, channels: set[str]) -> CameraTruth:
-        """Images and truth of a shot. While the camera is frozen, the colours are those of an earlier
-        frame."""
-        frozen = self._last_colours if shot.faults.picture and "rgb" in channels else None
-        captured = replace(shot, channels=channels, frozen=frozen).truth(self._renderer)
-        if self._freezes and "rgb" in channels:
-            self._last_colours = captured.view.rgb
-        return captured
+    def _captured(self, shot: CameraShot, needs: Needs) -> Frame:
+        """Frame with a shot. While the camera is frozen, the colours are those of an earlier frame."""
+        name, colours = self._camera.name, "rgb" in needs.channels
+        frozen = self._last_colours if shot.faults.picture and colours else None
+        shot = replace(shot, channels=needs.ordered_channels, frozen=frozen)
+        frame = Frame.captured(shot.state, {name: shot}, needs, self._renderer)
+        if self._freezes and colours:
+            self._last_colours = frame.views[name].rgb
+        return frame
 
 
 def main(scene: Scene | None = None) -> int:

@@ -6,9 +6,9 @@ import heapq
 import time
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, NamedTuple
+from dataclasses import asdict, replace
+from typing import Any, Generic, NamedTuple, TypeVar
 
-from numpy.typing import NDArray
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.duration import Duration
 from sensor_msgs.srv import SetCameraInfo
@@ -17,18 +17,16 @@ from humansim_ros.data.messages import (
     CameraTopics,
     Content,
     DepthCompression,
-    DepthContent,
-    DepthSensorTopics,
     ImageCompression,
     PublishedCalibration,
     Topic,
     read_camera_info,
 )
 from humansim_ros.errors import HumansimError, RosError, printable
-from humansim_ros.render.interface import CHANNEL_TABLE, View
 from humansim_ros.ros.processes.node import SceneNode
-from humansim_ros.scene.core import FOLLOWING, NO_FAULTS, FrameFaults
-from humansim_ros.scene.truth import CameraTruth
+from humansim_ros.scene.core import FOLLOWING, NO_FAULTS, Frame, FrameFaults
+
+Settings = TypeVar("Settings", ImageCompression, DepthCompression)
 
 
 class CalibrationService:
@@ -152,29 +150,50 @@ class CameraDriver:
             self._set_timer()
 
 
-class _CompressedPublisher:
-    """Publisher of compressed images, with its parameters. The name of ``topic`` ends with the name of the
-    plugin of image_transport, such as ``compressed``."""
+#: Limits and descriptions of the settings of compressed images, which are parameters of the camera node.
+_SETTINGS: dict[str, tuple[tuple[float, float], str]] = {
+    "jpeg_quality": ((1, 100), "JPEG quality, 1 to 100"),
+    "png_level": ((0, 9), "PNG compression level, 0 to 9; lossless"),
+    "depth_max": ((1.0, 100.0), "Metres from which on depth is not encoded"),
+    "depth_quantization": ((1.0, 150.0), "Metres at which the resolution is one metre"),
+}
 
-    def __init__(self, node: SceneNode, topic: Topic[View]) -> None:
-        self._node = node
-        self._parameters = topic.name.replace("/", ".") + "."
-        self._publisher = node.topic_publisher(topic)
 
-    @property
-    def subscribed(self) -> bool:
-        """Whether the topic has subscribers."""
-        return bool(self._publisher.get_subscription_count())
+class CompressedTopic(Generic[Settings]):
+    """A topic of compressed images with its settings as parameters. The names of the parameters are those of
+    the plugin of image_transport, such as ``left.image_raw.compressed.jpeg_quality``.
 
-    def _declare(self, name: str, default: Any, limits: tuple[float, float] | None, description: str) -> None:
-        self._node.described_parameter(self._parameters + name, default, description, limits)
+    Args:
+        node: Node of the camera.
+        topic: Function that makes the topic for some settings.
+        default: Default settings.
+        formats: Values of parameter ``format``, the default first.
+    """
 
-    def _value(self, name: str) -> Any:
-        return self._node.get_parameter(self._parameters + name).value
+    def __init__(
+        self,
+        node: SceneNode,
+        topic: Callable[[Settings], Topic[Any]],
+        default: Settings,
+        formats: Sequence[str],
+    ) -> None:
+        self._node, self._topic, self._default = node, topic, default
+        self._prefix = topic(default).name.replace("/", ".") + "."
+        node.described_parameter(f"{self._prefix}format", formats[0], " or ".join(formats), None)
+        self._restrict_format(*formats)
+        for name, value in asdict(default).items():
+            if name != "format":
+                limits, description = _SETTINGS[name]
+                node.described_parameter(self._prefix + name, value, description, limits)
+
+    def current(self) -> Topic[Any]:
+        """Make the topic with the present values of the parameters."""
+        values = {name: self._node.get_parameter(self._prefix + name).value for name in asdict(self._default)}
+        return self._topic(replace(self._default, **values))
 
     def _restrict_format(self, *values: str) -> None:
         """Reject all values of the parameter ``format`` except ``values``, at the start and later."""
-        full = f"{self._parameters}format"
+        full = f"{self._prefix}format"
 
         def check(parameters: Sequence[Any]) -> SetParametersResult:
             invalid = [p.value for p in parameters if p.name == full and p.value not in values]
@@ -187,170 +206,30 @@ class _CompressedPublisher:
         self._node.add_on_set_parameters_callback(check)
 
 
-class CompressedImagePublisher(_CompressedPublisher):
-    """Publisher of ``<camera>/image_raw/compressed``."""
-
-    def __init__(self, node: SceneNode, topics: CameraTopics, driver: CameraDriver) -> None:
-        default = ImageCompression()
-        self._topics = topics
-        self._driver = driver
-        super().__init__(node, topics.compressed(default))
-        self._declare("format", default.format, None, "jpeg or png")
-        self._restrict_format("jpeg", "png")
-        self._declare("jpeg_quality", default.jpeg_quality, (1, 100), "JPEG quality, 1 to 100")
-        self._declare("png_level", default.png_level, (0, 9), "PNG compression level, 0 to 9; lossless")
-
-    def publish(self, view: View, stamp: int) -> None:
-        """Encode the image of a view and publish it."""
-        settings = ImageCompression(*map(self._value, ("format", "jpeg_quality", "png_level")))
-        self._driver.send(self._topics.compressed(settings), self._publisher, view, stamp)
-
-
-class CompressedDepthPublisher(_CompressedPublisher):
-    """Publisher of ``<camera>/depth/image/compressedDepth``."""
-
-    def __init__(self, node: SceneNode, topics: CameraTopics) -> None:
-        default = DepthCompression()
-        self._topics = topics
-        super().__init__(node, topics.compressed_depth(default))
-        self._declare("format", "png", None, "png")
-        self._restrict_format("png")
-        self._declare(
-            "depth_max", default.depth_max, (1.0, 100.0), "Metres from which on depth is not encoded"
-        )
-        self._declare(
-            "depth_quantization",
-            default.depth_quantization,
-            (1.0, 150.0),
-            "Metres at which the resolution is one metre",
-        )
-        self._declare("png_level", default.png_level, (0, 9), "PNG compression level, 0 to 9; lossless")
-
-    def publish(self, view: View, stamp: int) -> None:
-        """Encode the depth of a view and publish it."""
-        settings = DepthCompression(*map(self._value, ("depth_max", "depth_quantization", "png_level")))
-        self._publisher.publish(self._topics.compressed_depth(settings).build(view, stamp))
-
-
-class ImagePublishers:
-    """Publishers of a camera's channels: raw, compressed and rectified."""
+class CameraPublishers:
+    """Publishers of all topics that are built from what a camera captures: images, ground truth, calibration,
+    faults and measured depth."""
 
     def __init__(self, node: SceneNode, topics: CameraTopics, driver: CameraDriver) -> None:
         self._driver = driver
-        self._images = [(topic, node.topic_publisher(topic)) for topic in topics.images]
-        self._rectified = {
-            channel: (topic, node.topic_publisher(topic)) for channel, topic in topics.rectified.items()
-        }
-        self._compressed: dict[str, CompressedImagePublisher | CompressedDepthPublisher] = {
-            "rgb": CompressedImagePublisher(node, topics, driver),
-            "depth": CompressedDepthPublisher(node, topics),
-        }
-
-    def subscribed(self) -> set[str]:
-        """Channels with subscribers."""
-        subscribed = {name for name, publisher in self._compressed.items() if publisher.subscribed}
-        return subscribed.union(*(t.channels for t, publisher in self._images if _has_subscribers(publisher)))
-
-    def rectified_subscribed(self) -> set[str]:
-        """Channels with rectified images that have subscribers."""
-        return {name for name, (_, publisher) in self._rectified.items() if _has_subscribers(publisher)}
-
-    def publish_rectified(self, channel: str, image: NDArray[Any], stamp: int) -> None:
-        """Publish the rectified image of a channel."""
-        topic, publisher = self._rectified[channel]
-        self._driver.send(topic, publisher, image, stamp)
-
-    def publish(self, view: View, channels: Collection[str], stamp: int) -> None:
-        """Publish some channels of a view, the colour image first."""
-        for channel in (name for name in CHANNEL_TABLE if name in channels):
-            for topic, publisher in self._images:
-                if channel in topic.channels and _has_subscribers(publisher):
-                    self._driver.send(topic, publisher, view, stamp)
-            compressed = self._compressed.get(channel)
-            if compressed is not None and compressed.subscribed:
-                compressed.publish(view, stamp)
-
-
-def _has_subscribers(publisher: Any) -> bool:
-    return bool(publisher.get_subscription_count())
-
-
-class InfoPublishers:
-    """Publishers of a camera's calibration: ``<camera>/camera_info``, and one in the namespace of each
-    image."""
-
-    def __init__(self, node: SceneNode, topics: CameraTopics, driver: CameraDriver) -> None:
-        self._driver = driver
-        infos: list[tuple[Topic[Any], Callable[[PublishedCalibration], Any]]] = [
-            (topics.info, lambda each: each.published),
-            *((topic, lambda each: each.beside_truth) for topic in topics.truth_infos),
+        self._topics: list[Topic[Any] | CompressedTopic[Any]] = [
+            *topics.captured,
+            CompressedTopic(node, topics.compressed, ImageCompression(), ("jpeg", "png")),
+            CompressedTopic(node, topics.compressed_depth, DepthCompression(), ("png",)),
         ]
-        if (depth := topics.depth_sensor) is not None:
-            infos.append((depth.info, lambda _: depth.optics))
-            if depth.aligned_info is not None:
-                infos.append((depth.aligned_info, lambda each: each.published))
-        self._publishers = [(topic, node.topic_publisher(topic), camera) for topic, camera in infos]
+        self._publishers = {topic.name: node.topic_publisher(topic) for topic in map(_current, self._topics)}
 
-    def publish(self, calibration: PublishedCalibration, stamp: int) -> None:
-        """Publish the calibration of the whole sensor on all topics with subscribers."""
-        for topic, publisher, camera in self._publishers:
-            if _has_subscribers(publisher):
-                self._driver.send(topic, publisher, camera(calibration), stamp)
-
-
-class DepthSensorPublishers:
-    """Publishers of the measurements of a camera's depth sensor."""
-
-    def __init__(self, node: SceneNode, topics: DepthSensorTopics, driver: CameraDriver) -> None:
-        self._driver = driver
-        self._publishers = [(topic, node.topic_publisher(topic)) for topic in topics.measured]
-
-    def subscribed(self) -> list[Topic[DepthContent]]:
+    def subscribed(self) -> list[Topic[Any]]:
         """Topics with subscribers."""
-        return [topic for topic, publisher in self._publishers if _has_subscribers(publisher)]
+        counts = (publisher.get_subscription_count() for publisher in self._publishers.values())
+        return [_current(topic) for topic, count in zip(self._topics, counts, strict=True) if count]
 
-    def publish(self, topics: Collection[Topic[DepthContent]], content: DepthContent, stamp: int) -> None:
-        """Publish some topics of one frame."""
-        for topic, publisher in self._publishers:
-            if topic in topics:
-                self._driver.send(topic, publisher, content, stamp)
-
-
-class FaultsPublisher:
-    """Publisher of ``<camera>/faults``; counts the faults for the diagnostics."""
-
-    def __init__(self, node: SceneNode, topics: CameraTopics) -> None:
-        self._node = node
-        self._publishers = [(topic, node.topic_publisher(topic)) for topic in topics.faults]
-
-    def publish(self, faults: FrameFaults, stamp: int) -> None:
-        """Publish the faults of a frame."""
-        for kind in faults.kinds:
-            self._node.count(f"fault_{kind}")
-        for topic, publisher in self._publishers:
-            if _has_subscribers(publisher):
-                publisher.publish(topic.build(faults, stamp))
+    def publish(self, topics: Collection[Topic[Any]], frame: Frame) -> None:
+        """Publish some topics of a frame, as a recording has them."""
+        for topic in topics:
+            self._driver.send(topic, self._publishers[topic.name], topic.content(frame), frame.stamp)
 
 
-class TruthPublishers:
-    """Publishers of a camera's ground truth."""
-
-    def __init__(self, node: SceneNode, topics: CameraTopics) -> None:
-        _ = node.scene.joint_surfaces  # computed now: later it would delay a frame
-        kinds = topics.truth | {f"keypoints/{name}": topic for name, topic in topics.keypoints.items()}
-        kinds["overlay"] = topics.overlay
-        self._publishers = {kind: (topic, node.topic_publisher(topic)) for kind, topic in kinds.items()}
-
-    def subscribed(self) -> set[str]:
-        """Kinds of ground truth with subscribers."""
-        return {kind for kind, (_, publisher) in self._publishers.items() if _has_subscribers(publisher)}
-
-    def publish(self, kinds: Collection[str], truth: CameraTruth, stamp: int) -> None:
-        """Publish some kinds of the ground truth of one frame."""
-        for kind in kinds:
-            topic, publisher = self._publishers[kind]
-            publisher.publish(topic.build(truth, stamp))
-
-    def needed(self, kinds: Collection[str]) -> set[str]:
-        """Image channels that are needed to compute some kinds of ground truth."""
-        return {channel for kind in kinds for channel in self._publishers[kind][0].channels}
+def _current(topic: Topic[Any] | CompressedTopic[Any]) -> Topic[Any]:
+    """The topic with its present settings."""
+    return topic.current() if isinstance(topic, CompressedTopic) else topic

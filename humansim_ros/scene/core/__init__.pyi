@@ -13,6 +13,7 @@ from humansim_ros.scene.core.features import begin_draft as begin_draft
 from humansim_ros.scene.core.findings import Obstacle as Obstacle
 from humansim_ros.scene.core.findings import find_obstacles as find_obstacles
 from humansim_ros.scene.core.findings import without_enclosures as without_enclosures
+from humansim_ros.scene.core.frame import Frame as Frame
 from humansim_ros.scene.core.live import JointSource as JointSource
 from humansim_ros.scene.core.live import LiveRetargeter as LiveRetargeter
 from humansim_ros.scene.core.looks import RandomNumbers as RandomNumbers
@@ -34,7 +35,6 @@ from humansim_ros.scene.core.playback import Change as Change
 from humansim_ros.scene.core.playback import Playback as Playback
 from humansim_ros.scene.core.scene import DEMO_SCENE as DEMO_SCENE
 from humansim_ros.scene.core.scene import Scene as Scene
-from humansim_ros.scene.core.simulation import Frame as Frame
 from humansim_ros.scene.core.simulation import SceneStates as SceneStates
 from humansim_ros.scene.core.simulation import Simulation as Simulation
 from humansim_ros.scene.core.source import SceneSource as SceneSource

@@ -22,9 +22,10 @@ from humansim_ros.people.humans import Human
 from humansim_ros.render.interface import CHANNEL_TABLE, View, check_channels
 from humansim_ros.render.pictures import PAPER, TITLE_HEIGHT, draw_text, encode_png, text_size, title_bar
 from humansim_ros.scene.core.camera import SceneCamera
+from humansim_ros.scene.core.frame import Frame
 from humansim_ros.scene.core.needs import Needs
 from humansim_ros.scene.core.scene import Scene
-from humansim_ros.scene.core.simulation import Frame, Simulation
+from humansim_ros.scene.core.simulation import Simulation
 from humansim_ros.scene.pictures.people import HumanArtist, StickFigureArtist, strip
 from humansim_ros.scene.pictures.rigs import camera_panel
 from humansim_ros.scene.pictures.top_view import top_view

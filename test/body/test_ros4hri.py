@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from humansim_ros import Scene, Simulation
-from humansim_ros.data.messages.ros4hri import JOINTS, LINKS, URDF_JOINTS, HriLinks
+from humansim_ros.data.messages.stacks.ros4hri import JOINTS, LINKS, URDF_JOINTS, HriLinks
 from humansim_ros.motion import Skeleton, hanim_skeleton
 from humansim_ros.people import Human
 from humansim_ros.scene import HumanState

@@ -15,10 +15,10 @@ from humansim_ros.data.bags.chunks import BagMessage, encode_chunk
 from humansim_ros.data.bags.topics import BagTopic, described, message_types
 from humansim_ros.data.bags.writer import BagWriter
 from humansim_ros.data.evaluation.readers.estimates import bag_transforms
-from humansim_ros.data.messages.adapters import adapter_topics
 from humansim_ros.data.messages.cameras import extrinsics_message, transform_message
 from humansim_ros.data.messages.cdr import serialised
 from humansim_ros.data.messages.people import DETECTIONS_2D, MESSAGE_TYPES
+from humansim_ros.data.messages.stacks.adapters import adapter_topics
 from humansim_ros.data.messages.transforms import TF, Transforms, read_links
 from humansim_ros.data.messages.types import made_type, readable_type
 from humansim_ros.errors import EvaluationError, HumansimWarning, RosError

@@ -19,18 +19,18 @@ from humansim_ros import Scene, Simulation
 from humansim_ros.data import messages
 from humansim_ros.data.bags.topics import is_defined, message_types
 from humansim_ros.data.messages import types
-from humansim_ros.data.messages.adapters import (
+from humansim_ros.data.messages.camera_truth import boxes_message
+from humansim_ros.data.messages.cdr import serialised
+from humansim_ros.data.messages.people import GROUND, read_people
+from humansim_ros.data.messages.received import received_frame
+from humansim_ros.data.messages.stacks.adapters import (
     ADAPTERS,
     PEOPLE_MSGS,
     SPENCER_MSGS,
     VISION_MSGS,
     adapter_topics,
-    received_frame,
 )
-from humansim_ros.data.messages.camera_truth import boxes_message
-from humansim_ros.data.messages.cdr import serialised
-from humansim_ros.data.messages.hri import HRI_MESSAGES
-from humansim_ros.data.messages.people import GROUND, read_people
+from humansim_ros.data.messages.stacks.hri import HRI_MESSAGES
 from humansim_ros.data.messages.topics import scene_topics
 from humansim_ros.errors import EvaluationError, RosError, SceneError
 from humansim_ros.scene.config.config import AdaptersConfig
@@ -345,7 +345,7 @@ def test_all_messages_can_be_written_to_bags(frames: Callable[[int], Frame], sce
 
 
 def test_boxes_that_are_received_give_the_same_message(frames: Callable[[int], Frame], scene: Scene) -> None:
-    from humansim_ros.data.messages.adapters import CAMERA_INPUTS
+    from humansim_ros.data.messages.received import CAMERA_INPUTS
 
     frame = frames(12)
     topic = topics_of(scene, ALL)["fixed/detections_2d"]
@@ -372,8 +372,8 @@ def test_boxes_that_are_received_give_the_same_message(frames: Callable[[int], F
 def test_boxes_that_lie_are_refused(
     frames: Callable[[int], Frame], scene: Scene, field: str, value: float, text: str
 ) -> None:
-    from humansim_ros.data.messages.adapters import CAMERA_INPUTS
     from humansim_ros.data.messages.camera_truth import BOX_POINT
+    from humansim_ros.data.messages.received import CAMERA_INPUTS
 
     frame = frames(12)
     boxes = [(frame.labels[name], box) for name, box in frame.boxes["fixed"].items()]

@@ -15,8 +15,9 @@ from conftest import ROOT
 from scipy.spatial.transform import Rotation
 
 from humansim_ros import Frame, Scene, Simulation, record
-from humansim_ros.data.messages import hri, types
-from humansim_ros.data.messages.adapters import adapter_topics
+from humansim_ros.data.messages import types
+from humansim_ros.data.messages.stacks import hri
+from humansim_ros.data.messages.stacks.adapters import adapter_topics
 from humansim_ros.errors import RosError, SceneError
 from humansim_ros.types import Array
 

@@ -24,10 +24,10 @@ sys.path.append(str(ROOT / "tools"))
 
 from humansim_ros import Scene, Simulation
 from humansim_ros.data import messages
-from humansim_ros.data.messages.adapters import adapter_topics
 from humansim_ros.data.messages.cameras import transform_message
 from humansim_ros.data.messages.cdr import serialised
 from humansim_ros.data.messages.people import read_boxes_2d, read_people
+from humansim_ros.data.messages.stacks.adapters import adapter_topics
 from humansim_ros.errors import EvaluationError, RosError, SceneError
 from humansim_ros.testing import SceneGraph
 

@@ -26,9 +26,9 @@ from humansim_ros import Scene, Simulation
 from humansim_ros.data import messages
 from humansim_ros.data.bags.reader import BagReader
 from humansim_ros.data.messages import hri, types
-from humansim_ros.data.messages.adapters import adapter_topics
 from humansim_ros.data.messages.camera_truth import boxes_message, joint_view_message
 from humansim_ros.data.messages.images import image_message
+from humansim_ros.data.messages.stacks.adapters import adapter_topics
 from humansim_ros.errors import HumansimError, RosError, SceneError
 from humansim_ros.ros.graph.guarded_node import GuardedNode
 from humansim_ros.ros.nodes.recorder import has_message_per_frame
@@ -289,7 +289,7 @@ def test_images_that_are_no_colours_are_refused(ros: None, frame: dict[str, Any]
     node = bridge()
     pixels = np.zeros((120, 160), np.uint16)
     read = node._on_message
-    from humansim_ros.data.messages.adapters import CAMERA_INPUTS
+    from humansim_ros.data.messages.received import CAMERA_INPUTS
 
     for encoding, data in (("16UC1", pixels), ("rgb8", np.zeros((4, 4), np.uint8)), ("nonsense", pixels)):
         image = image_message(data, encoding, 1, "front_optical_frame")

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from humansim_ros import Scene, Simulation
 from humansim_ros.data.messages import read_image
-from humansim_ros.data.messages.adapters import adapter_topics
+from humansim_ros.data.messages.stacks.adapters import adapter_topics
 
 SCENE = {
     "humans": {

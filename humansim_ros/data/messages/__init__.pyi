@@ -1,8 +1,3 @@
-from humansim_ros.data.messages.adapters import ADAPTERS as ADAPTERS
-from humansim_ros.data.messages.adapters import CAMERA_INPUTS as CAMERA_INPUTS
-from humansim_ros.data.messages.adapters import AdapterTopic as AdapterTopic
-from humansim_ros.data.messages.adapters import adapter_topics as adapter_topics
-from humansim_ros.data.messages.adapters import received_frame as received_frame
 from humansim_ros.data.messages.camera_topics import CHANNEL_OF_TOPIC as CHANNEL_OF_TOPIC
 from humansim_ros.data.messages.camera_topics import COMPRESSED as COMPRESSED
 from humansim_ros.data.messages.camera_topics import MEASURED_DEPTH as MEASURED_DEPTH
@@ -39,7 +34,6 @@ from humansim_ros.data.messages.headers import read_scene_time as read_scene_tim
 from humansim_ros.data.messages.headers import serialised_stamp as serialised_stamp
 from humansim_ros.data.messages.headers import to_nanoseconds as to_nanoseconds
 from humansim_ros.data.messages.headers import to_time as to_time
-from humansim_ros.data.messages.hri import TF_MESSAGES as TF_MESSAGES
 from humansim_ros.data.messages.humans import human_state as human_state
 from humansim_ros.data.messages.humans import read_joints as read_joints
 from humansim_ros.data.messages.humans import read_mesh as read_mesh
@@ -58,9 +52,18 @@ from humansim_ros.data.messages.people import PoseFrame as PoseFrame
 from humansim_ros.data.messages.people import has_one_point as has_one_point
 from humansim_ros.data.messages.people import read_people as read_people
 from humansim_ros.data.messages.points import read_points as read_points
+from humansim_ros.data.messages.received import CAMERA_INPUTS as CAMERA_INPUTS
+from humansim_ros.data.messages.received import SceneInput as SceneInput
+from humansim_ros.data.messages.received import received_frame as received_frame
+from humansim_ros.data.messages.received import received_state as received_state
+from humansim_ros.data.messages.received import scene_inputs as scene_inputs
 from humansim_ros.data.messages.robot import read_command as read_command
 from humansim_ros.data.messages.robot import read_odometry as read_odometry
 from humansim_ros.data.messages.scanners import read_scanner_truth as read_scanner_truth
+from humansim_ros.data.messages.stacks.adapter import AdapterTopic as AdapterTopic
+from humansim_ros.data.messages.stacks.adapters import ADAPTERS as ADAPTERS
+from humansim_ros.data.messages.stacks.adapters import adapter_topics as adapter_topics
+from humansim_ros.data.messages.stacks.hri import TF_MESSAGES as TF_MESSAGES
 from humansim_ros.data.messages.topic import DATA_DEPTH as DATA_DEPTH
 from humansim_ros.data.messages.topic import LATCHED_DEPTH as LATCHED_DEPTH
 from humansim_ros.data.messages.topic import Content as Content

@@ -15,7 +15,6 @@ from dataclasses import replace
 from functools import cached_property, partial
 from typing import Any
 
-from humansim_ros.data.messages.adapters import AdapterTopic, adapter_topics, section_of
 from humansim_ros.data.messages.camera_topics import CameraTopics
 from humansim_ros.data.messages.cameras import object_message, transform_message, twist_message
 from humansim_ros.data.messages.headers import (
@@ -43,6 +42,8 @@ from humansim_ros.data.messages.scanners import (
     scanner_frame,
     scanner_truth_message,
 )
+from humansim_ros.data.messages.stacks.adapter import AdapterTopic, section_of
+from humansim_ros.data.messages.stacks.adapters import adapter_topics
 from humansim_ros.data.messages.topic import Topic, sent_once
 from humansim_ros.data.messages.transforms import TF, fixed_transform, transform_topics
 from humansim_ros.data.messages.types import (
@@ -332,7 +333,7 @@ def check_adapters(scene: Scene, installed: bool = False) -> None:
 
     Raises:
         SceneError: A setting names no camera or frame of the scene, or two topics would have the same name.
-        RosError: See :func:`~humansim_ros.data.messages.adapters.adapter_topics`.
+        RosError: See :func:`~humansim_ros.data.messages.stacks.adapters.adapter_topics`.
     """
     if scene.config.adapter_settings:
         scene_topics(scene)  # this includes the topics of adapters

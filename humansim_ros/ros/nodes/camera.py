@@ -199,7 +199,7 @@ class CameraNode(SceneNode):
         calibration = PublishedCalibration(self._camera)
         topics = CameraTopics(self.scene, self._camera, frame, self._renderer.channels, calibration)
         self._driver = CameraDriver(self)
-        self._publishers = CameraPublishers(self, topics, self._driver)
+        self._senders = CameraPublishers(self, topics, self._driver)
         self._timer = PictureTimer(self._camera.timing)
         #: Shots of the last two frames, if flow has subscribers.
         self._last: CameraShot | None = None
@@ -271,7 +271,7 @@ class CameraNode(SceneNode):
         self.report_time(1e3 * (time.monotonic() - start), "render")
 
     def _publish_frame(self, state: SceneState) -> None:
-        shot, topics = self._pose.shot(state), self._publishers.subscribed()
+        shot, topics = self._pose.shot(state), self._senders.subscribed()
         forward = [topic for topic in topics if topic.channels & _FORWARD]
         backward = [topic for topic in topics if topic.channels & _BACKWARD]
         previous = self._previous_shot(shot, bool(forward or backward))
@@ -282,7 +282,7 @@ class CameraNode(SceneNode):
         self._publish_shot(replace(shot, previous_frame=previous.adjacent_frame), topics)
         if forward:
             complete = replace(previous, next_frame=shot.adjacent_frame)
-            self._publishers.publish(forward, self._captured(complete, Needs.of(forward)))
+            self._senders.publish(forward, self._captured(complete, Needs.of(forward)))
 
     def _previous_shot(self, shot: CameraShot, has_flow: bool) -> CameraShot | None:
         """Shot of the frame before, and remember this one. None if no topic compares frames, or there is no
@@ -305,7 +305,7 @@ class CameraNode(SceneNode):
             self.count(f"fault_{kind}")
         with self._driver.frame(state.stamp, shot.faults):
             if topics:
-                self._publishers.publish(topics, self._captured(shot, Needs.of(topics)))
+                self._senders.publish(topics, self._captured(shot, Needs.of(topics)))
                 self.count("frames")
                 self.report_lateness(state.stamp)
 

@@ -3,26 +3,21 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
-from geometry_msgs.msg import PoseStamped, TwistStamped
 from rclpy.event_handler import QoSSubscriptionMatchedInfo, SubscriptionEventCallbacks
-from sensor_msgs.msg import JointState, MultiDOFJointState, PointCloud2, TimeReference
+from sensor_msgs.msg import TimeReference
 from std_msgs.msg import Header
-from visualization_msgs.msg import Marker
 
 from humansim_ros.data import messages
-from humansim_ros.data.messages import GivenUpFrame, PacedFrames, deserialised
-from humansim_ros.errors import HumansimError, RosError
+from humansim_ros.data.messages import GivenUpFrame, PacedFrames, SceneInput, received_state, scene_inputs
+from humansim_ros.errors import HumansimError
 from humansim_ros.ros.graph.qos import ALIVE, CAMERA_ALIVE, DONE, FRAME_DONE, NEWEST, SCENE_TIME
 from humansim_ros.ros.processes.node import SceneNode
 from humansim_ros.scene.config import frame_at
-from humansim_ros.scene.core import CameraPose, OnAccess, SceneState
-from humansim_ros.scene.truth import HumanState
-from humansim_ros.types import Float32Array
+from humansim_ros.scene.core import CameraPose, SceneState
 
 #: If no vertices arrive within this time after the start, seconds, the start of the scene is shown.
 _START_SCENE_AFTER = 1.5
@@ -33,9 +28,6 @@ _STARTING = 15.0
 #: Stamps of another clock are reported after the first number of seconds with such stamps. After a pause of
 #: the second number of seconds, the count begins anew.
 _CLOCK_DOUBT, _CLOCK_GAP = 10.0, 5.0
-
-#: Largest size of a point in a message with vertices, and of everything else in the message, bytes.
-_MAX_POINT, _MAX_HEADER = 64, 64 << 10
 
 
 class FrameSynchronizer:
@@ -72,37 +64,15 @@ class FrameSynchronizer:
         self._reporter = ", ".join(camera.get_fully_qualified_name() for camera in cameras)
         self._scene = node.scene
         self._on_frame = on_frame
-        humans, objects = list(self._scene.actors), list(self._scene.moving_objects)
         self._moving_cameras = list(moving_cameras)
-        moving = [*(f"objects/{name}" for name in objects), *moving_cameras]
-        #: Topics of humans, objects and cameras.
-        self._topics: list[str] = []
         # first, so that it is read before the other messages of its frame
         events = SubscriptionEventCallbacks(matched=self._on_scene_time_matched)
-        self._subscribe(TimeReference, SCENE_TIME, self._read_scene_time, event_callbacks=events)
-        for human in humans:
-            count = len(self._scene.actors[human].human.mesh.vertices)
-            self._subscribe(
-                PointCloud2,
-                f"humans/{human}/vertices",
-                partial(self._read_vertices, human),
-                max_bytes=_MAX_HEADER + _MAX_POINT * count,
-            )
-            # serialised: joints are read only if a topic needs them
-            joints = f"humans/{human}/joints"
-            self._topics.append(joints)
-            node.create_subscription(
-                MultiDOFJointState, joints, partial(self._on_joints, joints), NEWEST, raw=True
-            )
-            for feature, rest in self._scene.actors[human].features.items():
-                read = partial(messages.read_rated, rest=rest)
-                self._subscribe(JointState, f"humans/{human}/{feature}", read)
-        for name in objects:
-            self._subscribe(Marker, f"objects/{name}/marker", messages.read_object)
-        for name in moving_cameras:
-            self._subscribe(PoseStamped, f"{name}/pose", messages.read_pose)
-        for name in moving:
-            self._subscribe(TwistStamped, f"{name}/twist", messages.read_twist)
+        self._subscribe(SCENE_TIME, SceneInput(TimeReference, self._read_scene_time), event_callbacks=events)
+        inputs = scene_inputs(self._scene, self._moving_cameras)
+        for topic, each in inputs.items():
+            self._subscribe(topic, each)
+        #: Topics of humans, objects and cameras.
+        self._topics = list(inputs)
         self._frames = PacedFrames(self._topics, self._scene.period * 1e9)
         noisy = any(
             camera.sensor.config.noise or camera.depth_sensor for camera in self._scene.scene_cameras.values()
@@ -125,27 +95,25 @@ class FrameSynchronizer:
         self._start_scene_logged = False
         self._start_timer = node.create_timer(self._scene.period, self._await_first_frame)
 
-    def _subscribe(self, message_type: Any, topic: str, read: Callable[[Any], Any], **options: Any) -> None:
-        """Subscribe to a topic, and store each message with the other messages of its stamp.
-
-        Args:
-            message_type: Type of the messages.
-            topic: Topic name.
-            read: Function that returns the content of a message.
-            options: Other options of ``create_subscription``.
-        """
+    def _subscribe(self, topic: str, source: SceneInput, **options: Any) -> None:
+        """Subscribe to a topic, and store each message with the other messages of its stamp. ``options``:
+        other options of ``create_subscription``."""
 
         def on_message(message: Any) -> None:
             try:
-                content = read(message)
+                content = source.read(message)
             except HumansimError as error:
                 self._node.report_skipped(f"{topic}: {error}")
+                return
+            if source.raw:
+                stamp = messages.serialised_stamp(message)
             else:
-                self._store(topic, messages.to_nanoseconds(message.header.stamp), content)
+                stamp = messages.to_nanoseconds(message.header.stamp)
+            self._store(topic, stamp, content)
 
-        if topic != SCENE_TIME:
-            self._topics.append(topic)
-        self._node.create_subscription(message_type, topic, on_message, NEWEST, **options)
+        self._node.create_subscription(
+            source.type, topic, on_message, NEWEST, raw=source.raw, max_bytes=source.max_bytes, **options
+        )
 
     def _on_scene_time_matched(self, publishers: QoSSubscriptionMatchedInfo) -> None:
         self._has_scene_time = publishers.current_count > 0
@@ -166,26 +134,6 @@ class FrameSynchronizer:
         self._frames.require(SCENE_TIME, required or not self._topics)
         if not required and self._frames.has_whole:
             self._schedule_next_frame()
-
-    def _on_joints(self, topic: str, data: bytes) -> None:
-        self._store(topic, messages.serialised_stamp(data), data)
-
-    def _read_vertices(self, human: str, message: PointCloud2) -> Float32Array:
-        """Vertices of a message. Raises RosError unless their number fits the body."""
-        vertices = messages.read_vertices(message)
-        count = len(self._scene.actors[human].human.mesh.vertices)
-        if len(vertices) != count:
-            raise RosError(f"{len(vertices)} vertices, but the body has {count}")
-        return vertices
-
-    def _read_human(self, human: str, content: Mapping[str, Any]) -> HumanState:
-        """State of a human from the messages of a stamp. Raises RosError unless the joints fit the body."""
-        actor = self._scene.actors[human]
-        poses = messages.read_joints(deserialised(content[f"humans/{human}/joints"], MultiDOFJointState))
-        if poses.names != actor.human.skeleton.joint_names:
-            raise RosError(f"{human}: {len(poses.names)} joints that are not the joints of its body")
-        features = {name: content[f"humans/{human}/{name}"] for name in actor.features}
-        return messages.human_state(poses, content[f"humans/{human}/vertices"], features)
 
     def _store(self, topic: str, stamp: int, content: Any) -> None:
         """Store the content of a message with the contents of other messages that have the same stamp."""
@@ -236,29 +184,12 @@ class FrameSynchronizer:
             return
         self._has_frames = True
         self._node.count("drops", frame.skipped)
-        content = frame.contents
-        objects = {
-            name: replace(content[f"objects/{name}/marker"], velocity=content[f"objects/{name}/twist"])
-            for name in self._scene.moving_objects
-        }
-        cameras = {
-            name: replace(content[f"{name}/pose"], velocity=content[f"{name}/twist"])
-            for name in self._moving_cameras
-        }
         self._node.report_lateness(frame.stamp, "arrival")
-        scene_time, index = content.get(SCENE_TIME) or (frame.stamp, self._frame_at(frame.stamp))
-        humans = {name: partial(self._read_human, name, content) for name in self._scene.actors}
+        contents = frame.contents
+        scene_time, index = contents.get(SCENE_TIME) or (frame.stamp, self._frame_at(frame.stamp))
         self._pass_on(
-            SceneState(
-                stamp=frame.stamp,
-                scene_time=scene_time,
-                index=index,
-                scene=self._scene,
-                actors=self._scene.actors,
-                vertices={human: content[f"humans/{human}/vertices"] for human in self._scene.actors},
-                humans=OnAccess(humans),
-                objects=objects,
-                cameras=cameras,
+            received_state(
+                self._scene, contents, frame.stamp, scene_time, index, moving_cameras=self._moving_cameras
             )
         )
         report = messages.header(frame.stamp, self._reporter)

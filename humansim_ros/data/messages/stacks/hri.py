@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from humansim_ros.data.messages.cameras import transform_message
 from humansim_ros.data.messages.headers import TF_TOPIC, WORLD_FRAME, header, to_nanoseconds
 from humansim_ros.data.messages.images import image_message
-from humansim_ros.data.messages.ros4hri import JOINTS, HriLinks
+from humansim_ros.data.messages.stacks.ros4hri import JOINTS, HriLinks
 from humansim_ros.data.messages.types import (
     MESSAGE_PACKAGES,
     Bool,

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from humansim_ros.data.messages.frames import GivenUpFrame, PacedFrames
+from humansim_ros.data.messages.paced_frames import GivenUpFrame, PacedFrames
 
 SECOND = 1_000_000_000
 PERIOD = SECOND // 20

@@ -284,7 +284,7 @@ def test_a_name_that_is_no_topic_is_an_error(name: str) -> None:
 
 
 def test_copies_that_a_faulty_camera_sends_are_kept_and_those_of_a_frame_that_comes_again_are_not() -> None:
-    from humansim_ros.data.messages.frames import RecordedFrames
+    from humansim_ros.data.messages.recorded_frames import RecordedFrames
     from humansim_ros.ros.nodes.recorder import ImageCopies
     from humansim_ros.scene.config.camera_config import FaultsConfig
     from humansim_ros.scene.core.faults import FaultSchedule

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import pytest
 
@@ -25,8 +27,10 @@ def test_products_need_together_what_each_of_them_needs() -> None:
 
 @pytest.mark.parametrize("field", ["cameras", "scanners"])
 def test_a_product_that_needs_all_is_served(field: str) -> None:
-    some = Needs(**{field: ["left"]})
-    assert getattr(Needs.of([Product(some), Product(Needs(**{field: None}))]), field) is None
+    some: dict[str, Any] = {field: ["left"]}
+    everything: dict[str, Any] = {field: None}
+    together = Needs.of([Product(Needs(**some)), Product(Needs(**everything))])
+    assert getattr(together, field) is None
 
 
 def test_no_products_need_nothing() -> None:
@@ -43,7 +47,7 @@ def test_an_unknown_channel_is_refused() -> None:
 
 
 @pytest.fixture(scope="module")
-def simulation() -> Simulation:
+def simulation() -> Iterator[Simulation]:
     place = {"size": [32, 24], "position": [3, 0.4, 1.4], "look_at": [0, 0, 1]}
     scene = Scene.from_dict({"room": None, "cameras": {"left": place, "right": place}})
     with Simulation(scene, ("rgb", "depth")) as simulation:
@@ -71,5 +75,7 @@ def test_former_arguments_still_work(simulation: Simulation) -> None:
         frame = simulation.frame(1, cameras=["left"], rectified_depth=["left"])
     assert list(frame.views) == list(frame.rectified_depth) == ["left"]
     assert frame.views["left"].channels == ("rgb", "depth")
+    former: Any = ()
     with pytest.warns(DeprecationWarning, match="Needs"):
-        assert not simulation.frame(1, ()).views
+        frame = simulation.frame(1, former)
+    assert not frame.views

@@ -21,9 +21,6 @@ from humansim_ros.data.messages.cameras import twist_message as twist_message
 from humansim_ros.data.messages.cdr import check_serialised as check_serialised
 from humansim_ros.data.messages.cdr import deserialised as deserialised
 from humansim_ros.data.messages.frames import Frames as Frames
-from humansim_ros.data.messages.frames import GivenUpFrame as GivenUpFrame
-from humansim_ros.data.messages.frames import PacedFrames as PacedFrames
-from humansim_ros.data.messages.frames import RecordedFrames as RecordedFrames
 from humansim_ros.data.messages.headers import TF_STATIC_TOPIC as TF_STATIC_TOPIC
 from humansim_ros.data.messages.headers import TF_TOPIC as TF_TOPIC
 from humansim_ros.data.messages.headers import WORLD_FRAME as WORLD_FRAME
@@ -45,6 +42,8 @@ from humansim_ros.data.messages.images import fits_channel as fits_channel
 from humansim_ros.data.messages.images import read_image as read_image
 from humansim_ros.data.messages.images import read_pixels as read_pixels
 from humansim_ros.data.messages.legends import read_legend as read_legend
+from humansim_ros.data.messages.paced_frames import GivenUpFrame as GivenUpFrame
+from humansim_ros.data.messages.paced_frames import PacedFrames as PacedFrames
 from humansim_ros.data.messages.people import GROUND as GROUND
 from humansim_ros.data.messages.people import MESSAGE_TYPES as MESSAGE_TYPES
 from humansim_ros.data.messages.people import Pose as Pose
@@ -57,6 +56,7 @@ from humansim_ros.data.messages.received import SceneInput as SceneInput
 from humansim_ros.data.messages.received import received_frame as received_frame
 from humansim_ros.data.messages.received import received_state as received_state
 from humansim_ros.data.messages.received import scene_inputs as scene_inputs
+from humansim_ros.data.messages.recorded_frames import RecordedFrames as RecordedFrames
 from humansim_ros.data.messages.robot import read_command as read_command
 from humansim_ros.data.messages.robot import read_odometry as read_odometry
 from humansim_ros.data.messages.scanners import read_scanner_truth as read_scanner_truth

@@ -275,7 +275,7 @@ class CameraTopics(_OfCamera):
 
     def all(self, compression: ImageCompression) -> Sequence[Topic[Any]]:
         """All topics of the camera. ``compression``: settings of the compressed images."""
-        poses = [self.extrinsics, self.projection]
+        poses: list[Topic[Any]] = [self.extrinsics, self.projection]
         if self._camera.moves:
             poses += [self.twist, self.pose]
         if self.true_extrinsics is not None:

@@ -1,23 +1,18 @@
 """Collect messages into frames, and find out which frames are whole, that is complete.
 
 A frame is all messages with the same stamp. :class:`Frames` collects messages and tells which frames are
-whole, which topics are missing, and which messages belong to a stamp. :class:`PacedFrames` gives the frames
-of a running graph to a node, one after the other. :class:`RecordedFrames` tells when a recording in lockstep
-has all messages of a frame. Messages are not stored there. Stamps are nanoseconds. Arrival times are seconds
-of a monotonic clock of the caller.
+whole, which topics are missing, and which messages belong to a stamp. Stamps are nanoseconds. Arrival times
+are seconds of a monotonic clock of the caller.
 """
 
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right, insort
-from collections import Counter, deque
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from hashlib import blake2b
+from collections.abc import Callable, Collection, Iterable, Sequence
 from itertools import pairwise
 from statistics import median_low
 from threading import RLock
-from typing import Any, Generic, TypeVar
+from typing import Generic, TypeVar
 
 Content = TypeVar("Content")
 
@@ -287,10 +282,6 @@ class Frames(Generic[Content]):
             }
         return {topic: count for topic, count in counts.items() if count}
 
-    def behind(self, stamp: int) -> list[str]:
-        """Return the required topics that have only messages from before ``stamp``."""
-        return [topic for topic in self._required if (self._stamps.get(topic) or [_NO_STAMP])[-1] < stamp]
-
     def newest_whole(
         self, clock: Collection[str], needed: Collection[str], patience: int, now: float
     ) -> int | None:
@@ -362,248 +353,3 @@ class Frames(Generic[Content]):
         with self._lock:
             heard = [self._heard[topic][1] for topic in topics if topic in self._heard]
         return now - max(heard) if heard else None
-
-
-# --- of a running graph
-
-#: Most incomplete frames that are stored.
-_MAX_INCOMPLETE = 8
-#: Number of intervals between frames from which the period is estimated.
-_INTERVALS = 5
-#: A frame that is this many periods behind the newest frame is late.
-_MAX_PERIODS_LATE = 1.5
-#: A stamp is taken to be from another clock if it is farther from the present than both this number of
-#: nanoseconds and this number of periods.
-_FAR, _FAR_PERIODS = 1_000_000_000, 4
-#: For this time, seconds, the last frame (or the last message of a topic) tells the present time.
-_RECENT = 1.0
-
-
-@dataclass(frozen=True)
-class WholeFrame:
-    """A complete frame: it has the messages of all topics.
-
-    Attributes:
-        stamp: Nanoseconds.
-        contents: Content by topic.
-        skipped: Number of earlier frames that are dropped in favour of this frame.
-    """
-
-    stamp: int
-    contents: Mapping[str, Any]
-    skipped: int
-
-
-@dataclass(frozen=True)
-class GivenUpFrame:
-    """An incomplete frame that is dropped, since too many frames are incomplete.
-
-    Attributes:
-        missing: Topics without a message in this frame.
-        offsets: By topic with stamps of another clock: seconds by which they are ahead of the other topics.
-    """
-
-    missing: list[str]
-    offsets: dict[str, float]
-
-
-class PacedFrames(Frames[Any]):
-    """Frames that a node takes one after the other.
-
-    At most eight incomplete frames are stored. Frames far from the present are dropped first: their stamps
-    come from another clock, such as the wrong clock of another host, so they would never be whole. The
-    present is estimated from the stamp of the last whole frame if that was taken within a second. Otherwise
-    it is the time of the node's clock, if a stored frame has a stamp near it. Otherwise (while a recording is
-    played) it is the median of the newest stamps of the topics.
-
-    A whole frame far before the last one means that the clock was set back, for example because a recording
-    starts again. A single message is not enough for this, so that one old stamp does not remove the present
-    frames. The last frame may become whole a second time, since lockstep repeats it for nodes that have
-    joined.
-
-    ``now``: time of the node's clock, nanoseconds. ``steady``: time of a monotonic clock, seconds.
-    """
-
-    def __init__(self, topics: Collection[str], period: float) -> None:
-        """``topics``: required topics. ``period``: expected time between frames, nanoseconds."""
-        super().__init__(topics)
-        self._newest_whole = 0
-        # nanoseconds between whole frames, since the player's rate may differ from the scene's
-        self._intervals: deque[float] = deque([period] * _INTERVALS, maxlen=_INTERVALS)
-        # last frame that was taken: its stamp, and the node's clock and the monotonic seconds at that time
-        self._last: tuple[int, int, float] | None = None
-
-    @property
-    def has_whole(self) -> bool:
-        """Whether a whole frame is ready for :meth:`take`."""
-        return bool(self.whole())
-
-    @property
-    def _period(self) -> float:
-        return sorted(self._intervals)[1]  # not affected by a few reordered or lost frames
-
-    @property
-    def _far(self) -> float:
-        return max(_FAR, _FAR_PERIODS * self._period)
-
-    def add(self, topic: str, stamp: int, content: Any, arrival: float = 0.0) -> bool:
-        # a message from shortly before the last frame is too late
-        if self._last is not None and self._last[0] - self._far <= stamp < self._last[0]:
-            self._heard[topic] = stamp, arrival
-            return False
-        if not super().add(topic, stamp, content, arrival):
-            return False
-        if 0 < stamp - self._newest_whole <= self._far:
-            self._intervals.append(stamp - self._newest_whole)
-        self._newest_whole = stamp
-        return True
-
-    def take(self, newest_if_late: bool, now: int, steady: float) -> WholeFrame | None:
-        """Remove and return the oldest whole frame; None if no frame is whole. ``newest_if_late``: skip late
-        frames, and return the oldest frame that is not late, or the newest one if all are late."""
-        whole = self.whole()
-        if not whole:
-            return None
-        stamp, limit, far = whole[0], _MAX_PERIODS_LATE * self._period, self._far
-        if newest_if_late:
-            stamp = next(s for s in whole if not any(limit < later - s <= far for later in whole))
-        contents = self.pop(stamp)
-        past = [each for each in self._frames if stamp - far <= each < stamp]
-        for each in past:
-            self.pop(each)
-        # the last frame again, without some of its messages, is not lost
-        repeated = self._last is not None and self._last[0] in past
-        self._last = (stamp, now, steady)
-        return WholeFrame(stamp, contents, len(past) - repeated)
-
-    def give_up(self, now: int, steady: float) -> GivenUpFrame | None:
-        """Remove and return an incomplete frame if there are too many; else None. The frame that got no
-        message for the longest time is removed. If some frames are far from the present, one of these is
-        removed."""
-        incomplete = [stamp for stamp in self._frames if not self.is_whole(stamp)]
-        if len(incomplete) <= _MAX_INCOMPLETE:
-            return None
-        present, far = self._present(now, steady), self._far
-        stamp = next((each for each in incomplete if abs(each - present) > far), incomplete[0])
-        frame = self.pop(stamp)
-        missing = [topic for topic in self._required if topic not in frame]
-        if abs(stamp - present) > far:
-            offsets = dict.fromkeys(frame, (stamp - present) * 1e-9)
-        else:
-            offsets = {
-                topic: (newest - present) * 1e-9
-                for topic, (newest, heard) in self._heard.items()
-                if topic in missing and steady - heard <= _RECENT and abs(newest - present) > far
-            }
-        return GivenUpFrame(missing, offsets)
-
-    def _present(self, now: int, steady: float) -> int:
-        """Estimate the stamp that a frame has if it is sent now."""
-        if self._last is not None:
-            stamp, then, taken = self._last
-            if steady - taken <= _RECENT:
-                return stamp + now - then
-        if any(abs(stamp - now) <= self._far for stamp in self._frames):
-            return now
-        stamps = sorted(stamp for stamp, heard in self._heard.values() if steady - heard <= _RECENT)
-        return stamps[(len(stamps) - 1) // 2]
-
-
-# --- of a recording in lockstep
-
-#: Length of the digest of a message, bytes.
-_DIGEST = 16
-
-
-class RecordedFrames:
-    """Tells which frames of a recording in lockstep are whole, and which messages are repetitions. Stamps
-    never go back. Only digests of messages are stored.
-
-    The player sends a frame again for nodes that have joined, so messages come twice. A frame is whole when
-    every awaited topic has delivered the stamp of the frame or a newer one. If a topic was missing in a frame
-    and the player has gone on, its node is taken to have ended. The topic is not awaited until it delivers
-    again.
-
-    Args:
-        per_frame: Topics of the scene that have one message for each frame.
-        awaited: Other topics that must deliver a message for each frame.
-        copies: Function that returns how many times a message is sent, for a topic that is not in
-            ``per_frame`` and a stamp.
-
-    Attributes:
-        awaited: Topics that must deliver a message for each frame.
-        newest: Stamp of the newest frame; 0 before the first.
-    """
-
-    def __init__(
-        self,
-        per_frame: Collection[str],
-        awaited: Collection[str] = (),
-        copies: Callable[[str, int], int] = lambda *_: 1,
-    ) -> None:
-        self._per_frame, self.awaited = frozenset(per_frame), frozenset([*per_frame, *awaited])
-        self._copies = copies
-        #: By topic: digests of the messages with the newest stamp, and how many times each digest has come.
-        self._messages: Frames[Counter[bytes]] = Frames(self.awaited, max_of_topic=1)
-        self.newest = 0
-        self._resting: Collection[str] = ()
-        self._is_whole = False
-
-    @property
-    def missing(self) -> list[str]:
-        """Awaited topics that have not delivered the newest frame."""
-        return sorted(set(self._messages.behind(self.newest)).difference(self._resting))
-
-    def begin(self, stamp: int, resting: Collection[str] = ()) -> None:
-        """Note that the player has sent a frame. ``resting``: awaited topics that have no message in this
-        frame."""
-        if stamp == self.newest and resting:
-            self._resting = resting
-        if stamp > self.newest:
-            # before the first frame, no node had the time to answer
-            for topic in self.missing if self.newest else ():
-                self._messages.require(topic, False)
-            self.newest, self._resting = stamp, resting
-            self._is_whole = False
-
-    def is_finished(self, stamp: int) -> bool:
-        """Return whether :meth:`take_whole` has returned this stamp."""
-        return self._is_whole and stamp == self.newest
-
-    def add(self, topic: str, stamp: int, data: bytes) -> bool:
-        """Note that a message has arrived. Returns whether the message is new, not a repetition.
-
-        A message of a topic in ``per_frame`` is a repetition if its stamp has come before. A message of
-        another topic is a repetition if the same bytes have already come as many times as ``copies`` says.
-
-        Args:
-            topic: Topic of the message.
-            stamp: Stamp of its header.
-            data: The serialised message.
-        """
-        last = max(self._messages.stamps([topic]), default=-1)
-        digests = Counter[bytes]()
-        if topic in self._per_frame:
-            if stamp <= last:
-                return False
-            self.begin(stamp)
-        elif stamp < last:
-            return True
-        else:
-            if stamp == last:
-                digests = self._messages.frame(stamp)[topic]
-            digest = blake2b(data, digest_size=_DIGEST).digest()
-            digests[digest] += 1
-            if digests[digest] > self._copies(topic, stamp):
-                return False
-        self._messages.add(topic, stamp, digests)
-        if topic in self.awaited:
-            self._messages.require(topic)
-        return True
-
-    def take_whole(self) -> int | None:
-        """Return the stamp of the newest frame if it has become whole since the last call; else None."""
-        if self._is_whole or not self.newest or self.missing:
-            return None
-        self._is_whole = True
-        return self.newest

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, replace
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.duration import Duration
@@ -25,8 +25,6 @@ from humansim_ros.data.messages import (
 from humansim_ros.errors import HumansimError, RosError, printable
 from humansim_ros.ros.processes.node import SceneNode
 from humansim_ros.scene.core import FOLLOWING, NO_FAULTS, Frame, FrameFaults
-
-Settings = TypeVar("Settings", ImageCompression, DepthCompression)
 
 
 class CalibrationService:
@@ -159,7 +157,7 @@ _SETTINGS: dict[str, tuple[tuple[float, float], str]] = {
 }
 
 
-class CompressedTopic(Generic[Settings]):
+class CompressedTopic:
     """A topic of compressed images with its settings as parameters. The names of the parameters are those of
     the plugin of image_transport, such as ``left.image_raw.compressed.jpeg_quality``.
 
@@ -173,8 +171,8 @@ class CompressedTopic(Generic[Settings]):
     def __init__(
         self,
         node: SceneNode,
-        topic: Callable[[Settings], Topic[Any]],
-        default: Settings,
+        topic: Callable[[Any], Topic[Any]],
+        default: ImageCompression | DepthCompression,
         formats: Sequence[str],
     ) -> None:
         self._node, self._topic, self._default = node, topic, default
@@ -212,7 +210,7 @@ class CameraPublishers:
 
     def __init__(self, node: SceneNode, topics: CameraTopics, driver: CameraDriver) -> None:
         self._driver = driver
-        self._topics: list[Topic[Any] | CompressedTopic[Any]] = [
+        self._topics: list[Topic[Any] | CompressedTopic] = [
             *topics.captured,
             CompressedTopic(node, topics.compressed, ImageCompression(), ("jpeg", "png")),
             CompressedTopic(node, topics.compressed_depth, DepthCompression(), ("png",)),
@@ -230,6 +228,6 @@ class CameraPublishers:
             self._driver.send(topic, self._publishers[topic.name], topic.content(frame), frame.stamp)
 
 
-def _current(topic: Topic[Any] | CompressedTopic[Any]) -> Topic[Any]:
+def _current(topic: Topic[Any] | CompressedTopic) -> Topic[Any]:
     """The topic with its present settings."""
     return topic.current() if isinstance(topic, CompressedTopic) else topic

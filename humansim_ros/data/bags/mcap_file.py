@@ -205,7 +205,7 @@ class DirectFile:
             self._descriptor = -1
 
 
-class McapFile:
+class GroupFile:
     """An MCAP file that is being written. Topics have the channel numbers 1, 2 … in their order.
 
     Raises:
@@ -229,7 +229,7 @@ class McapFile:
         )
 
     @classmethod
-    def create(cls, path: Path, topics: Sequence[BagTopic], profile: str = "ros2") -> McapFile:
+    def create(cls, path: Path, topics: Sequence[BagTopic], profile: str = "ros2") -> GroupFile:
         """Create a file with header and topics. The file appears under its name when these are written.
         ``profile``: MCAP profile; empty for a file that no ROS program reads."""
         file = cls(path)
@@ -248,7 +248,7 @@ class McapFile:
         return file
 
     @classmethod
-    def reopen(cls, path: Path, *, spare: int = 0) -> tuple[McapFile, int | None]:
+    def reopen(cls, path: Path, *, spare: int = 0) -> tuple[GroupFile, int | None]:
         """Open a file to continue it after its last complete group (the chunks of one frame).
 
         Args:
@@ -418,6 +418,9 @@ class McapFile:
             os.close(self._descriptor)
             self._descriptor = -1
             self._index.close()
+
+
+McapFile = GroupFile
 
 
 def _summary(file: BinaryIO) -> Summary | None:

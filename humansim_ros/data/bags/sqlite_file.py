@@ -102,7 +102,7 @@ class SqliteFile:
 
     @classmethod
     def reopen(cls, path: Path, *, spare: int = 0) -> tuple[SqliteFile, int | None]:
-        """Open a file to continue it after its last complete group. See :meth:`McapFile.reopen`. Incomplete
+        """Open a file to continue it after its last complete group. See :meth:`GroupFile.reopen`. Incomplete
         groups are removed by sqlite3. ``spare`` has no effect, since finishing needs no disk space."""
         file = cls(path, _connect(path, "rw"))
         try:

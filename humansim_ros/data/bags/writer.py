@@ -16,9 +16,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
-from humansim_ros.data.bags.chunks import COMPRESSIONS, Chunk, Compression
+from humansim_ros import __version__
+from humansim_ros.data.bags.chunks import COMPRESSIONS, BagMessage, Chunk, Compression
 from humansim_ros.data.bags.libraries import needs_libraries
 from humansim_ros.data.bags.metadata import (
     SUFFIXES,
@@ -30,11 +31,14 @@ from humansim_ros.data.bags.metadata import (
     topics_in,
     write_metadata,
 )
-from humansim_ros.data.bags.topics import BagTopic, check_topics, described
+from humansim_ros.data.bags.topics import BagTopic, check_topics, described, qos_text
 from humansim_ros.errors import BagError
 
+with needs_libraries():
+    from mcap.writer import CompressionType, Writer
+
 if TYPE_CHECKING:
-    from humansim_ros.data.bags.mcap_file import McapFile
+    from humansim_ros.data.bags.mcap_file import GroupFile
     from humansim_ros.data.bags.sqlite_file import SqliteFile
 
 #: Seconds between updates of metadata.yaml.
@@ -46,8 +50,100 @@ _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 #: When the disk is full, this number of bytes is freed first, for the summary and metadata.yaml.
 _SPARE = 1 << 14
 
+#: A chunk ends when it is larger than this, bytes. rosbag2 writes chunks of the same size.
+_CHUNK_SIZE = 768 << 10
+_COMPRESSION_TYPES: dict[Compression, CompressionType] = {
+    "none": CompressionType.NONE,
+    "zstd": CompressionType.ZSTD,
+    "lz4": CompressionType.LZ4,
+}
 
-def _file_class(storage: Storage) -> type[McapFile] | type[SqliteFile]:
+
+class McapFile:
+    """An MCAP file that is being written. The same topics and messages give the same bytes.
+
+    Use it in a ``with`` block, or call :meth:`close`. If a ``with`` block ends with an error, the file stays
+    unfinished: it has its complete chunks, but no summary.
+
+    Args:
+        path: The file. An existing file is replaced.
+        topics: Topics, with the definitions of their types. Messages refer to a topic by its index.
+        compression: Compression of the chunks.
+        profile: MCAP profile; empty for a file that no ROS program reads.
+
+    Attributes:
+        topics: All topics, also those of :meth:`add_topic`.
+        content: Numbers and times of all messages so far.
+
+    Raises:
+        OSError: Raised by all methods if the file cannot be written.
+    """
+
+    def __init__(
+        self, path: Path, topics: Sequence[BagTopic], compression: Compression = "none", profile: str = "ros2"
+    ) -> None:
+        self.topics: list[BagTopic] = []
+        self.content = Content()
+        self._schemas: dict[str, int] = {}
+        self._file = path.open("wb")
+        self._writer = Writer(self._file, _CHUNK_SIZE, _COMPRESSION_TYPES[compression])
+        self._writer.start(profile, f"humansim_ros {__version__}")
+        for topic in topics:
+            self.add_topic(topic)
+
+    @property
+    def size(self) -> int:
+        """Size of the complete chunks so far, bytes."""
+        return self._file.tell()
+
+    def add_topic(self, topic: BagTopic) -> int:
+        """Add a topic. Returns its index for messages."""
+        if topic.type not in self._schemas:
+            self._schemas[topic.type] = self._writer.register_schema(
+                topic.type, topic.encoding, topic.definition.encode()
+            )
+        metadata = {"offered_qos_profiles": qos_text(topic), "topic_type_hash": topic.type_hash}
+        self._writer.register_channel(
+            topic.name,
+            topic.serialization,
+            self._schemas[topic.type],
+            metadata if topic.serialization == "cdr" else {},
+        )
+        self.topics.append(topic)
+        return len(self.topics) - 1
+
+    def write(self, messages: Sequence[BagMessage]) -> None:
+        """Add messages, in the order of their times. They are in the file when their chunk is complete."""
+        for topic, stamp, data, published in messages:
+            sent = stamp if published is None else max(0, published)  # headers can have times before 1970
+            # the library copies any buffer, although it declares bytes
+            self._writer.add_message(topic + 1, stamp, cast(bytes, data), sent)
+            self.content.add({topic: 1}, stamp, stamp)
+
+    def flush(self) -> None:
+        """Complete the chunk, so that all messages are in the file even if the process is killed."""
+        self._writer.flush()
+
+    def close(self) -> Content:
+        """Write summary and footer, and close the file. Returns numbers and times of all messages. Further
+        calls do nothing."""
+        if not self._file.closed:
+            with self._file:
+                self._writer.finish()
+        return self.content
+
+    def __enter__(self) -> McapFile:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is None:
+            self.close()
+        self._file.close()
+
+
+def _file_class(storage: Storage) -> type[GroupFile] | type[SqliteFile]:
     """Class that writes the files of a storage format.
 
     Raises:
@@ -58,9 +154,9 @@ def _file_class(storage: Storage) -> type[McapFile] | type[SqliteFile]:
     with needs_libraries():
         import rosbags.typesys  # noqa: F401
 
-        from humansim_ros.data.bags.mcap_file import McapFile
+        from humansim_ros.data.bags.mcap_file import GroupFile
         from humansim_ros.data.bags.sqlite_file import SqliteFile
-    return McapFile if storage == "mcap" else SqliteFile
+    return GroupFile if storage == "mcap" else SqliteFile
 
 
 def _lock_bag(folder: Path) -> int:

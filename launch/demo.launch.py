@@ -14,23 +14,22 @@ from launch_ros.actions import Node
 
 from humansim_ros.files.reading.assets import resource_path
 from humansim_ros.ros.graph.transport import choose_transport, remove_dead_files
-from humansim_ros.ros.processes.lockstep_settings import (
-    TIME_ARGUMENTS,
-    time_options,
+from humansim_ros.ros.processes.launch_arguments import (
+    launch_arguments,
+    launch_options,
     true_or_false,
     whole_number,
 )
+from humansim_ros.ros.processes.lockstep_settings import TimeOptions
 from humansim_ros.ros.processes.node_processes import (
     CANNOT_WRITE,
-    EVALUATE_ARGUMENTS,
     QUIT,
-    RECORD_ARGUMENTS,
     RECORDER_NODE,
     TIMED_OUT,
     WRONG_INPUT,
+    EvaluateOptions,
     NodeProcess,
-    evaluate_options,
-    record_options,
+    RecordOptions,
     relative_namespace,
     render_threads,
     scene_processes,
@@ -40,6 +39,8 @@ from humansim_ros.ros.tools.viewer_layouts import rviz_layout
 from humansim_ros.scene.core.names import BRIDGE_NODE
 
 DEMO_SCENE = resource_path("config/scenes/demo.yaml")
+#: Options whose fields are launch arguments.
+OPTIONS = (TimeOptions, RecordOptions, EvaluateOptions)
 
 
 def scene_nodes(context: LaunchContext) -> list[Node | LogInfo]:
@@ -48,10 +49,11 @@ def scene_nodes(context: LaunchContext) -> list[Node | LogInfo]:
     frame_prefix = LaunchConfiguration("frame_prefix").perform(context)
     only = LaunchConfiguration("only").perform(context)
     namespace = LaunchConfiguration("namespace").perform(context)
-    time = time_options({name: LaunchConfiguration(name).perform(context) for name in TIME_ARGUMENTS})
-    record = record_options({name: LaunchConfiguration(name).perform(context) for name in RECORD_ARGUMENTS})
-    evaluate = evaluate_options(
-        {name: LaunchConfiguration(name).perform(context) for name in EVALUATE_ARGUMENTS}
+    time, record, evaluate = (
+        launch_options(
+            kind, {name: LaunchConfiguration(name).perform(context) for name in launch_arguments(kind)}
+        )
+        for kind in OPTIONS
     )
     processes = scene_processes(
         scene, number, frame_prefix=frame_prefix, only=only, time=time, record=record, evaluate=evaluate
@@ -166,7 +168,8 @@ def generate_launch_description() -> LaunchDescription:
             ),
             *(
                 DeclareLaunchArgument(name, default_value="", description=description)
-                for name, description in {**TIME_ARGUMENTS, **RECORD_ARGUMENTS, **EVALUATE_ARGUMENTS}.items()
+                for kind in OPTIONS
+                for name, description in launch_arguments(kind).items()
             ),
             OpaqueFunction(function=scene_nodes),
         ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import inspect
 import re
 from functools import cache
 
@@ -11,14 +12,21 @@ from conftest import ROOT
 from pydantic import BaseModel
 
 import humansim_ros
+from humansim_ros.cli.main import COMMANDS, load_command
 from humansim_ros.files.reading.assets import read_table
-
-_COMMANDS = "\n".join(path.read_text() for path in (ROOT / "humansim_ros" / "cli").glob("*.py"))
-_OPTIONS = [f"{command}.{name}" for command, rows in read_table("command_line").items() for name in rows]
 
 
 def test_each_row_of_the_command_line_is_an_option() -> None:
-    assert [row for row in _OPTIONS if f'("{row}"' not in _COMMANDS] == []
+    """A row of a command is a parameter of it; a shared row is one of some command, or the row of one."""
+    table = read_table("command_line")
+    names = {
+        command: {name.rstrip("_") for name in inspect.signature(load_command(command)).parameters}
+        for command in COMMANDS
+    }
+    names["humansim"] = {"version"}
+    named = {row for rows in table.values() for row in rows.values() if isinstance(row, str)}
+    names["shared"] = named.union(*names.values())
+    assert [(key, row) for key, rows in table.items() for row in rows if row not in names[key]] == []
 
 
 @cache

@@ -9,27 +9,12 @@ import sys
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import typer
 
-from humansim_ros.cli.options import (
-    CalibrationArgument,
-    CalibrationsArgument,
-    CameraOption,
-    ImageOption,
-    JsonOption,
-    OutputFolderOption,
-    OutputImageOption,
-    SizeOption,
-    UnitOption,
-    UpOption,
-    argument,
-    option,
-    parse_size,
-)
+from humansim_ros.cli.options import parse_size
 from humansim_ros.cli.output import check_output, print_text, print_warning, report_write_errors, to_json
 from humansim_ros.errors import CameraError, HumansimError, HumansimWarning
 
@@ -39,26 +24,24 @@ if TYPE_CHECKING:
 
 
 def show(
-    file: CalibrationArgument,
-    extrinsics: Annotated[list[str] | None, argument("camera show.extrinsics")] = None,
-    as_json: JsonOption = False,
-    size: SizeOption = None,
-    image: ImageOption = None,
-    unit: UnitOption = None,
-    up: UpOption = None,
-    camera: CameraOption = None,
+    file: str,
+    extrinsics: list[str] | None = None,
+    as_json: bool = False,
+    *,
+    reading: Reading,
+    camera: list[str] | None = None,
 ) -> None:
     """Print the cameras of a calibration: K, lens, pose, field of view, and implausible values."""
     from humansim_ros.cameras.formats import Calibration, check_rig, note_principal_points
 
-    reading = Reading(size, image, unit, up)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         if len(extrinsics or ()) < 2:
             calibration = reading.load(file, *extrinsics) if extrinsics else reading.load_or_scene(file)
         else:
             joined = reading.cameras([file, *(extrinsics or ())])
-            calibration = Calibration(joined, None, unit or 1.0, up or "z", {}, frozenset(joined))
+            unit, up = reading.unit or 1.0, reading.up or "z"
+            calibration = Calibration(joined, None, unit, up, {}, frozenset(joined))
     cameras = select_cameras(calibration.cameras, camera, file)
     described = [describe_camera(name, cam) for name, cam in cameras.items()]
     of_cameras = tuple(f"{cam['name']}: {text}" for cam in described for text in cam["warnings"])
@@ -76,19 +59,17 @@ def show(
 
 
 def convert(
-    files: CalibrationsArgument,
-    output: Annotated[Path, option("camera convert.output")],
-    to: Annotated[str | None, option("camera convert.to")] = None,
-    size: SizeOption = None,
-    image: ImageOption = None,
-    unit: UnitOption = None,
-    up: UpOption = None,
-    camera: CameraOption = None,
+    files: list[str],
+    output: Path,
+    to: str | None = None,
+    *,
+    reading: Reading,
+    camera: list[str] | None = None,
 ) -> None:
     """Write the cameras of calibrations in another format. Warns about values that are lost."""
     from humansim_ros.cameras.formats import write_calibration
 
-    cameras = select_cameras(Reading(size, image, unit, up).cameras(files), camera, files[0])
+    cameras = select_cameras(reading.cameras(files), camera, files[0])
     for path in write_calibration(output, cameras, to):
         print_text(f"wrote {path}")
 
@@ -188,10 +169,10 @@ class Reading:
     """Options of the command line for reading calibration files. Each attribute has the name of its option
     (``size`` for ``--size``)."""
 
-    size: str | None
-    image: Path | None
-    unit: float | None
-    up: str | None
+    size: str | None = None
+    image: Path | None = None
+    unit: float | None = None
+    up: str | None = None
 
     def load(self, file: str, extrinsics: str | None = None) -> Calibration:
         """Load a calibration file, folder or URL. ``extrinsics``: file with extrinsics, if ``file`` has
@@ -257,114 +238,114 @@ _ROOM, _LARGEST_ROOM = (7.0, 6.4, 2.8), 100.0
 _WALK_RADIUS, _WALK_RIG_RADIUS = 1.59, 3.0
 
 
-class FitChoice(Enum):
-    """Choices of ``idealize --fit``."""
-
-    focal = "focal"
-    all = "all"
-    no_black = "no_black"
-
-
-class LensChoice(Enum):
-    """Choices of ``rig --model``."""
-
-    plumb_bob = "plumb_bob"
-    rational_polynomial = "rational_polynomial"
-    equidistant = "equidistant"
-
-
 def idealize(
-    file: CalibrationArgument,
-    output: OutputFolderOption,
-    images: Annotated[list[Path] | None, argument("camera idealize.images")] = None,
-    square: Annotated[bool, option("camera idealize.square")] = False,
-    keep_center: Annotated[bool, option("camera idealize.keep_center")] = False,
-    fit: Annotated[FitChoice, option("camera idealize.fit")] = FitChoice.focal,
-    nearest: Annotated[bool, option("camera idealize.nearest")] = False,
-    size: SizeOption = None,
-    image: ImageOption = None,
-    unit: UnitOption = None,
-    up: UpOption = None,
-    camera: CameraOption = None,
+    file: str,
+    output: Path,
+    images: list[Path] | None = None,
+    square: bool = False,
+    keep_center: bool = False,
+    fit: Literal["focal", "all", "no_black"] = "focal",
+    nearest: bool = False,
+    *,
+    reading: Reading,
+    camera: list[str] | None = None,
 ) -> None:
     """Convert cameras and images to ideal cameras: no distortion, no skew, a centred principal point."""
     from humansim_ros.cameras.camera import idealize as make_ideal
 
-    calibration = Reading(size, image, unit, up).load(file)
+    calibration = reading.load(file)
     real = select_cameras(calibration.cameras, camera, file)
     if images and len(real) != 1:
         names = ", ".join(list(real)[:8])
         raise CameraError(f"choose the camera of the images with --camera: one of {names}", path=file)
-    ideals = {name: make_ideal(one, square, not keep_center, fit.value) for name, one in real.items()}
+    ideals = {name: make_ideal(one, square, not keep_center, fit) for name, one in real.items()}
     _make_folder(output)
     _write_ideal(file, output, calibration, {name: ideal.camera for name, ideal in ideals.items()})
     _convert_images(next(iter(ideals.values())), images or [], output, nearest)
 
 
+@dataclass(frozen=True)
+class Layout:
+    """Options of ``rig`` that choose a layout. Each attribute has the name of its option."""
+
+    ring: int | None = None
+    grid: str | None = None
+    dome: int | None = None
+    stereo: float | None = None
+
+
+@dataclass(frozen=True)
+class Optics:
+    """Options of ``rig`` about the cameras. Each attribute has the name of its option."""
+
+    size: str = "640x480"
+    fov_deg: float = 60.0
+    distortion: str | None = None
+    model: Literal["plumb_bob", "rational_polynomial", "equidistant"] | None = None
+
+
 def rig(
-    output: OutputFolderOption,
-    ring: Annotated[int | None, option("camera rig.ring")] = None,
-    grid: Annotated[str | None, option("camera rig.grid")] = None,
-    dome: Annotated[int | None, option("camera rig.dome")] = None,
-    stereo: Annotated[float | None, option("camera rig.stereo")] = None,
-    radius: Annotated[float, option("camera rig.radius")] = 4.0,
-    height: Annotated[float | None, option("camera rig.height")] = None,
-    look_at: Annotated[tuple[float, float, float], option("camera rig.look_at")] = (0.0, 0.0, 1.0),
-    start_deg: Annotated[float, option("camera rig.start_deg")] = 0.0,
-    spacing: Annotated[float, option("camera rig.spacing")] = 0.5,
-    size: Annotated[str, option("camera rig.size")] = "640x480",
-    fov_deg: Annotated[float, option("camera rig.fov_deg")] = 60.0,
-    distortion: Annotated[str | None, option("camera rig.distortion")] = None,
-    model: Annotated[LensChoice | None, option("camera rig.model")] = None,
+    output: Path,
+    *,
+    layout: Layout,
+    radius: float = 4.0,
+    height: float | None = None,
+    look_at: tuple[float, float, float] = (0.0, 0.0, 1.0),
+    start_deg: float = 0.0,
+    spacing: float = 0.5,
+    optics: Optics,
 ) -> None:
     """Arrange cameras around a target. Writes a scene for `humansim run`, and camera_info files."""
     from humansim_ros.cameras.camera import rigs
 
-    layouts = {"--ring": ring, "--grid": grid, "--dome": dome, "--stereo": stereo}
+    layouts = {f"--{name}": value for name, value in vars(layout).items()}
     given = [option for option, value in layouts.items() if value is not None]
     if len(given) != 1:
         raise HumansimError(
             f"give one of {', '.join(layouts)}" + (f", not {' and '.join(given)}" if given else "")
         )
-    if dome is not None and height is not None:
+    if layout.dome is not None and height is not None:
         raise HumansimError("--height: a dome starts at the height of its target (--look-at)")
-    if not all(map(math.isfinite, (*look_at, start_deg, fov_deg, spacing, radius, height or 0.0))):
+    numbers = (*look_at, start_deg, optics.fov_deg, spacing, radius, height or 0.0)
+    if not all(map(math.isfinite, numbers)):
         raise HumansimError("the options must be finite numbers")
-    lens = (_coefficients(distortion), model.value if model else None)
-    optics = rigs.Optics(parse_size(size), math.radians(fov_deg), *lens)
-    start, up = math.radians(start_deg), 1.8 if height is None else height
-    rig = rigs.Rig(look_at, radius, up, optics, start)
-    if ring is not None:
-        cameras = rig.ring(ring)
-    elif grid is not None:
-        cameras = rig.grid(*_rows_columns(grid), spacing)
-    elif dome is not None:
-        cameras = rig.dome(dome)
+    lens = (_coefficients(optics.distortion), optics.model)
+    rig = rigs.Rig(
+        look_at,
+        radius,
+        1.8 if height is None else height,
+        rigs.Optics(parse_size(optics.size), math.radians(optics.fov_deg), *lens),
+        math.radians(start_deg),
+    )
+    if layout.ring is not None:
+        cameras = rig.ring(layout.ring)
+    elif layout.grid is not None:
+        cameras = rig.grid(*_rows_columns(layout.grid), spacing)
+    elif layout.dome is not None:
+        cameras = rig.dome(layout.dome)
     else:
-        assert stereo is not None
-        cameras = rig.stereo(stereo)
+        assert layout.stereo is not None
+        cameras = rig.stereo(layout.stereo)
     _write_rig(output, cameras, look_at, radius)
 
 
 def plot(
-    files: CalibrationsArgument,
-    output: OutputImageOption,
-    coverage: Annotated[bool, option("camera plot.coverage")] = False,
-    height: Annotated[float, option("camera plot.height")] = 1.2,
-    stature: Annotated[float, option("camera plot.stature")] = 1.8,
-    area: Annotated[tuple[float, float, float, float] | None, option("camera plot.area")] = None,
-    size: SizeOption = None,
-    image: ImageOption = None,
-    unit: UnitOption = None,
-    up: UpOption = None,
-    camera: CameraOption = None,
+    files: list[str],
+    output: Path,
+    coverage: bool = False,
+    height: float = 1.2,
+    stature: float = 1.8,
+    area: tuple[float, float, float, float] | None = None,
+    *,
+    reading: Reading,
+    camera: list[str] | None = None,
 ) -> None:
     """Draw the cameras of calibrations from above and from the side, or their coverage of the floor."""
     from humansim_ros.render.pictures import write_png
     from humansim_ros.scene.pictures import coverage_image, rig_image
 
     check_output(output, ".png")
-    cameras = select_cameras(Reading(size, image, unit, up).cameras(files), camera, files[0])
+    cameras = select_cameras(reading.cameras(files), camera, files[0])
     _warn_of_one_position(cameras)
     drawing = coverage_image(cameras, height, stature, area) if coverage else rig_image(cameras)
     write_png(output, drawing)

@@ -6,21 +6,11 @@ import json
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from enum import Enum
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from humansim_ros.cli.camera import Reading, room_around
-from humansim_ros.cli.options import (
-    CalibrationArgument,
-    ImageOption,
-    JsonOption,
-    SizeOption,
-    UnitOption,
-    UpOption,
-    option,
-)
 from humansim_ros.cli.output import check_output, print_text, print_warning, to_json
 from humansim_ros.errors import CameraError, HumansimError, unknown
 from humansim_ros.files.reading import write_file
@@ -48,27 +38,31 @@ _UPRIGHT = 5.0
 _OTHER_UNIT = 0.05
 
 
-class BoardChoice(Enum):
-    """Choices of ``place --board``."""
-
-    floor = "floor"
-    z_up = "z_up"
-    z_down = "z_down"
-    standing = "standing"
-
-
 @dataclass(frozen=True)
-class _Method:
+class Method:
     """Options of ``place`` that say how a rig is placed. Each attribute has the name of its option."""
 
-    tilt_deg: float | None
-    roll_deg: float
-    height: float | None
-    camera: str | None
-    floor_points: Path | None
-    floor_point: tuple[str, ...]
-    board: BoardChoice | None
-    board_pose: str | None
+    tilt_deg: float | None = None
+    roll_deg: float = 0.0
+    camera: str | None = None
+    floor_points: Path | None = None
+    floor_point: list[str] | None = None
+    board: Literal["floor", "z_up", "z_down", "standing"] | None = None
+    board_pose: str | None = None
+    height: float | None = None
+
+    @property
+    def name(self) -> str:
+        """Name of the method. Raises HumansimError if the options belong to several methods."""
+        methods = {
+            "--tilt-deg": self.tilt_deg is not None,
+            "--floor-points": self.floor_points is not None or bool(self.floor_point),
+            "--board": self.board is not None,
+        }
+        given = [option for option, is_given in methods.items() if is_given]
+        if len(given) > 1:
+            raise HumansimError(f"give one of {', '.join(methods)}, not {' and '.join(given)}")
+        return given[0].removeprefix("--").removesuffix("-deg") if given else "level"
 
     def find(self, calibration: Calibration, file: str) -> FoundPlacement:
         """Find the placement of the cameras of a calibration."""
@@ -86,68 +80,48 @@ class _Method:
             angles = math.radians(self.tilt_deg), math.radians(self.roll_deg)
             return placement.place_by_tilt(cameras, name, self.height, *angles)
         if self.floor_points is not None or self.floor_point:
-            points = _floor_points(calibration, self.floor_points, self.floor_point)
+            points = _floor_points(calibration, self.floor_points, self.floor_point or ())
             return placement.place_by_floor(cameras, points)
         if self.board is not None:
             pose = _board_pose(calibration, cameras[name], self.board_pose)
-            return placement.place_by_board(cameras, pose, self.board.value, self.height or 0.0)
+            return placement.place_by_board(cameras, pose, self.board, self.height or 0.0)
         return placement.place_by_level(cameras, self.height)
 
 
 def place(
-    file: CalibrationArgument,
-    output: Annotated[Path | None, option("camera place.output")] = None,
-    picture: Annotated[Path | None, option("camera place.picture")] = None,
-    tilt_deg: Annotated[float | None, option("camera place.tilt_deg")] = None,
-    roll_deg: Annotated[float, option("camera place.roll_deg")] = 0.0,
-    camera: Annotated[str | None, option("camera place.camera")] = None,
-    floor_points: Annotated[Path | None, option("camera place.floor_points")] = None,
-    floor_point: Annotated[list[str] | None, option("camera place.floor_point")] = None,
-    board: Annotated[BoardChoice | None, option("camera place.board")] = None,
-    board_pose: Annotated[str | None, option("camera place.board_pose")] = None,
-    height: Annotated[float | None, option("camera place.height")] = None,
-    fit_unit: Annotated[bool, option("camera place.fit_unit")] = False,
-    yaw_deg: Annotated[float, option("camera place.yaw_deg")] = 0.0,
-    at: Annotated[tuple[float, float], option("camera place.at")] = (0.0, 0.0),
-    size: SizeOption = None,
-    image: ImageOption = None,
-    unit: UnitOption = None,
-    up: UpOption = None,
-    as_json: JsonOption = False,
+    file: str,
+    output: Path | None = None,
+    picture: Path | None = None,
+    *,
+    how: Method,
+    fit_unit: bool = False,
+    yaw_deg: float = 0.0,
+    at: tuple[float, float] = (0.0, 0.0),
+    reading: Reading,
+    as_json: bool = False,
 ) -> None:
     """Find the pose of a calibration in the room: by a tilt, floor points, a board, or level cameras."""
     from humansim_ros.cameras.camera import placement
 
-    if not all(map(math.isfinite, (tilt_deg or 0, roll_deg, height or 0, yaw_deg, *at))):
+    if not all(map(math.isfinite, (how.tilt_deg or 0, how.roll_deg, how.height or 0, yaw_deg, *at))):
         raise HumansimError("the options must be finite numbers")
-    methods = {
-        "--tilt-deg": tilt_deg is not None,
-        "--floor-points": floor_points is not None or bool(floor_point),
-        "--board": board is not None,
-    }
-    given = [option for option, is_given in methods.items() if is_given]
-    if len(given) > 1:
-        raise HumansimError(f"give one of {', '.join(methods)}, not {' and '.join(given)}")
+    method = how.name
     if output is not None:
         _check_scene(output, file)
         picture = picture or output.with_suffix(".png")
     check_output(picture, ".png")
-    how = _Method(
-        tilt_deg, roll_deg, height, camera, floor_points, tuple(floor_point or ()), board, board_pose
-    )
-    calibration = Reading(size, image, unit, up).load(file)
+    calibration = reading.load(file)
     found = how.find(calibration, file)
     if fit_unit:
         if found.scale is None:
             raise HumansimError("--fit-unit needs two floor points or more with their places in map")
-        unit = calibration.unit * found.scale
-        calibration = Reading(size, image, unit, up).load(file)
+        reading = replace(reading, unit=calibration.unit * found.scale)
+        calibration = reading.load(file)
         found = how.find(calibration, file)
     found = placement.turned(found, math.radians(yaw_deg), at)
     placed = {name: found.placement.camera(one) for name, one in _posed(calibration, file).items()}
-    method = given[0].removeprefix("--").removesuffix("-deg") if given else "level"
     facts = _facts(file, method, found, placed, calibration.unit)
-    section = _rig_section(file, output, calibration, found, unit, up, size or image)
+    section = _rig_section(file, output, calibration, found, reading)
     if output is not None:
         x, y = facts["person_at"]
         person = f"{{motion: {{file: wave, position: [{x:g}, {y:g}], anchor: center}}}}"
@@ -306,9 +280,7 @@ def _rig_section(
     output: Path | None,
     calibration: Calibration,
     found: FoundPlacement,
-    unit: float | None,
-    up: str | None,
-    sized: Any,
+    reading: Reading,
 ) -> str:
     """Return the text of the section ``rig`` of a scene.
 
@@ -317,19 +289,18 @@ def _rig_section(
         output: Scene file. The path of the calibration is relative to the folder of this file.
         calibration: Content of the calibration file.
         found: Placement of the cameras.
-        unit: Option ``--unit``.
-        up: Option ``--up``.
-        sized: Whether an option gave the size of the images.
+        reading: Options for reading the file, which the section repeats.
     """
     name = file
     if "://" not in file and output is not None and not Path(file).is_absolute():
         name = os.path.relpath(Path(file).resolve(), output.resolve().parent)
     lines = ["rig:", f"  file: {json.dumps(name)}"]
-    if unit is not None or (calibration.format is not None and calibration.format.find_unit is not None):
+    finds_unit = calibration.format is not None and calibration.format.find_unit is not None
+    if reading.unit is not None or finds_unit:
         lines.append(f"  unit: {calibration.unit:g}")
-    if up is not None:
-        lines.append(f"  up_axis: {json.dumps(up)}")
-    if sized:
+    if reading.up is not None:
+        lines.append(f"  up_axis: {json.dumps(reading.up)}")
+    if reading.size or reading.image:
         width, height = next(iter(calibration.cameras.values())).size
         lines.append(f"  size: [{width}, {height}]")
     for key, values in (

@@ -17,7 +17,6 @@ from typing import Literal
 
 import typer
 
-from humansim_ros.cli.options import JsonOption
 from humansim_ros.cli.output import print_text, to_json
 from humansim_ros.errors import HumansimError
 from humansim_ros.files.reading import FBX_VARIABLE, find_converter
@@ -393,7 +392,7 @@ _MARKS = {"ok": "ok     ", "warning": "warning", "wrong": "WRONG  "}
 
 
 def doctor(
-    as_json: JsonOption = False,
+    as_json: bool = False,
 ) -> None:
     """Check this machine (OpenGL, ROS, DDS, shared memory …), and print the line that mends what is wrong."""
     found = []

@@ -6,23 +6,10 @@ import json
 import os
 from collections.abc import Iterator
 from contextlib import closing
-from enum import Enum
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any, Literal
 
-from humansim_ros.cli.options import (
-    BodyOption,
-    FacingOption,
-    JsonOption,
-    OutputImageOption,
-    PictureOption,
-    UnitOption,
-    UpOption,
-    argument,
-    list_option,
-    option,
-)
-from humansim_ros.cli.options import built_in_humans as completed_humans
 from humansim_ros.cli.output import check_output, print_text, to_json
 from humansim_ros.errors import HumansimError, MeshError
 from humansim_ros.files.reading import resource_path
@@ -35,39 +22,7 @@ if TYPE_CHECKING:
 BUILT_IN_FACTS = "assets/humans/humans.json"
 
 
-class RiggingChoice(Enum):
-    """Choices of ``rig --rigging``."""
-
-    heat = "heat"
-    thesis = "thesis"
-
-
-class SkeletonChoice(Enum):
-    """Choices of ``rig --skeleton``."""
-
-    fitted = "fitted"
-    general = "general"
-
-
-class SexChoice(Enum):
-    """Choices of ``make --sex``."""
-
-    female = "female"
-    male = "male"
-
-
-class SkinningChoice(Enum):
-    """Choices of ``rig --skinning``."""
-
-    linear = "linear"
-    dual_quaternion = "dual_quaternion"
-
-
-HumanArgument = Annotated[str, argument("shared.human", autocompletion=completed_humans)]
-OutputHumanOption = Annotated[Path, option("shared.output_human")]
-
-
-def list_humans(as_json: JsonOption = False) -> None:
+def list_humans(as_json: bool = False) -> None:
     """List the built-in humans."""
     # facts that are known beforehand, since loading the humans takes seconds
     humans = json.loads(resource_path(BUILT_IN_FACTS).read_text("utf-8"))
@@ -80,7 +35,7 @@ def list_humans(as_json: JsonOption = False) -> None:
         print_text(f"{human['name']:{width}}  {size}; wears {', '.join(human['outfits'])}")
 
 
-def joints(as_json: JsonOption = False) -> None:
+def joints(as_json: bool = False) -> None:
     """List the joints of humans with their places, and their names in H-Anim 2, SMPL, COCO and OpenPose."""
     from dataclasses import asdict
 
@@ -101,25 +56,25 @@ def joints(as_json: JsonOption = False) -> None:
 
 
 def show(
-    human: HumanArgument,
-    output: OutputImageOption,
-    outfit: Annotated[str | None, option("human show.outfit")] = None,
+    human: str,
+    output: Path,
+    outfit: str | None = None,
 ) -> None:
     """Draw a human from all sides, with its bones, weights and outfits."""
     check_output(output, ".png")
     _draw(load_named(human, outfit), output)
 
 
-def info(human: HumanArgument, as_json: JsonOption = False) -> None:
+def info(human: str, as_json: bool = False) -> None:
     """Describe a human: size, bones, weights, outfits, licence."""
     facts = describe_human(load_named(human))
     print_text(to_json(facts) if as_json else "\n".join(_info_lines(facts)))
 
 
 def build(
-    config: Annotated[Path, argument("human build.config")],
-    output: OutputHumanOption,
-    picture: PictureOption = None,
+    config: Path,
+    output: Path,
+    picture: Path | None = None,
 ) -> None:
     """Build a human from a description: MakeHuman parameters or a mesh."""
     if config.suffix.lower() not in (".yaml", ".yml"):
@@ -129,21 +84,37 @@ def build(
     _write(load_named(str(config)), output, picture)
 
 
+@dataclass(frozen=True)
+class Clothes:
+    """Options of ``make`` about hair and clothes. Each attribute has the name of its option."""
+
+    hair: str | None = None
+    beard: str | None = None
+    top: str | None = None
+    bottom: str | None = None
+    shoes: str | None = None
+    wears: list[str] | None = None
+
+    @property
+    def given(self) -> dict[str, Any]:
+        """What is given, by name."""
+        given: dict[str, Any] = {key: value for key, value in vars(self).items() if value}
+        if self.wears:
+            given["wears"] = () if self.wears == ["nothing"] else tuple(self.wears)
+        return given
+
+
 def make(
-    output: OutputHumanOption,
-    age: Annotated[float | None, option("human make.age")] = None,
-    sex: Annotated[SexChoice | None, option("human make.sex")] = None,
-    height: Annotated[float | None, option("human make.height")] = None,
-    weight: Annotated[float | None, option("human make.weight")] = None,
-    skin: Annotated[int | None, option("human make.skin")] = None,
-    hair: Annotated[str | None, option("human make.hair")] = None,
-    beard: Annotated[str | None, option("human make.beard")] = None,
-    top: Annotated[str | None, option("human make.top")] = None,
-    bottom: Annotated[str | None, option("human make.bottom")] = None,
-    shoes: Annotated[str | None, option("human make.shoes")] = None,
-    wears: Annotated[list[str] | None, list_option("human make.wears")] = None,
-    seed: Annotated[int, option("human make.seed")] = 0,
-    picture: PictureOption = None,
+    output: Path,
+    age: float | None = None,
+    sex: Literal["female", "male"] | None = None,
+    height: float | None = None,
+    weight: float | None = None,
+    skin: int | None = None,
+    *,
+    clothes: Clothes,
+    seed: int = 0,
+    picture: Path | None = None,
 ) -> None:
     """Make a person: by seed, from surveys of people, and by what is given."""
     from humansim_ros.people.loading import make_person
@@ -151,19 +122,15 @@ def make(
 
     check_output(output, ".npz")
     check_output(picture, ".png")
-    given = {"hair": hair, "beard": beard, "top": top, "bottom": bottom, "shoes": shoes}
-    clothes: dict[str, Any] = {key: name for key, name in given.items() if name is not None}
-    if wears:
-        clothes["wears"] = () if wears == ["nothing"] else tuple(wears)
     try:
         person = draw_person(
             seed,
             ages=AGES if age is None else (age, age),
-            sex=None if sex is None else sex.value,
+            sex=sex,
             stature=height,
             weight=weight,
             tone=skin,
-            clothes=clothes,
+            clothes=clothes.given,
         )
         human = make_person(person, output.stem)
     except MeshError as reason:
@@ -179,16 +146,16 @@ def make(
 
 
 def rig(
-    mesh: Annotated[Path, argument("human rig.mesh")],
-    output: OutputHumanOption,
-    picture: PictureOption = None,
-    rigging: Annotated[RiggingChoice, option("human rig.rigging")] = RiggingChoice.heat,
-    skeleton: Annotated[SkeletonChoice, option("human rig.skeleton")] = SkeletonChoice.fitted,
-    skinning: Annotated[SkinningChoice, option("human rig.skinning")] = SkinningChoice.linear,
-    unit: UnitOption = None,
-    stature: Annotated[float | None, option("human rig.stature")] = None,
-    up: UpOption = None,
-    facing: FacingOption = None,
+    mesh: Path,
+    output: Path,
+    picture: Path | None = None,
+    rigging: Literal["heat", "thesis"] = "heat",
+    skeleton: Literal["fitted", "general"] = "fitted",
+    skinning: Literal["linear", "dual_quaternion"] = "linear",
+    unit: float | None = None,
+    stature: float | None = None,
+    up: str | None = None,
+    facing: str | None = None,
 ) -> None:
     """Fit a skeleton to a mesh and compute weights. A mesh that has weights keeps them."""
     from pydantic import ValidationError
@@ -198,7 +165,7 @@ def rig(
 
     check_output(output, ".npz")
     check_output(picture, ".png")
-    options = {"rigging": rigging.value, "skeleton": skeleton.value, "skinning": skinning.value}
+    options = {"rigging": rigging, "skeleton": skeleton, "skinning": skinning}
     given = {"unit": unit, "stature": stature, "up": up, "facing": facing}
     try:
         described = MeshHuman.model_validate({"mesh": str(mesh), **options, **given})
@@ -280,25 +247,15 @@ def _draw(human: Human, output: Path) -> None:
 # -- humans from photographs
 
 
-ViewsArgument = Annotated[Path, argument("shared.views")]
-
-
-class Method(Enum):
-    """Choices of ``texture --method``."""
-
-    atlas = "atlas"
-    thesis = "thesis"
-
-
 def fit(
-    views: ViewsArgument,
-    output: Annotated[Path, option("human fit.output")],
-    body: BodyOption = None,
-    detector: Annotated[str | None, option("human fit.detector")] = None,
-    silhouettes: Annotated[bool, option("human fit.silhouettes")] = True,
-    picture: PictureOption = None,
-    bvh: Annotated[Path | None, option("human fit.bvh")] = None,
-    npz: Annotated[Path | None, option("human fit.npz")] = None,
+    views: Path,
+    output: Path,
+    body: str | None = None,
+    detector: str | None = None,
+    silhouettes: bool = True,
+    picture: Path | None = None,
+    bvh: Path | None = None,
+    npz: Path | None = None,
 ) -> None:
     """Fit a human to calibrated photographs: pose, place, stature, proportions."""
     # set before NumPy is loaded: its threads cost more than they save for matrices of some hundred rows
@@ -339,13 +296,13 @@ def fit(
 
 
 def texture(
-    views: ViewsArgument,
-    fit_file: Annotated[Path, option("human texture.fit_file")],
-    output: OutputHumanOption,
-    method: Annotated[Method, option("human texture.method")] = Method.atlas,
-    texture_size: Annotated[int, option("human texture.texture_size")] = 2048,
-    frame: Annotated[list[str] | None, list_option("human texture.frame")] = None,
-    picture: PictureOption = None,
+    views: Path,
+    fit_file: Path,
+    output: Path,
+    method: Literal["atlas", "thesis"] = "atlas",
+    texture_size: int = 2048,
+    frame: list[str] | None = None,
+    picture: Path | None = None,
 ) -> None:
     """Texture a fitted human from the photographs."""
     from humansim_ros.people.humans import write_human
@@ -355,7 +312,7 @@ def texture(
     check_output(picture, ".png")
     numbers = tuple(_whole_number(word) for word in frame or ("0",))
     photos, fitted = read_views(views), read_fit(fit_file)
-    textured = texture_person(fitted, photos, method.value, frames=numbers, size=texture_size)
+    textured = texture_person(fitted, photos, method, frames=numbers, size=texture_size)
     write_human(output, textured.human)
     seen = float(textured.seen.mean())
     print_text(f"{textured.human.name}: {seen:.0%} of the faces are seen by a camera")

@@ -8,12 +8,12 @@ import traceback
 from collections.abc import Callable, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import typer
 from typer.core import TyperGroup
 
-from humansim_ros.cli.options import join_numbers, new_names, option
+from humansim_ros.cli.options import join_numbers, new_names, with_options
 from humansim_ros.cli.output import (
     flush_errors,
     flush_output,
@@ -83,9 +83,7 @@ _SETTINGS = {"help_option_names": ["-h", "--help"]}
 _COMPLETION = "_HUMANSIM_COMPLETE"
 
 
-def _root(
-    version: Annotated[bool, option("humansim.version")] = False,
-) -> None:
+def _root(version: bool = False) -> None:
     if version:
         from humansim_ros import __version__
 
@@ -112,10 +110,9 @@ class _Headed(TyperGroup):
 
 
 def load_command(name: str) -> Callable[..., None]:
-    """Import the function of a command, such as ``camera show``."""
+    """Import the function of a command, such as ``camera show``, with its options."""
     module, _, function = COMMANDS[name].partition(":")
-    loaded: Callable[..., None] = getattr(import_module(f"humansim_ros.cli.{module}"), function)
-    return loaded
+    return with_options(name, getattr(import_module(f"humansim_ros.cli.{module}"), function))
 
 
 def make_app(arguments: Sequence[str] | None = None) -> typer.Typer:
@@ -129,7 +126,7 @@ def make_app(arguments: Sequence[str] | None = None) -> typer.Typer:
         pretty_exceptions_enable=False,
         rich_markup_mode=None,  # rich takes longer to import than everything else
     )
-    app.callback(invoke_without_command=True)(_root)
+    app.callback(invoke_without_command=True)(with_options("humansim", _root))
     named = next((word for word in arguments or () if not word.startswith("-")), None)
     known = named in GROUPS or named in COMMANDS
     for name in COMMANDS:

@@ -5,24 +5,15 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Sequence
-from enum import Enum
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from humansim_ros.cli.human import load_named
-from humansim_ros.cli.options import (
-    BodyOption,
-    FacingOption,
-    JointTableOption,
-    JsonOption,
-    UnitOption,
-    UpOption,
-    option,
-    parse_size,
-)
 from humansim_ros.cli.options import built_in_motions as completed_motions
+from humansim_ros.cli.options import parse_size
 from humansim_ros.cli.output import check_output, print_text, print_warning, progress_bar, to_json
 from humansim_ros.errors import HumansimError, MotionError, some_of
 from humansim_ros.files.reading import atomic_path, resource_path
@@ -34,29 +25,6 @@ if TYPE_CHECKING:
     from humansim_ros.motion.pose import WorldMotion
 
 
-class PositionsChoice(Enum):
-    """Choices of ``--positions``."""
-
-    auto = "auto"
-    replace = "replace"
-    add = "add"
-
-
-class RetargetingChoice(Enum):
-    """Choices of ``retarget --mode``."""
-
-    full = "full"
-    thesis = "thesis"
-
-
-class ViewpointChoice(Enum):
-    """Choices of ``render --view``."""
-
-    side = "side"
-    front = "front"
-    three_quarter = "three-quarter"
-
-
 MotionArgument = Annotated[
     str,
     typer.Argument(
@@ -65,35 +33,56 @@ MotionArgument = Annotated[
         autocompletion=completed_motions,
     ),
 ]
-MinConfidenceOption = Annotated[float | None, option("shared.min_confidence")]
-PositionsOption = Annotated[PositionsChoice, option("shared.positions")]
+Positions = Literal["auto", "replace", "add"]
+
+
+@dataclass(frozen=True)
+class MotionReading:
+    """Options of the command line for reading motion files. Each attribute has the name of its option."""
+
+    joint_names: str | None = None
+    unit: float | None = None
+    up: str | None = None
+    facing: str | None = None
+    positions: Positions = "auto"
+    min_confidence: float | None = None
+
+    @property
+    def person(self) -> dict[str, Any]:
+        """How a person is found in a motion: parameters of ``to_world`` by name. Raises HumansimError for a
+        wrong unit."""
+        if self.unit is not None and not 0 < self.unit < math.inf:
+            raise HumansimError(f"--unit must be metres per unit of the file, above 0, not {self.unit:g}")
+        return {
+            "table": self.joint_names,
+            "unit": self.unit,
+            "up": self.up,
+            "facing": self.facing,
+            "min_confidence": self.min_confidence,
+        }
 
 
 def info(
     file: MotionArgument,
-    as_json: JsonOption = False,
-    joint_names: JointTableOption = None,
-    unit: UnitOption = None,
-    up: UpOption = None,
-    facing: FacingOption = None,
-    positions: PositionsOption = PositionsChoice.auto,
-    min_confidence: MinConfidenceOption = None,
+    as_json: bool = False,
+    *,
+    reading: MotionReading,
 ) -> None:
     """Describe a motion file: joints, unit, axes, joint match, foot sliding, warnings."""
     from humansim_ros.motion.files import find_motion
     from humansim_ros.motion.pose import describe_motion, read_with_warnings
 
-    _check_unit(unit)
-    motion, found = read_with_warnings(Path(find_motion(file)), positions.value)
-    facts = describe_motion(motion, found, joint_names, unit, up, facing, min_confidence)
+    person = reading.person
+    motion, found = read_with_warnings(Path(find_motion(file)), reading.positions)
+    facts = describe_motion(motion, found, **person)
     print_text(to_json(facts) if as_json else "\n".join(_info_lines(facts)))
 
 
 def joints(
     file: MotionArgument,
-    frame: Annotated[int, option("motion joints.frame")] = 0,
-    as_json: JsonOption = False,
-    positions: PositionsOption = PositionsChoice.auto,
+    frame: int = 0,
+    as_json: bool = False,
+    positions: Positions = "auto",
 ) -> None:
     """Print the positions of the joints in a frame: x, y, z in the unit and axes of the file."""
     motion = _read(file, positions)
@@ -109,25 +98,28 @@ def joints(
     print_text("\n".join(lines))
 
 
+@dataclass(frozen=True)
+class MotionChanges:
+    """Options of ``retarget`` that change a motion. Each attribute has the name of its option."""
+
+    position: tuple[float, float] = (0.0, 0.0)
+    yaw_deg: float = 0.0
+    mirror: bool = False
+    pin_feet: bool = False
+    clamp: bool = False
+
+
 def retarget(
     file: MotionArgument,
-    frame: Annotated[int | None, option("motion retarget.frame")] = None,
-    as_json: JsonOption = False,
-    output: Annotated[Path | None, option("motion retarget.output")] = None,
-    mode: Annotated[RetargetingChoice, option("motion retarget.mode")] = RetargetingChoice.full,
-    joint_names: JointTableOption = None,
-    unit: UnitOption = None,
-    up: UpOption = None,
-    facing: FacingOption = None,
-    positions: PositionsOption = PositionsChoice.auto,
-    min_confidence: MinConfidenceOption = None,
-    root_scale: Annotated[str | None, option("motion retarget.root_scale")] = None,
-    body: BodyOption = None,
-    position: Annotated[tuple[float, float], option("motion retarget.position")] = (0.0, 0.0),
-    yaw_deg: Annotated[float, option("motion retarget.yaw_deg")] = 0.0,
-    mirror: Annotated[bool, option("motion retarget.mirror")] = False,
-    pin_feet: Annotated[bool, option("motion retarget.pin_feet")] = False,
-    clamp: Annotated[bool, option("motion retarget.clamp")] = False,
+    frame: int | None = None,
+    as_json: bool = False,
+    output: Path | None = None,
+    mode: Literal["full", "thesis"] = "full",
+    *,
+    reading: MotionReading,
+    root_scale: str | None = None,
+    body: str | None = None,
+    changes: MotionChanges,
 ) -> None:
     """Retarget a motion: print the head, tail (metres) and rotation_xyzw of each bone in the world.
 
@@ -141,27 +133,25 @@ def retarget(
     from humansim_ros.motion.files import PosedBones, check_suffix, write_bones
     from humansim_ros.motion.pose import FootContacts, Placement, Retargeter, load_limits, to_world
 
-    _check_unit(unit)
-    if not np.isfinite([*position, yaw_deg]).all():
+    person = reading.person
+    if not np.isfinite([*changes.position, changes.yaw_deg]).all():
         raise HumansimError("--position and --yaw-deg must be finite numbers")
     if output is not None:
         if frame is not None or as_json:
             raise HumansimError("--output writes all frames: omit --frame and --json")
         check_suffix(output)
         check_output(output)
-    motion = _read(file, positions)
+    motion = _read(file, reading.positions)
     number = _frame_number(frame or 0, motion)
-    placement = Placement(position, math.radians(yaw_deg))
-    world = to_world(
-        motion, joint_names, unit, up, facing, min_confidence, placement=placement, mirror=mirror
-    )
+    placement = Placement(changes.position, math.radians(changes.yaw_deg))
+    world = to_world(motion, **person, placement=placement, mirror=changes.mirror)
     _warn_of(world)
     skeleton = hanim_skeleton() if body is None else load_named(body).skeleton
-    retargeter = Retargeter.fit(world, skeleton, mode.value, _root_scale(root_scale))
-    if pin_feet:
+    retargeter = Retargeter.fit(world, skeleton, mode, _root_scale(root_scale))
+    if changes.pin_feet:
         world = replace(world, correction=FootContacts.detect(world, retargeter))
     poses = world.sample(world.frame_times if output is not None else number * motion.frame_time)
-    if clamp:
+    if changes.clamp:
         rotations, root = retargeter.apply(poses)
         posed = skeleton.pose(load_limits().for_skeleton(skeleton).clamp(rotations), root)
     else:
@@ -178,10 +168,10 @@ def retarget(
 
 def table(
     file: MotionArgument,
-    output: Annotated[Path | None, option("motion table.output")] = None,
-    joint_names: JointTableOption = None,
-    positions: PositionsOption = PositionsChoice.auto,
-    min_confidence: MinConfidenceOption = None,
+    output: Path | None = None,
+    joint_names: str | None = None,
+    positions: Positions = "auto",
+    min_confidence: float | None = None,
 ) -> None:
     """Print or write the joint match: the joint that drives each bone, and the confidence."""
     from humansim_ros.motion.matching import match_motion, table_text
@@ -196,7 +186,7 @@ def table(
     print_text(f"wrote {output}; use it with --joint-names {output}")
 
 
-def list_motions(as_json: JsonOption = False) -> None:
+def list_motions(as_json: bool = False) -> None:
     """List the built-in motions."""
     motions = built_in_motions()
     if as_json:
@@ -212,20 +202,16 @@ def list_motions(as_json: JsonOption = False) -> None:
 
 def render(
     file: MotionArgument,
-    output: Annotated[Path, option("motion render.output")],
-    frames: Annotated[int, option("motion render.frames")] = 8,
-    size: Annotated[str, option("motion render.size")] = "220x300",
-    view: Annotated[ViewpointChoice, option("motion render.view")] = ViewpointChoice.three_quarter,
-    body: BodyOption = "adult_man",
-    no_skin: Annotated[bool, option("motion render.no_skin")] = False,
-    rate: Annotated[float | None, option("motion render.rate")] = None,
-    seconds: Annotated[float, option("motion render.seconds")] = 60.0,
-    joint_names: JointTableOption = None,
-    unit: UnitOption = None,
-    up: UpOption = None,
-    facing: FacingOption = None,
-    positions: PositionsOption = PositionsChoice.auto,
-    min_confidence: MinConfidenceOption = None,
+    output: Path,
+    frames: int = 8,
+    size: str = "220x300",
+    view: Literal["side", "front", "three-quarter"] = "three-quarter",
+    body: str | None = "adult_man",
+    no_skin: bool = False,
+    rate: float | None = None,
+    seconds: float = 60.0,
+    *,
+    reading: MotionReading,
 ) -> None:
     """Draw a motion as images or video: stick figures (left blue, right red) and a human."""
     from humansim_ros.motion.pose import to_world
@@ -237,27 +223,27 @@ def render(
         write_motion_image,
     )
 
-    _check_unit(unit)
+    person = reading.person
     panel = parse_size(size)
     if min(panel) < 40 or max(panel) > 2000:
         raise HumansimError(f"--size: needs 40 to 2000 pixels for each side, not {size}")
     check_suffix(output)
     check_output(output)
-    motion = _read(file, positions)
+    motion = _read(file, reading.positions)
     artists: list[Artist] = []
     try:
         try:
-            world = to_world(motion, joint_names, unit, up, facing, min_confidence)
+            world = to_world(motion, **person)
         except MotionError as error:
-            if joint_names or facing or unit is not None:
+            if reading.joint_names or reading.facing or reading.unit is not None:
                 raise
             print_warning(f"drawn in the axes of the file, not as a person: {error.message}")
-            artists.append(StickFigureArtist.of_file(motion, panel, view.value, up))
+            artists.append(StickFigureArtist.of_file(motion, panel, view, reading.up))
         else:
             _warn_of(world)
-            artists.append(StickFigureArtist.of_world(world, panel, view.value))
+            artists.append(StickFigureArtist.of_world(world, panel, view))
             if not no_skin:
-                artists.append(SkinnedArtist(load_named(body or "adult_man"), world, panel, view.value))
+                artists.append(SkinnedArtist(load_named(body or "adult_man"), world, panel, view))
         if output.suffix.lower() != ".png" and motion.duration > seconds:
             print_warning(f"only the first {seconds:g} s of {motion.duration:g} s are drawn (--seconds)")
         title = f"{Path(motion.path).stem}: {motion.n_frames} frames, {motion.duration:.2f} s"
@@ -276,10 +262,10 @@ def built_in_motions() -> dict[str, dict[str, Any]]:
     return {str(name): dict(facts) for name, facts in data.items()}
 
 
-def _read(file: str, positions: PositionsChoice) -> Motion:
+def _read(file: str, positions: Positions) -> Motion:
     from humansim_ros.motion.files import find_motion, read_motion
 
-    return read_motion(find_motion(file), positions.value)
+    return read_motion(find_motion(file), positions)
 
 
 def _warn_of(world: WorldMotion) -> None:
@@ -304,11 +290,6 @@ def _frame_number(frame: int, motion: Motion) -> int:
             f"no frame {frame}: the motion has frames 0 to {motion.n_frames - 1}", path=motion.path
         )
     return frame
-
-
-def _check_unit(unit: float | None) -> None:
-    if unit is not None and not 0 < unit < math.inf:
-        raise HumansimError(f"--unit must be metres per unit of the file, above 0, not {unit:g}")
 
 
 def _bone_lines(names: Sequence[str], bones: PosedBones) -> Iterator[str]:

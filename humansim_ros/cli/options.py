@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
+from functools import update_wrapper
+from inspect import Parameter, Signature, signature
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import typer
 
@@ -28,37 +30,131 @@ def split_commas(values: list[str] | None) -> list[str]:
     return [word.strip() for word in words if word.strip()]
 
 
-_ROWS: Mapping[str, Mapping[str, Mapping[str, Any]]] = read_table("command_line")
+#: Rows by section and name: names of the option on the command line, help text, limits.
+_ROWS: Mapping[str, Mapping[str, Any]] = read_table("command_line")
+#: Section of the rows that several commands share.
+_SHARED = "shared"
 
 
-def option(row: str, **more: Any) -> Any:
-    """Make an option of a command.
+def with_options(command: str, function: Callable[..., None]) -> Callable[..., None]:
+    """Make the function of a command as typer takes it, with an option or argument for each parameter.
+
+    Names, help texts and limits are in config/command_line.json, in the section of the command or in
+    ``shared``, in the row with the name of the parameter. A row that is a text is the name of a shared row.
+
+    A parameter whose type is a dataclass stands for an option for each field that has a row. If None is
+    allowed as well, it is None unless the fields without a default are given. A parameter that is annotated
+    with typer's own options stays as it is.
 
     Args:
-        row: Name of a row of config/command_line.json: command and option, such as ``camera rig.height``.
-        **more: Values that a table cannot contain, such as the words for completion by a shell.
+        command: Name of the command, such as ``camera show``.
+        function: Its function.
     """
-    return _made(typer.Option, row, more)
+    shown: list[Parameter] = []
+    groups: dict[str, _Group] = {}
+    hints = get_type_hints(function, include_extras=True)
+    for name, parameter in signature(function).parameters.items():
+        kind = next((each for each in (hints[name], *get_args(hints[name])) if is_dataclass(each)), None)
+        if kind is None:
+            shown.append(_with_option(command, name, hints[name], parameter.default))
+            continue
+        groups[name] = _Group(kind, kind is not hints[name], command)
+        shown += groups[name].parameters
+
+    def call(**given: Any) -> None:
+        function(**given, **{name: group.take(given) for name, group in groups.items()})
+
+    update_wrapper(call, function)
+    call.__annotations__ = {parameter.name: parameter.annotation for parameter in shown}
+    call.__signature__ = Signature(shown)  # type: ignore[attr-defined]
+    return call
 
 
-def argument(row: str, **more: Any) -> Any:
-    """Make an argument of a command. The parameters are those of :func:`option`."""
-    return _made(typer.Argument, row, more)
+@dataclass(frozen=True)
+class _Group:
+    """Options of a command that are fields of a dataclass.
+
+    Attributes:
+        kind: The dataclass.
+        may_be_absent: Whether there is no object unless the fields without a default are given.
+        command: Name of the command.
+    """
+
+    kind: Any
+    may_be_absent: bool
+    command: str
+
+    @property
+    def fields(self) -> list[Field[Any]]:
+        """Fields that are options."""
+        return [each for each in fields(self.kind) if _row(self.command, each.name)]
+
+    @property
+    def parameters(self) -> list[Parameter]:
+        """Parameters for typer."""
+        hints, shown = get_type_hints(self.kind), []
+        for each in self.fields:
+            hint, default = hints[each.name], each.default
+            if default is MISSING:
+                hint, default = (hint | None, None) if self.may_be_absent else (hint, Parameter.empty)
+            setting = each.metadata.get("setting")
+            shown.append(_with_option(self.command, each.name, hint, default, setting))
+        return shown
+
+    def take(self, given: dict[str, Any]) -> Any:
+        """Make the object, and remove its values from those of the command line. Raises HumansimError for an
+        option that goes with an absent one."""
+        values = {each.name: given.pop(each.name) for each in self.fields}
+        values |= {each.name: each.default for each in self.fields if values[each.name] == []}
+        absent = [each for each in self.fields if each.default is MISSING and values[each.name] is None]
+        if not absent:
+            return self.kind(**values)
+        for each in self.fields:
+            if values[each.name] not in (None, each.default):
+                names = (_long_name(self.command, name) for name in (each.name, absent[0].name))
+                raise HumansimError("{} goes with {} only".format(*names))
+        return None
 
 
-def list_option(row: str, complete: Callable[[str], list[str]] | None = None, **more: Any) -> Any:
-    """Make an option that is a list: it may be repeated, or have commas. ``row``, ``more``: as for
-    :func:`option`. ``complete``: returns the words for completion by a shell."""
-    made = _made(typer.Option, row, {"callback": split_commas, "autocompletion": complete, **more})
-    made.metavar += ",..."
-    return made
+def _row(command: str, name: str) -> Mapping[str, Any] | None:
+    """Row of the table for a parameter of a command, with what is not in the table; None if it has no row."""
+    own = _ROWS.get(command, {}).get(name, name)
+    found = _ROWS[_SHARED].get(own) if isinstance(own, str) else own
+    key = own if isinstance(own, str) else f"{command}.{name}"
+    return None if found is None else {**found, **_MORE.get(key, {})}
 
 
-def _made(make: Callable[..., Any], row: str, more: Mapping[str, Any]) -> Any:
-    """Make an option or argument from a row of the table and further values."""
-    command, _, name = row.rpartition(".")
-    values = {**_ROWS[command][name], **more}
-    return make(*values.pop("names", ()), **values)
+def _long_name(command: str, name: str) -> str:
+    """Name of an option on the command line, such as ``--fit-unit``."""
+    names = (_row(command, name) or {}).get("names")
+    return str(names[0]) if names else f"--{name.replace('_', '-')}"
+
+
+def _with_option(command: str, name: str, kind: Any, default: Any, setting: Any = None) -> Parameter:
+    """Make a parameter for typer.
+
+    Args:
+        command: Name of the command.
+        name: Name of the parameter.
+        kind: Its type.
+        default: Its default.
+        setting: Help text and limits that are not in the table, as of a setting of lockstep.
+    """
+    if get_origin(kind) is not Annotated:
+        row = dict(_row(command, name) or {})
+        names, absent = row.pop("names", ()), row.pop("absent", "")
+        is_argument, commas = row.pop("argument", False), row.pop("commas", True)
+        if setting is not None:
+            row["help"] = f"{setting.help}{absent}."
+            if setting.high:
+                row |= {"min": setting.low, "max": setting.high}
+        kinds = {get_origin(each) for each in (kind, *get_args(kind))}
+        if Sequence in kinds:
+            kind, default = list[str] | None, default or None
+        if not is_argument and commas and kinds & {list, Sequence}:
+            row = {"callback": split_commas, **row, "metavar": f"{row['metavar']},..."}
+        kind = Annotated[kind, (typer.Argument if is_argument else typer.Option)(*names, **row)]
+    return Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=kind)
 
 
 # -- completion of words by shells
@@ -121,39 +217,66 @@ def _existing_calibrations(given: Any) -> Any:
     return given
 
 
-# -- options that several commands share
+#: By row: what the table cannot contain, the completion by a shell and the early check of a value.
+_MORE: Mapping[str, Mapping[str, Any]] = {
+    "scene": {"callback": existing_scenes},
+    "file": {"callback": _existing_calibrations},
+    "files": {"callback": _existing_calibrations},
+    "body": {"autocompletion": built_in_humans},
+    "human": {"autocompletion": built_in_humans},
+    "joint_names": {"autocompletion": joint_tables},
+    "run.motion": {"autocompletion": built_in_motions},
+    "view.body": {"autocompletion": built_in_humans},
+    "bench.channels": {"autocompletion": built_in_channels},
+    "snapshot.channels": {"autocompletion": built_in_channels},
+    "export.formats": {"autocompletion": export_formats},
+}
 
-JsonOption = Annotated[bool, option("shared.json")]
-SceneArgument = Annotated[Path | None, argument("shared.scene", callback=existing_scenes)]
-CalibrationArgument = Annotated[str, argument("shared.calibration", callback=_existing_calibrations)]
-CalibrationsArgument = Annotated[list[str], argument("shared.calibrations", callback=_existing_calibrations)]
-OutputFolderOption = Annotated[Path, option("shared.output_folder")]
-OutputImageOption = Annotated[Path, option("shared.output_image")]
-PictureOption = Annotated[Path | None, option("shared.picture")]
+
+# -- options in the signatures of commands
+
+
+def option(row: str, **more: Any) -> Any:
+    """Make an option of a command.
+
+    Args:
+        row: Name of a row of config/command_line.json: command and option, such as ``camera rig.height``.
+        **more: Values that a table cannot contain, such as the words for completion by a shell.
+    """
+    return _made(typer.Option, row, more)
+
+
+def argument(row: str, **more: Any) -> Any:
+    """Make an argument of a command. The parameters are those of :func:`option`."""
+    return _made(typer.Argument, row, more)
+
+
+def list_option(row: str, complete: Callable[[str], list[str]] | None = None, **more: Any) -> Any:
+    """Make an option that is a list: it may be repeated, or have commas. ``row``, ``more``: as for
+    :func:`option`. ``complete``: returns the words for completion by a shell."""
+    made = _made(typer.Option, row, {"callback": split_commas, "autocompletion": complete, **more})
+    made.metavar += ",..."
+    return made
+
+
+def _made(make: Callable[..., Any], row: str, more: Mapping[str, Any]) -> Any:
+    """Make an option or argument from a row of the table and further values."""
+    command, _, name = row.rpartition(".")
+    values = {**_ROWS[command][name], **more}
+    values.pop("argument", None)
+    return make(*values.pop("names", ()), **values)
+
+
+JsonOption = Annotated[bool, option("shared.as_json")]
 JobsOption = Annotated[int | None, option("shared.jobs")]
 TopicsOption = Annotated[list[str] | None, list_option("shared.topics")]
-NetworkOption = Annotated[bool, option("shared.network")]
 ResumeOption = Annotated[bool, option("shared.resume")]
 RayOption = Annotated[str | None, option("shared.ray")]
-BodyOption = Annotated[str | None, option("shared.body", autocompletion=built_in_humans)]
-
-# estimates of a tracker
 EstimateTopicOption = Annotated[str | None, option("shared.estimate_topic")]
 KeypointsOption = Annotated[str | None, option("shared.keypoints")]
 NamesOption = Annotated[Path | None, option("shared.names")]
 ScaleOption = Annotated[float, option("shared.scale")]
 AxesOption = Annotated[str | None, option("shared.axes")]
-
-# calibrations
-SizeOption = Annotated[str | None, option("shared.size")]
-ImageOption = Annotated[Path | None, option("shared.image")]
-UnitOption = Annotated[float | None, option("shared.unit")]
-UpOption = Annotated[str | None, option("shared.up")]
-CameraOption = Annotated[list[str] | None, list_option("shared.camera")]
-
-# motions
-JointTableOption = Annotated[str | None, option("shared.joint_table", autocompletion=joint_tables)]
-FacingOption = Annotated[str | None, option("shared.facing")]
 
 
 # -- the command line before it is parsed

@@ -7,96 +7,65 @@ import select
 import shlex
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
-from humansim_ros.cli.options import (
-    AxesOption,
-    BodyOption,
-    EstimateTopicOption,
-    JobsOption,
-    JointTableOption,
-    JsonOption,
-    KeypointsOption,
-    NetworkOption,
-    ScaleOption,
-    SceneArgument,
-    TopicsOption,
-    argument,
-    built_in_channels,
-    built_in_motions,
-    list_option,
-    option,
-)
 from humansim_ros.cli.output import check_output, print_error, print_text, to_json
 from humansim_ros.cli.scene import SceneOptions, warn_about_mistakes
-from humansim_ros.errors import HumansimError
+from humansim_ros.errors import RosError
 from humansim_ros.files.reading import resource_path
-from humansim_ros.ros.processes import SETTINGS, Stopped
+from humansim_ros.ros.processes import (
+    QUIT,
+    WRONG_INPUT,
+    EvaluateOptions,
+    LockstepSummary,
+    RecordOptions,
+    RestartFile,
+    Stopped,
+    TimeOptions,
+)
+
+if TYPE_CHECKING:
+    from humansim_ros.ros.processes import EndedProcess, Supervisor
+    from humansim_ros.scene.core import Scene
 
 
-def _setting(name: str, metavar: str, end: str = ".") -> Any:
-    """Make the option of a lockstep setting that is a number."""
-    setting = SETTINGS[name]
-    return typer.Option(metavar=metavar, help=f"{setting.help}{end}", min=setting.low, max=setting.high)
+@dataclass(frozen=True)
+class NodeOptions:
+    """Options of ``run`` about the nodes. Each attribute has the name of its option."""
+
+    seconds: float | None = None
+    jobs: int | None = None
+    only: Sequence[str] = ()
+    namespace: str = ""
+    frame_prefix: str = ""
+    network: bool = False
+    respawn: bool = True
 
 
 def run(
-    scene: SceneArgument = None,
-    motion: Annotated[str | None, option("run.motion", autocompletion=built_in_motions)] = None,
-    body: BodyOption = None,
-    joint_names: JointTableOption = None,
-    live: Annotated[list[str] | None, list_option("run.live")] = None,
-    seconds: Annotated[float | None, option("run.seconds")] = None,
-    jobs: JobsOption = None,
-    only: Annotated[list[str] | None, list_option("run.only")] = None,
-    namespace: Annotated[str, option("run.namespace")] = "",
-    frame_prefix: Annotated[str, option("run.frame_prefix")] = "",
-    network: NetworkOption = False,
-    respawn: Annotated[bool, option("run.respawn")] = True,
-    lockstep: Annotated[bool | None, option("run.lockstep")] = None,
-    frames: Annotated[int | None, _setting("frames", "N", "; without end if absent.")] = None,
-    wait_for: Annotated[
-        list[str] | None, list_option("run.wait_for", help=f"{SETTINGS['wait_for'].help}.")
-    ] = None,
-    timeout: Annotated[float | None, _setting("timeout", "SECONDS")] = None,
-    on_timeout: Annotated[
-        str | None, option("run.on_timeout", help=f"{SETTINGS['on_timeout'].help}.")
-    ] = None,
-    pace: Annotated[float | None, _setting("pace", "HZ", "; as fast as possible if absent.")] = None,
-    record: Annotated[Path | None, option("run.record")] = None,
-    topics: TopicsOption = None,
-    compression: Annotated[str, option("run.compression")] = "none",
-    estimate: EstimateTopicOption = None,
-    keypoints: KeypointsOption = None,
-    scale: ScaleOption = 1.0,
-    axes: AxesOption = None,
-    output: Annotated[Path | None, option("run.output")] = None,
+    scene: Path | None = None,
+    *,
+    changes: SceneOptions,
+    options: NodeOptions,
+    time_options: TimeOptions,
+    record: RecordOptions | None,
+    evaluate: EvaluateOptions | None,
 ) -> None:
     """Start all nodes of a scene as processes. Ctrl-C stops them; a second Ctrl-C kills them."""
     from humansim_ros.files.reading import temporary_folder
-    from humansim_ros.ros.processes import (
-        QUIT,
-        WRONG_INPUT,
-        EvaluateOptions,
-        NodeStarter,
-        RecordOptions,
-        TimeOptions,
-        relative_namespace,
-        scene_processes,
-    )
+    from humansim_ros.ros.processes import NodeStarter, relative_namespace, scene_processes
 
     start = time.monotonic()
     with temporary_folder() as folder, ExitStack() as stack:
         given_path = path = scene or resource_path("config/scenes/demo.yaml")
-        options = SceneOptions(motion, body, joint_names, live or ())
-        if options:
-            path = options.write(given_path, folder)
+        if changes:
+            path = changes.write(given_path, folder)
         # it imports the package and loads the scene at the same time as this process
         starter = stack.enter_context(NodeStarter(str(path.resolve())))
         from humansim_ros.data.messages import check_adapters
@@ -105,49 +74,35 @@ def run(
         from humansim_ros.scene.core import BRIDGE_NODE, Scene
 
         _check_machine()
-        loaded = options.load(given_path, path) if options else Scene.load(path)
-        namespace = relative_namespace(namespace)
+        loaded = changes.load(given_path, path) if changes else Scene.load(path)
+        namespace = relative_namespace(options.namespace)
         _describe(loaded, namespace)
-        if not options:
+        if not changes:
             _print_ways_to_see(scene)
-        warn_about_mistakes(loaded, options)
-        options_of_time = _time_options(
-            loaded, TimeOptions(lockstep, wait_for, timeout, on_timeout, pace, frames), folder
+        warn_about_mistakes(loaded, changes)
+        time_options = _in_time(time_options, loaded, folder)
+        check_output(None if evaluate is None else evaluate.output)
+        processes = scene_processes(
+            path,
+            options.jobs,
+            namespace,
+            options.frame_prefix,
+            ",".join(options.only),
+            time_options,
+            record,
+            evaluate,
         )
-        if topics and record is None:
-            raise HumansimError("--topics goes with --record only")
-        recorded = RecordOptions(record, topics or (), compression) if record else None
-        if output is not None:
-            check_output(output)
-        given = {"--keypoints": keypoints, "--scale": scale != 1, "--axes": axes, "--output": output}
-        if estimate is None and any(given.values()):
-            raise HumansimError(f"{', '.join(given)} go with --estimate only")
-        evaluated = (
-            EvaluateOptions(estimate, keypoints or "", output, scale, axes or "") if estimate else None
-        )
-        node_processes = scene_processes(
-            path, jobs, namespace, frame_prefix, ",".join(only or ()), options_of_time, recorded, evaluated
-        )
-        transport = prepare_transport(len(node_processes) + 1, network)
-        names = [name for process in node_processes for name in process.visible_nodes]
+        names = [name for process in processes for name in process.visible_nodes]
         check_adapters(loaded, installed=BRIDGE_NODE in names)
+        transport = prepare_transport(len(processes) + 1, options.network)
         cameras = [name for name in loaded.cameras if name in names]
         first = FirstImages(cameras, list(loaded.actors), start, namespace)
         helpers = [("humansim_ros.ros.tools.first_images", first.to_argument())] if cameras else []
-        with Supervisor(node_processes, starter=starter, helpers=helpers) as nodes:
-            try:
-                print_text(f"starting {', '.join(names)}; Ctrl-C stops")
-                print_text(transport.reach)
-                until = None if seconds is None else time.monotonic() + seconds
-                dead = nodes.wait(
-                    until, respawn, lambda _: _is_complete(options_of_time), _restart_note(options_of_time)
-                )
-            except Stopped:
-                dead = None
-                print_text("stopping")
-        summary = _summary(options_of_time)
-    if dead and dead.code == QUIT:
-        dead = None  # ended on request, as by Ctrl-C
+        with Supervisor(processes, starter=starter, helpers=helpers) as nodes:
+            print_text(f"starting {', '.join(names)}; Ctrl-C stops")
+            print_text(transport.reach)
+            dead = _wait(nodes, options, time_options.summary)
+        summary = _summary(time_options.summary)
     if summary is not None:
         print_text(summary.text)
         if dead and (summary.error or summary.is_complete):
@@ -158,15 +113,15 @@ def run(
             raise typer.Exit(dead.code and (2 if dead.code == WRONG_INPUT else 1))
     if dead:
         wrong_input = dead.code == WRONG_INPUT  # the node has reported it
-        again = " again and again" if respawn and dead.code not in dead.process.final_codes else ""
+        again = " again and again" if options.respawn and dead.code not in dead.process.final_codes else ""
         print_error(f"error: {dead}{again}; the other nodes were stopped")
         raise typer.Exit(2 if wrong_input else 1)
 
 
 def demo(
-    scene: SceneArgument = None,
-    output: Annotated[Path, option("demo.output")] = Path("demo"),
-    seconds: Annotated[float, option("demo.seconds")] = 10.0,
+    scene: Path | None = None,
+    output: Path = Path("demo"),
+    seconds: float = 10.0,
 ) -> None:
     """Run a scene, subscribe to its topics like a client, and draw the received messages."""
     from humansim_ros.ros.tools import record_demo
@@ -188,10 +143,9 @@ def _check_machine() -> None:
     OpenGLContext().close()
 
 
-def _time_options(scene: Any, options: Any, folder: Path) -> Any:
+def _in_time(options: TimeOptions, scene: Scene, folder: Path) -> TimeOptions:
     """Add to the options a file for the summary of lockstep. Raises RosError for lockstep options without
     lockstep."""
-    from humansim_ros.errors import RosError
     from humansim_ros.scene.core import LOCKSTEP
 
     if options.lockstep is None and scene.config.time.mode == LOCKSTEP:
@@ -204,23 +158,28 @@ def _time_options(scene: Any, options: Any, folder: Path) -> Any:
     return replace(options, summary=str(folder / "lockstep.json")) if options.lockstep else options
 
 
-def _summary(options: Any) -> Any:
+def _wait(nodes: Supervisor, options: NodeOptions, summary: str | None) -> EndedProcess | None:
+    """Wait until a node ends unexpectedly, or the run ends. Returns the node; None after a stop signal, a
+    request to quit, or the end of the time. ``summary``: file for the summary of lockstep."""
+    until = None if options.seconds is None else time.monotonic() + options.seconds
+
+    def is_complete(_: EndedProcess) -> bool:
+        written = _summary(summary)
+        return written is not None and written.is_complete
+
+    # the motion player of a lockstep run learns of nodes that are started again
+    on_restart = RestartFile(summary).write if summary else lambda: None
+    try:
+        dead = nodes.wait(until, options.respawn, is_complete, on_restart)
+    except Stopped:
+        print_text("stopping")
+        return None
+    return None if dead is not None and dead.code == QUIT else dead
+
+
+def _summary(path: str | None) -> LockstepSummary | None:
     """Read the summary of a lockstep run. None if the run has not ended, or is in real time."""
-    from humansim_ros.ros.processes import LockstepSummary
-
-    return LockstepSummary.read(Path(options.summary)) if options.summary else None
-
-
-def _restart_note(options: Any) -> Callable[[], None]:
-    """Return a function that tells the motion player of a lockstep run that a node is started again."""
-    from humansim_ros.ros.processes import RestartFile
-
-    return RestartFile(options.summary).write if options.summary else lambda: None
-
-
-def _is_complete(options: Any) -> bool:
-    summary = _summary(options)
-    return summary is not None and summary.is_complete
+    return LockstepSummary.read(Path(path)) if path else None
 
 
 def _describe(scene: Any, namespace: str) -> None:
@@ -250,11 +209,11 @@ def _print_ways_to_see(scene: Path | None) -> None:
 
 
 def bench(
-    scene: SceneArgument = None,
-    channels: Annotated[list[str] | None, list_option("bench.channels", built_in_channels)] = None,
-    seconds: Annotated[float, option("bench.seconds")] = 5.0,
-    jobs: JobsOption = None,
-    as_json: JsonOption = False,
+    scene: Path | None = None,
+    channels: list[str] | None = None,
+    seconds: float = 5.0,
+    jobs: int | None = None,
+    as_json: bool = False,
 ) -> None:
     """Measure how many cameras this machine can run, and at how many frames per second.
 
@@ -271,13 +230,13 @@ def bench(
 
 
 def play(
-    bag: Annotated[Path, argument("play.bag")],
-    clock: Annotated[float, option("play.clock")] = 0.0,
-    rate: Annotated[float, option("play.rate")] = 1.0,
-    loop: Annotated[bool, option("play.loop")] = False,
-    start_offset: Annotated[float, option("play.start_offset")] = 0.0,
-    topics: TopicsOption = None,
-    network: NetworkOption = False,
+    bag: Path,
+    clock: float = 0.0,
+    rate: float = 1.0,
+    loop: bool = False,
+    start_offset: float = 0.0,
+    topics: list[str] | None = None,
+    network: bool = False,
 ) -> None:
     """Publish the messages of a bag again, with recorded stamps, types and quality of service.
 

@@ -9,18 +9,10 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
-from humansim_ros.cli.options import (
-    JsonOption,
-    OutputImageOption,
-    SceneArgument,
-    built_in_channels,
-    list_option,
-    option,
-)
 from humansim_ros.cli.output import check_output, print_text, print_warning, report_write_errors, to_json
 from humansim_ros.errors import HumansimError, unknown
 from humansim_ros.files.reading import exists, expand_user
@@ -139,8 +131,8 @@ def _absolute(name: str) -> str:
 
 
 def check(
-    scene: SceneArgument = None,
-    as_json: JsonOption = False,
+    scene: Path | None = None,
+    as_json: bool = False,
 ) -> None:
     """Find probable mistakes in a scene: cameras that see nobody, people in walls … Exit code 1 if any."""
     from humansim_ros.data.messages import check_adapters
@@ -178,13 +170,13 @@ def _count(number: int, word: str) -> str:
 
 
 def snapshot(
-    output: OutputImageOption,
-    scene: SceneArgument = None,
-    time: Annotated[float, option("snapshot.time")] = 0.0,
-    channels: Annotated[list[str] | None, list_option("snapshot.channels", built_in_channels)] = None,
-    width: Annotated[int, option("snapshot.width")] = 1600,
-    no_joints: Annotated[bool, option("snapshot.no_joints")] = False,
-    no_plan: Annotated[bool, option("snapshot.no_plan")] = False,
+    output: Path,
+    scene: Path | None = None,
+    time: float = 0.0,
+    channels: list[str] | None = None,
+    width: int = 1600,
+    no_joints: bool = False,
+    no_plan: bool = False,
 ) -> None:
     """Draw on one sheet what every camera of a scene sees, with the joints, and the scene from above."""
     from humansim_ros.render.interface import ALL_CHANNELS
@@ -201,7 +193,7 @@ def snapshot(
 
 
 def schema(
-    output: Annotated[Path | None, option("schema.output")] = None,
+    output: Path | None = None,
 ) -> None:
     """Print the JSON schema of scene files, for editors that complete and check YAML."""
     from humansim_ros.scene.config import schema_text
@@ -216,7 +208,7 @@ def schema(
     print_text(f"wrote {output}")
 
 
-def list_meshes(as_json: JsonOption = False) -> None:
+def list_meshes(as_json: bool = False) -> None:
     """List the built-in meshes, which objects of a scene may use by name."""
     from humansim_ros.scene.core import BUILT_IN_MESHES, FURNITURE, SHAPES
 

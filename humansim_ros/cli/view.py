@@ -3,37 +3,51 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING
 
-from humansim_ros.cli.options import (
-    AxesOption,
-    KeypointsOption,
-    NamesOption,
-    ScaleOption,
-    argument,
-    built_in_humans,
-    list_option,
-    option,
-)
 from humansim_ros.cli.output import print_text
 from humansim_ros.errors import HumansimError
 
+if TYPE_CHECKING:
+    from humansim_ros.view.sources import TopicOptions
+
+
+@dataclass(frozen=True)
+class Estimates:
+    """Options about estimates of trackers, and the people of topics. Each attribute has the name of its
+    option."""
+
+    estimate: list[str] | None = None
+    keypoints: str | None = None
+    names: Path | None = None
+    scale: float = 1.0
+    axes: str | None = None
+    body: list[str] | None = None
+
+    def topic_options(self) -> TopicOptions | None:
+        """How topics are read; None if no option is given."""
+        if self == Estimates():
+            return None
+        from humansim_ros.data.evaluation import DEFAULT_GATE, LiveOptions
+        from humansim_ros.view.sources import TopicOptions
+
+        names = "" if self.names is None else str(self.names)
+        reading = LiveOptions.of(self.keypoints or "", names, self.scale, self.axes or "", DEFAULT_GATE)
+        return TopicOptions(tuple(self.estimate or ()), reading, tuple(map(Path, self.body or ())))
+
 
 def view(
-    what: Annotated[Path | None, argument("view.what")] = None,
-    port: Annotated[int, option("view.port")] = 8080,
-    new: Annotated[bool, option("view.new")] = False,
-    no_browser: Annotated[bool, option("view.no_browser")] = False,
-    ros: Annotated[bool, option("view.ros")] = False,
-    namespace: Annotated[str, option("view.namespace")] = "",
-    estimate: Annotated[list[str] | None, list_option("view.estimate")] = None,
-    keypoints: KeypointsOption = None,
-    names: NamesOption = None,
-    scale: ScaleOption = 1.0,
-    axes: AxesOption = None,
-    body: Annotated[list[str] | None, list_option("view.body", built_in_humans)] = None,
+    what: Path | None = None,
+    port: int = 8080,
+    new: bool = False,
+    no_browser: bool = False,
+    ros: bool = False,
+    namespace: str = "",
+    *,
+    estimates: Estimates,
 ) -> None:
     """Show a scene, bag, ROS graph, motion, human, calibration or photographs in the browser, in 3D."""
     if find_spec("viser") is None:
@@ -42,14 +56,9 @@ def view(
         )
     import cv2
 
-    from humansim_ros.data.evaluation import DEFAULT_GATE, LiveOptions
-    from humansim_ros.view.sources import TopicOptions, new_scene, open_graph, open_source
+    from humansim_ros.view.sources import new_scene, open_graph, open_source
 
-    topics = None
-    if estimate or keypoints is not None or names is not None or body or scale != 1 or axes is not None:
-        table = "" if names is None else str(names)
-        reading = LiveOptions.of(keypoints or "", table, scale, axes or "", DEFAULT_GATE)
-        topics = TopicOptions(tuple(estimate or ()), reading, tuple(map(Path, body or ())))
+    topics = estimates.topic_options()
     if ros and what is not None:
         raise HumansimError("a graph is shown, or a file: leave out one of --ros and the path", key="--ros")
     if namespace and not ros:

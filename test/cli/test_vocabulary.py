@@ -7,7 +7,7 @@ import re
 from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, get_args, get_origin, get_type_hints
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import pytest
 import typer
@@ -55,6 +55,8 @@ class Option:
 
 def scalar(kind: Any) -> Any:
     """Type of the single value in an annotation such as list[str] | None."""
+    if get_origin(kind) is Literal:
+        return kind
     inner = [part for part in get_args(kind) if part not in (type(None), Ellipsis)]
     return scalar(inner[0]) if inner else kind
 
@@ -76,6 +78,8 @@ def options() -> list[Option]:
             value = scalar(annotated)
             if value is bool:
                 kind = "flag"
+            elif get_origin(value) is Literal:
+                kind = "|".join(get_args(value))
             elif hasattr(value, "__members__"):
                 kind = "|".join(each.value for each in value)
             else:

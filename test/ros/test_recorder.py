@@ -823,11 +823,13 @@ def test_a_recorder_is_one_of_the_processes_and_lockstep_waits_for_it(tmp_path: 
 
 def test_launch_arguments_are_options_of_the_recorder() -> None:
     from humansim_ros.errors import RosError
-    from humansim_ros.ros.processes.node_processes import RECORD_ARGUMENTS, RecordOptions, record_options
+    from humansim_ros.ros.processes.launch_arguments import launch_arguments, launch_options
+    from humansim_ros.ros.processes.node_processes import RecordOptions
 
-    nothing = dict.fromkeys(RECORD_ARGUMENTS, "")
-    assert record_options(nothing) is None
+    nothing = dict.fromkeys(launch_arguments(RecordOptions), "")
+    assert launch_options(RecordOptions, nothing) is None
     given = {**nothing, "record": "/data/walk", "record_topics": "/left/*, /tracker/poses"}
-    assert record_options(given) == RecordOptions("/data/walk", ["/left/*", "/tracker/poses"], "none")
+    made = launch_options(RecordOptions, given)
+    assert made == RecordOptions(Path("/data/walk"), ["/left/*", "/tracker/poses"], "none")
     with pytest.raises(RosError, match="record_topics goes with record only"):
-        record_options({**nothing, "record_topics": "/left/*"})
+        launch_options(RecordOptions, {**nothing, "record_topics": "/left/*"})

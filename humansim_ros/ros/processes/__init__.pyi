@@ -1,6 +1,5 @@
 from humansim_ros.ros.processes.lockstep_rules import LockstepSummary as LockstepSummary
 from humansim_ros.ros.processes.lockstep_rules import RestartFile as RestartFile
-from humansim_ros.ros.processes.lockstep_settings import SETTINGS as SETTINGS
 from humansim_ros.ros.processes.lockstep_settings import TEST_NODE as TEST_NODE
 from humansim_ros.ros.processes.lockstep_settings import TimeOptions as TimeOptions
 from humansim_ros.ros.processes.node_processes import QUIT as QUIT
@@ -18,4 +17,5 @@ from humansim_ros.ros.processes.runtime import spin as spin
 from humansim_ros.ros.processes.stop_signals import Stopped as Stopped
 from humansim_ros.ros.processes.stop_signals import StopRequest as StopRequest
 from humansim_ros.ros.processes.stop_signals import end_process_on_stop as end_process_on_stop
+from humansim_ros.ros.processes.supervisor import EndedProcess as EndedProcess
 from humansim_ros.ros.processes.supervisor import Supervisor as Supervisor

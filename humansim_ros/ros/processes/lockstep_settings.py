@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, NamedTuple, get_args
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
 from humansim_ros.errors import MAX_FRAMES, RosError, printable
+from humansim_ros.ros.processes.launch_arguments import launched
 from humansim_ros.ros.processes.lockstep_rules import OnTimeout
 from humansim_ros.scene.core import LOCKSTEP
 
@@ -53,6 +54,11 @@ SETTINGS = {
 }
 
 
+def _setting(name: str, more: str = "") -> dict[str, Any]:
+    """Metadata of a field for a setting. ``more``: end of the description of its launch argument."""
+    return {**launched(name, f"{SETTINGS[name].help}{more}"), "setting": SETTINGS[name]}
+
+
 @dataclass(frozen=True)
 class TimeOptions:
     """Options on how time advances. They replace values of the section ``time`` of a scene
@@ -62,20 +68,27 @@ class TimeOptions:
 
     Attributes:
         lockstep: Whether time advances in lockstep. If False, in real time.
+        frames: Number of frames.
         wait_for: Names of nodes that frames wait for, and topics after ``topic:``.
         timeout: Seconds after which a frame waits no longer.
         on_timeout: ``stop`` or ``continue``.
         pace: Most frames per second of the wall clock.
-        frames: Number of frames.
         summary: File for a summary at the end.
     """
 
-    lockstep: bool | None = None
-    wait_for: Sequence[str] | None = None
-    timeout: float | None = None
-    on_timeout: str | None = None
-    pace: float | None = None
-    frames: int | None = None
+    lockstep: bool | None = field(
+        default=None,
+        metadata=launched(
+            "lockstep", "true: send the next frame when all nodes have finished this one; false: real time"
+        ),
+    )
+    frames: int | None = field(default=None, metadata=_setting("frames"))
+    wait_for: Sequence[str] | None = field(
+        default=None, metadata=_setting("wait_for", ", separated by commas")
+    )
+    timeout: float | None = field(default=None, metadata=_setting("timeout"))
+    on_timeout: str | None = field(default=None, metadata=_setting("on_timeout"))
+    pace: float | None = field(default=None, metadata=_setting("pace"))
     summary: str | None = None
 
     def __post_init__(self) -> None:
@@ -91,54 +104,6 @@ class TimeOptions:
         values = {**asdict(self), "mode": mode, "wait_for": wait_for}
         del values["lockstep"]
         return {name: value for name, value in values.items() if value is not None}
-
-
-#: Launch arguments of :class:`TimeOptions`. An empty argument stands for the value of the scene.
-TIME_ARGUMENTS = {
-    "lockstep": "true: send the next frame when all nodes have finished this one; false: real time",
-    **{name: setting.help for name, setting in SETTINGS.items()},
-    "wait_for": f"{SETTINGS['wait_for'].help}, separated by commas",
-}
-
-
-def time_options(arguments: Mapping[str, str]) -> TimeOptions:
-    """Options from launch arguments. RosError names a wrong argument."""
-    given = {name: text.strip() for name, text in arguments.items() if text.strip()}
-    return TimeOptions(
-        lockstep=true_or_false("lockstep", given["lockstep"]) if "lockstep" in given else None,
-        wait_for=[each.strip() for each in given["wait_for"].split(",")] if "wait_for" in given else None,
-        timeout=_number("timeout", given),
-        on_timeout=given.get("on_timeout"),
-        pace=_number("pace", given),
-        frames=whole_number("frames", given.get("frames", "")),
-    )
-
-
-def whole_number(name: str, text: str) -> int | None:
-    """Read a launch argument that is a whole number from 1, or empty. RosError names a wrong argument."""
-    if not text.strip():
-        return None
-    if not text.strip().isdecimal() or int(text) < 1:
-        raise RosError(f"launch argument {name} must be a whole number from 1, or empty, not {text!r}")
-    return int(text)
-
-
-def true_or_false(name: str, text: str) -> bool:
-    """Read a launch argument that is true or false. RosError names a wrong argument."""
-    word = text.strip().lower()
-    if word not in ("true", "false"):
-        raise RosError(f"launch argument {name} must be true or false, not {text!r}")
-    return word == "true"
-
-
-def _number(name: str, arguments: Mapping[str, str]) -> float | None:
-    """Number from a launch argument; None for an empty argument. Raises RosError."""
-    if name not in arguments:
-        return None
-    try:
-        return float(arguments[name])
-    except ValueError:
-        raise RosError(f"launch argument {name} must be a number, not {arguments[name]!r}") from None
 
 
 def member_texts(time: TimeConfig) -> list[str]:

@@ -6,11 +6,12 @@ import json
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from humansim_ros.errors import RosError, unknown
 from humansim_ros.files.reading import cores, thread_limits
+from humansim_ros.ros.processes.launch_arguments import launched
 from humansim_ros.ros.processes.lockstep_settings import TOPIC_PREFIX, ParameterValue, TimeOptions
 from humansim_ros.ros.processes.scene_names import SceneNames, read_names
 from humansim_ros.scene.core import BRIDGE_NODE, LOCKSTEP, PLAYER_NODE, skinner_node
@@ -44,15 +45,22 @@ class RecordOptions:
     """What is recorded of a run (docs/recording.md).
 
     Attributes:
-        output: Folder of the bag. It must not exist.
+        folder: Folder of the bag. It must not exist.
         topics: Names and patterns of topics. If empty, the latched topics of the scene, and those that
             ``humansim demo`` shows.
         compression: ``none``, ``zstd`` or ``lz4``.
     """
 
-    output: str | os.PathLike[str]
-    topics: Sequence[str] = ()
-    compression: str = "none"
+    folder: Path = field(
+        metadata=launched("record", "Folder of a new bag for the topics of the scene; empty: none")
+    )
+    topics: Sequence[str] = field(
+        default=(),
+        metadata=launched("record_topics", "Topics to record, names or patterns, separated by commas"),
+    )
+    compression: str = field(
+        default="none", metadata=launched("record_compression", "Compression of the bag: none, zstd or lz4")
+    )
 
 
 @dataclass(frozen=True)
@@ -62,16 +70,22 @@ class EvaluateOptions:
     Attributes:
         topic: Topic of the estimate. ``*`` stands for the name of a person.
         keypoints: Keypoint set of the estimate. If empty, joints of the skeleton.
-        output: JSON file for the result. If None, no file is written.
         scale: Length of a unit of the estimate, metres.
         axes: Axes of the estimate. If empty, the axes of ``map``.
+        output: JSON file for the result. If None, no file is written.
     """
 
-    topic: str
-    keypoints: str = ""
-    output: str | os.PathLike[str] | None = None
+    topic: str = field(
+        metadata=launched("evaluate", "Topic of an estimate to evaluate, such as /tracker/poses; empty: none")
+    )
+    keypoints: str = field(
+        default="", metadata=launched("evaluate_keypoints", "Keypoint set of the estimate, such as coco17")
+    )
     scale: float = 1.0
     axes: str = ""
+    output: Path | None = field(
+        default=None, metadata=launched("evaluate_output", "JSON file for the result")
+    )
 
 
 @dataclass(frozen=True)
@@ -126,52 +140,6 @@ class NodeProcess:
             # quoted, because ROS parses values as YAML: a camera named off would be a boolean
             arguments += ["-p", f"{name}:={json.dumps(value, ensure_ascii=False)}"]
         return arguments if self.log_level == "info" else [*arguments, "--log-level", self.log_level]
-
-
-#: Launch arguments of a recording, with their descriptions. All are empty by default.
-RECORD_ARGUMENTS = {
-    "record": "Folder of a new bag for the topics of the scene; empty: none",
-    "record_topics": "Topics to record, names or patterns, separated by commas",
-    "record_compression": "Compression of the bag: none, zstd or lz4",
-}
-
-
-def record_options(arguments: Mapping[str, str]) -> RecordOptions | None:
-    """Options from launch arguments; None if nothing is recorded. Raises RosError if the folder is
-    missing."""
-    given = _given(arguments, "record")
-    if not given:
-        return None
-    topics = [each.strip() for each in given.get("record_topics", "").split(",") if each.strip()]
-    return RecordOptions(given["record"], topics, given.get("record_compression", "none"))
-
-
-def _given(arguments: Mapping[str, str], first: str) -> dict[str, str]:
-    """Launch arguments that are not empty. Raises RosError if argument ``first`` is empty, but not all
-    others."""
-    given = {name: text.strip() for name, text in arguments.items() if text.strip()}
-    if given and first not in given:
-        raise RosError(f"launch argument {next(iter(given))} goes with {first} only")
-    return given
-
-
-#: Launch arguments of an evaluation, with their descriptions. All are empty by default.
-EVALUATE_ARGUMENTS = {
-    "evaluate": "Topic of an estimate to evaluate, such as /tracker/poses; empty: none",
-    "evaluate_keypoints": "Keypoint set of the estimate, such as coco17",
-    "evaluate_output": "JSON file for the result",
-}
-
-
-def evaluate_options(arguments: Mapping[str, str]) -> EvaluateOptions | None:
-    """Options from launch arguments; None if nothing is evaluated. Raises RosError if the topic is
-    missing."""
-    given = _given(arguments, "evaluate")
-    if not given:
-        return None
-    return EvaluateOptions(
-        given["evaluate"], given.get("evaluate_keypoints", ""), given.get("evaluate_output")
-    )
 
 
 def relative_namespace(text: str) -> str:
@@ -290,9 +258,9 @@ def _recorder(
     Raises:
         RosError: The path of the bag exists, or a camera has the name of the recorder.
     """
-    output = Path(record.output).resolve()
+    output = record.folder.resolve()
     if output.exists():
-        raise RosError("this path exists; choose another name for the bag", path=record.output)
+        raise RosError("this path exists; choose another name for the bag", path=record.folder)
     _check_free(RECORDER_NODE, "records", names)
     parameters: dict[str, ParameterValue] = {**scene, "output": str(output), "resume": True}
     parameters["compression"] = record.compression
@@ -323,7 +291,7 @@ def _evaluator(evaluate: EvaluateOptions, names: SceneNames, in_lockstep: bool) 
     if evaluate.axes:
         parameters["axes"] = evaluate.axes
     if evaluate.output is not None:
-        parameters["output"] = str(Path(evaluate.output).resolve())
+        parameters["output"] = str(evaluate.output.resolve())
     if in_lockstep:
         parameters["use_sim_time"] = True
     # the result of a long run takes long

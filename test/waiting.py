@@ -9,7 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from humansim_ros.data.engine.workers import children_of
+from humansim_ros.ros.processes.stop_signals import children_of
 from humansim_ros.testing import support as waiting
 from humansim_ros.testing.support import patience
 

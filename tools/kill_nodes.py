@@ -37,11 +37,11 @@ from sensor_msgs.msg import CameraInfo, Image, MultiDOFJointState, PointCloud2
 from shape_msgs.msg import Mesh
 from std_msgs.msg import Float64MultiArray, String
 
-from humansim_ros.data.engine.workers import children_of
 from humansim_ros.files.reading.assets import resource_path
 from humansim_ros.ros.graph.qos import LATCHED
 from humansim_ros.ros.processes.node_processes import NodeProcess, scene_processes
 from humansim_ros.ros.processes.runtime import make_executor, prepare_transport
+from humansim_ros.ros.processes.stop_signals import children_of
 from humansim_ros.scene.core.names import skinner_node
 
 #: Shortest and longest time between a return and the next kill, seconds.

@@ -1,23 +1,24 @@
-"""Run a case of a challenge: one process runs the nodes of its scene and collects the tracker's messages.
-
-:class:`CaseJob` runs cases in a worker process (``data/engine/workers.py``), one after the other.
-"""
+"""Run a case of a challenge: one process runs the nodes of its scene and collects the tracker's messages."""
 
 from __future__ import annotations
 
 import os
 import time
+from contextlib import suppress
 from dataclasses import asdict, dataclass
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from humansim_ros.data.engine import Costs, FrameResult
 from humansim_ros.data.evaluation import EstimateStream, ReadOptions, chosen_set, evaluate_poses, truth_at
 from humansim_ros.data.messages import PoseFrame
-from humansim_ros.errors import EvaluationError, show_warnings
+from humansim_ros.errors import EvaluationError, HumansimError, show_warnings
+from humansim_ros.files.reading import thread_limits
 from humansim_ros.ros.graph.transport import domain_environment
+from humansim_ros.ros.processes.runtime import make_executor, prepare_transport
+from humansim_ros.ros.processes.stop_signals import PARENT_PID, end_with_parent
 from humansim_ros.scene.core import Scene
 
 #: Most messages of a tracker: this number per frame, plus this number per case. More messages are an error.
@@ -157,7 +158,6 @@ def run_case(order: CaseOrder) -> dict[str, Any]:
     from humansim_ros.ros.graph.guarded_node import GuardedNode
     from humansim_ros.ros.nodes.in_process import InProcessNodes
     from humansim_ros.ros.processes.lockstep_settings import TOPIC_PREFIX
-    from humansim_ros.ros.processes.runtime import make_executor
 
     scene = Scene.load(Path(order.scene))
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
@@ -290,40 +290,35 @@ def _scores(order: CaseOrder, scene: Scene, frames: dict[int, int], stream: Esti
     }
 
 
-class CaseWorker:
-    """Runs cases in this process."""
+def serve_cases(connection: Connection, log: Path, domain: int, parent: int) -> None:
+    """Run cases in this process, one after the other. Ends when the connection is closed.
 
-    def __init__(self) -> None:
-        self.costs = Costs()
+    The first message that is sent means that this process is ready. Then each :class:`CaseOrder` that arrives
+    is answered. A message is a dictionary (values for a ``CaseResult`` by field name), or a HumansimError.
 
-    def work(self, order: CaseOrder) -> FrameResult:
-        """Run a case. ``value`` of what is returned has values for ``CaseResult`` by field name."""
-        return FrameResult(run_case(order))
-
-    def close(self) -> None:
-        """Do nothing, since each case ends its nodes."""
-
-
-@dataclass(frozen=True)
-class CaseJob:
-    """Job for a worker process that runs cases of a challenge.
-
-    Attributes:
+    Args:
+        connection: Connection to the process that asks for the cases.
         log: File for the output of the nodes.
         domain: ROS domain.
+        parent: Id of the process that asks. This process ends with it.
     """
-
-    log: Path
-    domain: int
-
-    def start(self) -> CaseWorker:
-        """Prepare this process for ROS. Raises HumansimError if this machine cannot run nodes."""
-        from humansim_ros.ros.processes.runtime import prepare_transport
-
-        with self.log.open("ab") as log:
-            os.dup2(log.fileno(), 1)
-            os.dup2(log.fileno(), 2)
-        os.environ.update(domain_environment(self.domain))
-        show_warnings()
+    os.environ[PARENT_PID] = str(parent)
+    end_with_parent()
+    with log.open("ab") as output:
+        os.dup2(output.fileno(), 1)
+        os.dup2(output.fileno(), 2)
+    os.environ.update(domain_environment(domain), **thread_limits(1))
+    show_warnings()
+    answer: dict[str, Any] | HumansimError = {}
+    try:
         prepare_transport(network=False)
-        return CaseWorker()
+    except HumansimError as error:
+        answer = error
+    with suppress(EOFError, OSError):  # the connection is closed
+        while True:
+            connection.send(answer)
+            order = connection.recv()
+            try:
+                answer = run_case(order)
+            except HumansimError as error:
+                answer = error

@@ -7,7 +7,9 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, get_args, get_type_hints
+from typing import Any
+
+from pydantic import TypeAdapter
 
 from humansim_ros.errors import ChallengeError
 from humansim_ros.files.reading import atomic_path, read_json
@@ -168,25 +170,8 @@ class Report:
             data = read_json(path, ChallengeError, "results", _MAX_BYTES)
             if data["version"] != JSON_VERSION:
                 raise ChallengeError(f"version {data['version']} of results is not known", path=path)
-            return cls(
-                str(data["tracker"]),
-                str(data["suite"]),
-                dict(data["settings"]),
-                float(data["breaks_below"]),
-                {name: AxisInfo(**info) for name, info in data["axes"].items()},
-                {name: _checked(CaseResult(**result)) for name, result in data["results"].items()},
-            )
+            return TypeAdapter(cls).validate_python(data)
         except (ValueError, LookupError, TypeError, AttributeError, RecursionError):
             raise ChallengeError(
                 "these are no results of a challenge, or they are damaged", path=path
             ) from None
-
-
-def _checked(result: CaseResult) -> CaseResult:
-    """Return the result if its fields have the right types. Raises TypeError otherwise."""
-    for name, kind in get_type_hints(CaseResult).items():
-        kinds = get_args(kind) or (kind,)
-        value = getattr(result, name)
-        if not isinstance(value, (*kinds, int) if float in kinds else kinds):
-            raise TypeError(name)
-    return result

@@ -8,22 +8,24 @@ import shlex
 import signal
 import subprocess
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
-from dataclasses import fields, replace
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import replace
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from humansim_ros.data.engine import FrameProgress, WorkerDiedError, WorkerProcess, Workers, children_of
+from humansim_ros.data.engine import FrameProgress
 from humansim_ros.data.evaluation import axes_matrix, chosen_set
 from humansim_ros.errors import ChallengeError, HumansimError, printable
 from humansim_ros.files.reading import atomic_path
-from humansim_ros.ros.challenge.case import CaseJob, CaseOrder, ChallengeOptions
+from humansim_ros.ros.challenge.case import CaseOrder, ChallengeOptions, serve_cases
 from humansim_ros.ros.challenge.results import RESULTS, CaseResult, Report
 from humansim_ros.ros.challenge.suite import Case, Suite
 from humansim_ros.ros.graph.transport import claim_domain, domain_environment
+from humansim_ros.ros.processes.stop_signals import children_of
 
 #: Seconds from SIGINT to SIGTERM, and from SIGTERM to SIGKILL.
 _AFTER = 2.0
@@ -168,8 +170,9 @@ def _has_group(number: int) -> bool:
 CASES = "cases"
 #: Seconds between two checks of the processes.
 _LOOK_EVERY = 0.05
-#: Longest time that a case may take in addition to its frames, and that nodes may take to end, seconds.
-_BESIDE, _END_WITHIN = 60.0, 20.0
+#: Longest time that a case may take in addition to its frames, that its nodes may take to end, and that the
+#: process may take to end after them, seconds.
+_BESIDE, _END_WITHIN, _ENDING = 60.0, 20.0, 2.0
 #: Even if a case has a shorter limit, a frame waits this many times the tracker's usual time per frame.
 _TIMES_LATENCY = 4.0
 
@@ -265,13 +268,17 @@ class CaseProcess:
 
     Args:
         log: File for its output.
+
+    Attributes:
+        process: The running process; None if it does not run.
+        domain: Own ROS domain, so that the cases and what the user runs in another terminal do not receive
+            each other's messages.
     """
 
     def __init__(self, log: Path) -> None:
         self._log = log
-        self._workers: Workers | None = None
-        #: Own ROS domain, so that the cases and what the user runs in another terminal do not receive each
-        #: other's messages.
+        self._connection: Any = None
+        self.process: Any = None
         self.domain = claim_domain()
 
     def __enter__(self) -> CaseProcess:
@@ -280,52 +287,52 @@ class CaseProcess:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    @property
-    def processes(self) -> list[WorkerProcess]:
-        """List of the running process. Empty if the process does not run."""
-        return [] if self._workers is None else self._workers.processes
-
     def start(self) -> None:
-        """Start the process unless it runs."""
-        with self._errors():
-            if self._workers is None:
-                self._workers = Workers(CaseJob(self._log, self.domain), 1)
-                self._workers.wait_until_ready()
+        """Start the process unless it runs, and wait until it is ready. Raises HumansimError."""
+        if self.process is not None:
+            return
+        context = get_context("spawn")
+        self._connection, other = context.Pipe()
+        arguments = (other, self._log, self.domain, os.getpid())
+        self.process = context.Process(target=serve_cases, args=arguments, daemon=True)
+        # Ctrl-C is for this process, which ends the other one
+        signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+        try:
+            self.process.start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
+        other.close()
+        self.answer(None)
 
     def ask(self, order: CaseOrder) -> None:
         """Send a case to the process, and start the process if it does not run."""
         self.start()
-        with self._errors():
-            assert self._workers is not None
-            self._workers.ask(order)
+        with suppress(OSError):  # the process has ended: answer() says so
+            self._connection.send(order)
 
-    def answer(self, wait: float) -> dict[str, Any] | None:
+    def answer(self, wait: float | None) -> dict[str, Any] | None:
         """Values of a ``CaseResult`` by field name; None if no result arrives within ``wait`` seconds.
 
         Raises:
             HumansimError: The process has ended, or the case cannot be run.
         """
-        assert self._workers is not None
-        with self._errors():
-            for _, answer in self._workers.arrived(wait):
-                if isinstance(answer, HumansimError):
-                    raise answer
-                return dict(answer.value)
-        return None
-
-    @contextmanager
-    def _errors(self) -> Iterator[None]:
         try:
-            yield
-        except WorkerDiedError:
+            answer = self._connection.recv() if self._connection.poll(wait) else None
+        except (EOFError, OSError):
             self.close()
             raise ChallengeError(f"the nodes of the case have ended with an error; see {self._log}") from None
+        if isinstance(answer, HumansimError):
+            raise answer
+        return answer
 
     def close(self) -> None:
         """End the process, and the case in progress."""
-        workers, self._workers = self._workers, None
-        if workers is not None:
-            workers.close()
+        process, self.process = self.process, None
+        if process is not None:
+            self._connection.close()
+            process.join(_ENDING)  # which it does not while a case runs
+            process.kill()
+            process.join()
 
 
 def patience_with(case: Case, timeout: float, baseline: CaseResult | None) -> float:
@@ -368,19 +375,20 @@ def run_case(
     log = folder / f"{case.name}.log"
     # started before the tracker, since the tracker's own processes are those that come after it
     nodes.start()
-    with _writing(log):
+    try:
         tracker = TrackerProcess(words, domain_environment(nodes.domain), log)
+    except OSError as reason:
+        raise ChallengeError(f"cannot be written: {reason.strerror or reason}", path=log) from None
     with tracker:
         nodes.ask(CaseOrder(str(scene.resolve()), tracker.pid, case.frames, patience, options))
         limit = time.monotonic() + _BESIDE + options.start_within + case.frames * patience
         answer, failure = _wait(nodes, tracker, limit)
-    known = {field.name for field in fields(CaseResult)}
-    found: Mapping[str, Any] = {key: value for key, value in (answer or {}).items() if key in known}
+    result = CaseResult(case.axis, case.strength, case.label, **(answer or {}))
     if failure:
-        found = {**found, "failure": failure}
-    elif found.get("failure") and tracker.output_tail:
-        found = {**found, "failure": f"{found['failure']} (its last output: {tracker.output_tail})"}
-    return CaseResult(**{**found, "axis": case.axis, "strength": case.strength, "label": case.label})
+        return replace(result, failure=failure)
+    if result.failure and tracker.output_tail:
+        return replace(result, failure=f"{result.failure} (its last output: {tracker.output_tail})")
+    return result
 
 
 def _wait(nodes: CaseProcess, tracker: TrackerProcess, limit: float) -> tuple[dict[str, Any] | None, str]:
@@ -403,12 +411,3 @@ def _failure(tracker: TrackerProcess, limit: float) -> str:
     if time.monotonic() > limit:
         return "the case took too long: the tracker is too slow or hangs"
     return tracker.death
-
-
-@contextmanager
-def _writing(path: Path) -> Iterator[None]:
-    """Convert system errors about a file to ChallengeError."""
-    try:
-        yield
-    except OSError as reason:
-        raise ChallengeError(f"cannot be written: {reason.strerror or reason}", path=path) from None

@@ -42,7 +42,7 @@ REQUIRES = [
     # tomllib of Python 3.11 and later
     "tomli>=2.0; python_version < '3.11'",
     "trimesh>=4.0",
-    "typer>=0.9",
+    "typer>=0.19",
 ]
 
 EXTRAS = {

@@ -62,7 +62,8 @@ def with_options(command: str, function: Callable[..., None]) -> Callable[..., N
         shown += groups[name].parameters
 
     def call(**given: Any) -> None:
-        function(**given, **{name: group.take(given) for name, group in groups.items()})
+        objects = {name: group.take(given) for name, group in groups.items()}
+        function(**given, **objects)
 
     update_wrapper(call, function)
     call.__annotations__ = {parameter.name: parameter.annotation for parameter in shown}

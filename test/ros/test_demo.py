@@ -49,8 +49,8 @@ def test_a_short_recording_lasts_until_a_frame_is_whole(monkeypatch: pytest.Monk
             whole.append(1)
 
     thumbnails = SimpleNamespace(whole=lambda: whole)
-    recorder = SimpleNamespace(silent=[], sheet={"/c/image_raw": 0}, thumbnails=thumbnails, spin=spin)
-    recorder.reset = lambda: None
+    recorder = SimpleNamespace(sheet={"/c/image_raw": 0}, thumbnails=thumbnails, spin=spin)
+    recorder.reset = recorder.wait_for_all = lambda *_: None
     nodes = SimpleNamespace(dead=lambda: "")
     assert demo._record(nodes, recorder, 0.0, Console(quiet=True)) is not None  # type: ignore[arg-type]
     assert whole == [1]

@@ -242,15 +242,15 @@ def test_the_report_of_the_first_images_names_domain_topics_and_a_next_command(
     first = FirstImages([f"camera_{n}" for n in range(1, 7)], ["anna"], 0.0)
     monkeypatch.setenv("ROS_DOMAIN_ID", "42")
     monkeypatch.setenv("PATH", str(tmp_path))
-    text = first.report(2.14, Path())
+    text = first.report(2.14)
     assert text.startswith("all 6 cameras deliver, after 2.1 s\n")
     assert "ROS domain 42" in text and "/camera_1/image_raw" in text and "and 2 more" in text
     assert "/humans/anna/joints" in text
-    assert "python examples/tracker.py anna" in text
+    assert text.endswith("in another terminal: humansim view --ros")
     (tmp_path / "ros2").write_text("#!/bin/sh\n")
     (tmp_path / "ros2").chmod(0o755)
     assert "ros2 topic hz /camera_1/image_raw" in first.report(2.14)
-    inside = FirstImages(["camera_1"], ["anna"], 0.0, "lab").report(2.14, Path())
+    inside = FirstImages(["camera_1"], ["anna"], 0.0, "lab").report(2.14)
     assert "images on /lab/camera_1/image_raw; truth on /lab/humans/anna/joints" in inside
     assert "ros2 topic hz /lab/camera_1/image_raw" in inside
     assert "1 of 6 cameras" in first.progress(first.cameras[1:], 4.0)

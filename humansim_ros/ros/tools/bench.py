@@ -9,18 +9,23 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import Any
 
-from humansim_ros.data.messages import Frames
+from diagnostic_msgs.msg import DiagnosticArray
+from sensor_msgs.msg import Image
+
+from humansim_ros.data.messages import Frames, serialised_stamp
 from humansim_ros.errors import HumansimError, RosError, unknown
 from humansim_ros.files.reading import cores
 from humansim_ros.render.interface import CHANNEL_TABLE
 from humansim_ros.ros.processes.lockstep_settings import TimeOptions
 from humansim_ros.ros.processes.node_processes import NodeProcess, scene_processes
-from humansim_ros.ros.processes.runtime import make_executor, prepare_transport
+from humansim_ros.ros.processes.runtime import prepare_transport
 from humansim_ros.ros.processes.supervisor import Supervisor
+from humansim_ros.ros.tools.listener import Listener
 from humansim_ros.scene.core import Scene, SceneCamera
 
 #: Frames per second that the motion player tries to send. Cameras cannot render so many, so they work at full
@@ -180,7 +185,7 @@ class _Bench:
         prepare_transport(len(started) + 1, network=False)
         with Supervisor(started) as nodes, _Subscriber(topics, whole) as subscriber:
             self.report(f"starting {len(started)} nodes, and drawing lens and static scene of each camera")
-            subscriber.wait_for_all(nodes)
+            subscriber.wait_for_all(nodes, _START_LIMIT)
             self.report(f"measuring for {self.seconds:g} s")
             subscriber.spin(_SETTLING)
             subscriber.reset()
@@ -217,79 +222,30 @@ class _Bench:
         ]
 
 
-class _Subscriber:
-    """Context manager that subscribes to topics, and counts complete frames. A frame is complete if there is
-    a message with its stamp on each topic of ``whole``."""
+class _Subscriber(Listener):
+    """Subscribes to topics, and counts complete frames. A frame is complete if there is a message with its
+    stamp on each topic of ``whole``."""
 
     def __init__(self, topics: Sequence[str], whole: Sequence[str]) -> None:
-        self._topics = list(topics)
+        super().__init__("humansim_bench")
         self._frames: Frames[None] = Frames(whole, max_frames=_MAX_INCOMPLETE)
-
-    def __enter__(self) -> _Subscriber:
-        import rclpy
-        from diagnostic_msgs.msg import DiagnosticArray
-        from rclpy.qos import qos_profile_sensor_data
-        from rclpy.signals import SignalHandlerOptions
-        from sensor_msgs.msg import Image
-
-        from humansim_ros.data.messages import serialised_stamp
-        from humansim_ros.ros.graph.guarded_node import GuardedNode
-
-        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-        self._node = GuardedNode("humansim_bench")
-        self._executor = make_executor()
-        self._executor.add_node(self._node)
-        self._silent = set(self._topics)
         self._diagnostics: dict[str, list[float]] = defaultdict(list)
-        self.reset()
+        self.complete = 0
+        for topic in topics:
+            self.listen(Image, topic, partial(self._on_image, topic))
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
 
-        def listener(topic: str) -> Callable[[bytes], None]:
-            def on_image(data: bytes) -> None:
-                stamp = serialised_stamp(data)
-                self._silent.discard(topic)
-                if self._frames.add(topic, stamp, None):
-                    self.complete += 1
-                    self._frames.pop(stamp)
-
-            return on_image
-
-        for topic in self._topics:
-            self._node.create_subscription(Image, topic, listener(topic), qos_profile_sensor_data, raw=True)
-        self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        import rclpy
-
-        self._executor.shutdown()
-        self._node.destroy_node()
-        rclpy.try_shutdown()
+    def _on_image(self, topic: str, data: bytes) -> None:
+        stamp = serialised_stamp(data)
+        if self._frames.add(topic, stamp, None):
+            self.complete += 1
+            self._frames.pop(stamp)
 
     def reset(self) -> None:
         """Forget all messages."""
         self._frames.clear()
         self._diagnostics.clear()
         self.complete = 0
-
-    def spin(self, seconds: float) -> None:
-        """Receive messages for some seconds."""
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
-            self._executor.spin_once(0.05)
-
-    def wait_for_all(self, nodes: Supervisor) -> None:
-        """Wait until every topic has sent a message. Raises RosError if a topic sends nothing, or a node
-        ends."""
-        silent, limit = len(self._silent), time.monotonic() + _START_LIMIT
-        while self._silent:
-            self.spin(0.1)
-            if dead := nodes.dead():
-                raise RosError(str(dead))
-            if len(self._silent) < silent:
-                silent, limit = len(self._silent), time.monotonic() + _START_LIMIT
-            if time.monotonic() > limit:
-                names = sorted(self._silent)
-                raise RosError(f"nothing arrived within {_START_LIMIT:.0f} s on {', '.join(names[:4])}")
 
     def milliseconds(self, camera: str) -> float:
         """Median time that a camera needs to render and send a frame. 0 if the camera has not reported it."""

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,16 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from humansim_ros.data.messages import Frames
+from humansim_ros.data.messages import (
+    Frames,
+    deserialised,
+    read_faults,
+    read_image,
+    read_joint_view,
+    scene_topics,
+    serialised_stamp,
+    to_nanoseconds,
+)
 from humansim_ros.errors import HumansimError, RosError
 from humansim_ros.render.pictures import write_mp4, write_png
 from humansim_ros.ros.processes.lockstep_settings import TimeOptions
@@ -23,6 +33,7 @@ from humansim_ros.ros.processes.node_processes import scene_processes
 from humansim_ros.ros.processes.runtime import prepare_transport
 from humansim_ros.ros.processes.supervisor import Supervisor
 from humansim_ros.ros.tools.bench import in_step
+from humansim_ros.ros.tools.listener import Listener
 from humansim_ros.scene.core import Scene
 from humansim_ros.scene.pictures import Tile, color_channel, color_image, sheet
 from humansim_ros.types import Image
@@ -97,27 +108,25 @@ def _record(nodes: Supervisor, recorder: _Recorder, duration: float, console: Co
     """
     with _progress(console) as progress:
         task = progress.add_task("starting the nodes", total=None)
-        silent, limit = recorder.silent, time.monotonic() + _START_LIMIT
-        while silent and not nodes.dead() and time.monotonic() < limit:
-            recorder.spin(0.1)
-            if len(recorder.silent) < len(silent):
-                limit = time.monotonic() + _START_LIMIT
-            silent = recorder.silent
-        while not silent and not recorder.sheet and not nodes.dead() and time.monotonic() < limit:
-            recorder.spin(0.1)
-        recorder.reset()
-        progress.update(task, description="recording", total=duration)
-        begin = time.monotonic()
-        limit = begin + max(duration, _START_LIMIT)
-        while not silent and not nodes.dead() and time.monotonic() < limit:
-            if time.monotonic() >= begin + duration and recorder.thumbnails.whole():
-                break  # on a slow machine, no frame of such a short recording may have arrived completely
-            recorder.spin(0.1)
-            progress.update(task, completed=time.monotonic() - begin)
-    if silent or nodes.dead():
-        reason = nodes.dead() or f"nothing arrived within {_START_LIMIT:.0f} s on {', '.join(silent)}"
-        console.print(f"error: {reason}", style="red")
-        return None
+        try:
+            recorder.wait_for_all(nodes, _START_LIMIT)
+            limit = time.monotonic() + _START_LIMIT
+            while not recorder.sheet and not nodes.dead() and time.monotonic() < limit:
+                recorder.spin(0.1)
+            recorder.reset()
+            progress.update(task, description="recording", total=duration)
+            begin = time.monotonic()
+            limit = begin + max(duration, _START_LIMIT)
+            while time.monotonic() < limit:
+                if dead := nodes.dead():
+                    raise RosError(str(dead))
+                if time.monotonic() >= begin + duration and recorder.thumbnails.whole():
+                    break  # on a slow machine, no frame of such a short recording may have arrived completely
+                recorder.spin(0.1)
+                progress.update(task, completed=time.monotonic() - begin)
+        except RosError as error:
+            console.print(f"error: {error}", style="red")
+            return None
     return time.monotonic() - begin
 
 
@@ -125,23 +134,12 @@ def _progress(console: Console) -> Progress:
     return Progress(TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), console=console)
 
 
-class _Recorder:
-    """Subscribes to the topics of a scene with sensor-data QoS, and stores what the pictures need."""
+class _Recorder(Listener):
+    """Subscribes to the topics of a scene, and stores what the pictures need."""
 
     def __init__(self, scene: Scene) -> None:
-        import rclpy
-        from rclpy.executors import SingleThreadedExecutor
-        from rclpy.qos import qos_profile_sensor_data
-        from rclpy.signals import SignalHandlerOptions
-
-        from humansim_ros.data.messages import scene_topics
-        from humansim_ros.ros.graph.guarded_node import GuardedNode
-
+        super().__init__("humansim_demo")
         self.scene = scene
-        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-        self._node = GuardedNode("humansim_demo")
-        self._executor = SingleThreadedExecutor()
-        self._executor.add_node(self._node)
         self.types: dict[str, str] = {}
         self.bytes: Counter[str] = Counter()
         self.messages: Counter[str] = Counter()
@@ -172,30 +170,7 @@ class _Recorder:
         self._message_types = {f"/{topic.name}": topic.type for topic in topics}
         for topic, kind in self._message_types.items():
             self.types[topic] = f"{kind.__module__.split('.')[0]}/{kind.__name__}"
-            self._node.create_subscription(
-                kind, topic, self._callback(topic), qos_profile_sensor_data, raw=True
-            )
-
-    def __enter__(self) -> _Recorder:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        import rclpy
-
-        self._node.destroy_node()
-        rclpy.try_shutdown()
-
-    @property
-    def silent(self) -> list[str]:
-        """Topics that have sent nothing yet."""
-        return [topic for topic in self.types if not self.messages[topic]]
-
-    def spin(self, seconds: float) -> None:
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
-            # always the same timeout, since with another one rclpy restarts its round of ready topics, and
-            # the last topics starve
-            self._executor.spin_once(timeout_sec=0.05)
+            self.listen(kind, topic, partial(self._on_message, topic))
 
     def reset(self) -> None:
         self.messages.clear()
@@ -212,35 +187,27 @@ class _Recorder:
         # the first and the last frame of the recording may not have arrived completely
         return len(complete), sum(complete[0] <= stamp <= complete[-1] for stamp in self.thumbnails.stamps())
 
-    def _callback(self, topic: str) -> Callable[[bytes], None]:
-        """Create the callback for serialised messages of a topic. Only a few of them are deserialised."""
+    def _on_message(self, topic: str, data: bytes) -> None:
+        """Count a serialised message of a topic, and store what is in it. Only a few are deserialised."""
         camera = topic.split("/")[1]
-
-        from humansim_ros.data.messages import serialised_stamp
-
-        def on_message(data: bytes) -> None:
-            stamp: int | None = serialised_stamp(data)
-            if topic.endswith("/faults"):
-                self._note_clock(camera, data)
-            if topic.endswith("/image_raw") and camera in self._frame_stamps:
-                stamp = self._frame_stamps[camera].get(serialised_stamp(data))
-            if topic in self._sheet_topics and stamp is not None:
-                content = self._joints(topic, data) if topic.endswith("/joints") else self._image(topic, data)
-                if self._for_sheet.add(topic, stamp, content):
-                    self.sheet = self._for_sheet.frame(stamp)
-                if topic.endswith("/image_raw"):
-                    quality = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
-                    picture = cv2.imencode(".jpg", _fitted(content, _VIDEO_SIZE), quality)[1]
-                    self.thumbnails.add(camera, stamp, picture)
-            self.messages[topic] += 1
-            self.bytes[topic] += len(data)
-
-        return on_message
+        stamp: int | None = serialised_stamp(data)
+        if topic.endswith("/faults"):
+            self._note_clock(camera, data)
+        if topic.endswith("/image_raw") and camera in self._frame_stamps:
+            stamp = self._frame_stamps[camera].get(serialised_stamp(data))
+        if topic in self._sheet_topics and stamp is not None:
+            content = self._joints(topic, data) if topic.endswith("/joints") else self._image(topic, data)
+            if self._for_sheet.add(topic, stamp, content):
+                self.sheet = self._for_sheet.frame(stamp)
+            if topic.endswith("/image_raw"):
+                quality = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
+                picture = cv2.imencode(".jpg", _fitted(content, _VIDEO_SIZE), quality)[1]
+                self.thumbnails.add(camera, stamp, picture)
+        self.messages[topic] += 1
+        self.bytes[topic] += len(data)
 
     def _note_clock(self, camera: str, data: bytes) -> None:
         """Note the stamp that a camera with a wrong clock gives to the image of a frame."""
-        from humansim_ros.data.messages import deserialised, read_faults, to_nanoseconds
-
         message = deserialised(data, self._message_types[f"/{camera}/faults"])
         stamp, known = to_nanoseconds(message.header.stamp), self._frame_stamps[camera]
         known[stamp + round(1e9 * read_faults(message)["clock"]["seconds"])] = stamp
@@ -249,8 +216,6 @@ class _Recorder:
 
     def _image(self, topic: str, data: bytes) -> NDArray[Any]:
         """Pixels of a serialised image. Raises RosError unless it fits the camera of the topic."""
-        from humansim_ros.data.messages import deserialised, read_image
-
         message = deserialised(data, self._message_types[topic])
         camera, kind = topic[1:].split("/", 1)
         encoding = _ENCODINGS.get(kind, self.scene.scene_cameras[camera].encoding)
@@ -262,8 +227,6 @@ class _Recorder:
 
     def _joints(self, topic: str, data: bytes) -> NDArray[Any]:
         """Joints of a serialised message. Raises RosError unless they belong to humans of the scene."""
-        from humansim_ros.data.messages import deserialised, read_joint_view
-
         points = read_joint_view(deserialised(data, self._message_types[topic]))
         actors = self.scene.actors.values()
         counts = [(actor.instance, len(actor.human.skeleton.joint_names)) for actor in actors]

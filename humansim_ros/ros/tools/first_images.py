@@ -14,8 +14,6 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
-from typing import Any
 
 from humansim_ros.errors import some_of
 from humansim_ros.ros.processes.stop_signals import end_process_on_stop, end_with_parent
@@ -58,87 +56,54 @@ class FirstImages:
             "once)"
         )
 
-    def report(self, seconds: float, checkout: Path | None = None) -> str:
-        """Lines that are printed when all cameras have delivered. ``checkout``: folder of the repository with
-        the examples. None if only the package is installed."""
+    def report(self, seconds: float) -> str:
+        """Lines that are printed when all cameras have delivered."""
         count = len(self.cameras)
         cameras = f"all {count} cameras deliver" if count > 1 else f"{self.cameras[0]} delivers"
-        topics = [self._topic(f"{camera}/image_raw") for camera in self.cameras]
         truth = [self._topic(f"humans/{human}/joints") for human in self.humans]
-        lines = [
-            f"{cameras}, after {seconds:.1f} s",
-            f"ROS domain {os.environ.get('ROS_DOMAIN_ID', '0')}: images on {some_of(topics, _MAX_NAMES)}"
-            + (f"; truth on {some_of(truth, _MAX_NAMES)}" if truth else ""),
-            "next, in another terminal:",
-            *(f"    {command}" for command in self._commands(checkout)),
-        ]
-        return "\n".join(lines)
+        view = f"humansim view --ros{f' --namespace {self.namespace}' if self.namespace else ''}"
+        command = f"ros2 topic hz {self.topics[0]}" if shutil.which("ros2") else view
+        return (
+            f"{cameras}, after {seconds:.1f} s\n"
+            f"ROS domain {os.environ.get('ROS_DOMAIN_ID', '0')}: images on {some_of(self.topics, _MAX_NAMES)}"
+            f"{f'; truth on {some_of(truth, _MAX_NAMES)}' if truth else ''}\n"
+            f"next, in another terminal: {command}"
+        )
+
+    @property
+    def topics(self) -> list[str]:
+        """Topics of the images."""
+        return [self._topic(f"{camera}/image_raw") for camera in self.cameras]
 
     def _topic(self, name: str) -> str:
         return f"/{self.namespace}/{name}" if self.namespace else f"/{name}"
 
-    def _commands(self, checkout: Path | None) -> list[str]:
-        topic = self._topic(f"{self.cameras[0]}/image_raw")
-        if shutil.which("ros2"):
-            view = (
-                [f"ros2 run rqt_image_view rqt_image_view {topic}"] if shutil.which("rqt_image_view") else []
-            )
-            return [f"ros2 topic hz {topic}", *view]
-        if checkout is not None and self.humans and len(self.cameras) > 1 and not self.namespace:
-            return [f"python {checkout / 'examples' / 'tracker.py'} {self.humans[0]}"]
-        section = "1. Give your tracker cameras"
-        return [f'python my_tracker.py      # with the subscriber of README.md, section "{section}"']
-
     def wait(self) -> None:
         """Subscribe to all cameras until each has delivered an image, and print progress and report."""
-        import rclpy
-        from rclpy.qos import qos_profile_sensor_data
-        from rclpy.signals import SignalHandlerOptions
         from sensor_msgs.msg import Image
 
-        from humansim_ros.ros.graph.guarded_node import GuardedNode
-        from humansim_ros.ros.processes.runtime import make_executor, prepare_transport
+        from humansim_ros.ros.processes.runtime import prepare_transport
+        from humansim_ros.ros.tools.listener import Listener
 
         prepare_transport()
-        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-        node = GuardedNode("humansim_run")
-        executor = make_executor()
-        executor.add_node(node)
-        delivered: set[str] = set()
-
-        def listener(camera: str) -> Any:
-            return lambda _: delivered.add(camera)
-
-        subscriptions = {
-            camera: node.create_subscription(
-                Image, self._topic(f"{camera}/image_raw"), listener(camera), qos_profile_sensor_data, raw=True
-            )
-            for camera in self.cameras
-        }
-        next_line = _FIRST_PROGRESS
-        while subscriptions:
-            executor.spin_once(0.05)
-            for camera in delivered & subscriptions.keys():
-                # nothing more is rendered for this subscription
-                node.destroy_subscription(subscriptions.pop(camera))
-            seconds = time.monotonic() - self.start
-            if subscriptions and seconds > next_line:
-                next_line = 2 * seconds
-                print(self.progress(list(subscriptions), seconds), flush=True)
-        print(self.report(time.monotonic() - self.start, _checkout()), flush=True)
-        signal.signal(signal.SIGALRM, signal.SIG_DFL)
-        signal.alarm(_LEAVE_LIMIT)
-        executor.shutdown()
-        node.destroy_node()
-        rclpy.try_shutdown()
-
-
-def _checkout() -> Path | None:
-    """Folder of the repository. It is relative if it is below the current folder."""
-    root = Path(__file__).resolve().parents[3]
-    if not (root / "examples" / "tracker.py").is_file():
-        return None
-    return root.relative_to(Path.cwd()) if root.is_relative_to(Path.cwd()) else root
+        cameras = dict(zip(self.topics, self.cameras, strict=True))
+        with Listener("humansim_run") as listener:
+            for topic in cameras:
+                listener.listen(Image, topic)
+            next_line = _FIRST_PROGRESS
+            while listener.silent:
+                listener.spin(0.05)
+                for topic in listener.subscriptions.keys() - set(listener.silent):
+                    # nothing more is rendered for this subscription
+                    listener.node.destroy_subscription(listener.subscriptions.pop(topic))
+                seconds = time.monotonic() - self.start
+                if listener.silent and seconds > next_line:
+                    next_line = 2 * seconds
+                    waiting = [cameras[topic] for topic in listener.silent]
+                    print(self.progress(waiting, seconds), flush=True)
+            print(self.report(time.monotonic() - self.start), flush=True)
+            signal.signal(signal.SIGALRM, signal.SIG_DFL)
+            signal.alarm(_LEAVE_LIMIT)
 
 
 def main(argument: str) -> None:

@@ -27,7 +27,8 @@ sys.path.insert(0, str(ROOT))
 
 from humansim_ros.data.bags.reader import BagReader  # noqa: E402
 from humansim_ros.files.reading.assets import resource_path  # noqa: E402
-from humansim_ros.ros.processes.node_processes import RecordOptions, scene_processes  # noqa: E402
+from humansim_ros.ros.processes.node_processes import scene_processes  # noqa: E402
+from humansim_ros.ros.processes.run_options import RecordOptions  # noqa: E402
 from humansim_ros.ros.processes.runtime import prepare_transport  # noqa: E402
 from humansim_ros.ros.processes.supervisor import Supervisor  # noqa: E402
 from humansim_ros.ros.tools.bench import CpuTime  # noqa: E402

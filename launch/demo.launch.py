@@ -14,27 +14,24 @@ from launch_ros.actions import Node
 
 from humansim_ros.files.reading.assets import resource_path
 from humansim_ros.ros.graph.transport import choose_transport, remove_dead_files
-from humansim_ros.ros.processes.launch_arguments import (
+from humansim_ros.ros.processes.lockstep_settings import TimeOptions
+from humansim_ros.ros.processes.node_processes import (
+    RECORDER_NODE,
+    NodeProcess,
+    relative_namespace,
+    render_threads,
+    scene_processes,
+)
+from humansim_ros.ros.processes.run_options import (
+    EvaluateOptions,
+    RecordOptions,
     launch_arguments,
     launch_options,
     true_or_false,
     whole_number,
 )
-from humansim_ros.ros.processes.lockstep_settings import TimeOptions
-from humansim_ros.ros.processes.node_processes import (
-    CANNOT_WRITE,
-    QUIT,
-    RECORDER_NODE,
-    TIMED_OUT,
-    WRONG_INPUT,
-    EvaluateOptions,
-    NodeProcess,
-    RecordOptions,
-    relative_namespace,
-    render_threads,
-    scene_processes,
-)
 from humansim_ros.ros.processes.scene_names import read_names
+from humansim_ros.ros.processes.stop_signals import CANNOT_WRITE, QUIT, TIMED_OUT, WRONG_INPUT
 from humansim_ros.ros.tools.viewer_layouts import rviz_layout
 from humansim_ros.scene.core.names import BRIDGE_NODE
 

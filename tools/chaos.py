@@ -33,7 +33,8 @@ from slow_tracker import tracked_stamps
 from humansim_ros.data.bags.reader import BagReader
 from humansim_ros.files.reading.assets import resource_path
 from humansim_ros.ros.processes.lockstep_settings import TimeOptions
-from humansim_ros.ros.processes.node_processes import RecordOptions, scene_processes
+from humansim_ros.ros.processes.node_processes import scene_processes
+from humansim_ros.ros.processes.run_options import RecordOptions
 from humansim_ros.scene import Scene
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -803,7 +803,8 @@ def test_a_run_in_lockstep_records_every_frame_although_a_node_is_killed_and_slo
 def test_a_recorder_is_one_of_the_processes_and_lockstep_waits_for_it(tmp_path: Path) -> None:
     from humansim_ros.errors import RosError
     from humansim_ros.ros.processes.lockstep_settings import TimeOptions
-    from humansim_ros.ros.processes.node_processes import RecordOptions, scene_processes
+    from humansim_ros.ros.processes.node_processes import scene_processes
+    from humansim_ros.ros.processes.run_options import RecordOptions
 
     scene, bag = write_scene(tmp_path, SCENE), tmp_path / "bag"
     time_options = TimeOptions(lockstep=True, wait_for=["topic:/tracker/poses", "me"])
@@ -823,8 +824,7 @@ def test_a_recorder_is_one_of_the_processes_and_lockstep_waits_for_it(tmp_path: 
 
 def test_launch_arguments_are_options_of_the_recorder() -> None:
     from humansim_ros.errors import RosError
-    from humansim_ros.ros.processes.launch_arguments import launch_arguments, launch_options
-    from humansim_ros.ros.processes.node_processes import RecordOptions
+    from humansim_ros.ros.processes.run_options import RecordOptions, launch_arguments, launch_options
 
     nothing = dict.fromkeys(launch_arguments(RecordOptions), "")
     assert launch_options(RecordOptions, nothing) is None

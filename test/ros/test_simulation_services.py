@@ -33,7 +33,7 @@ from waiting import PATIENCE
 
 from humansim_ros.data import messages
 from humansim_ros.ros.graph.qos import LATCHED
-from humansim_ros.ros.processes.node_processes import QUIT
+from humansim_ros.ros.processes.stop_signals import QUIT
 from humansim_ros.scene import Scene
 
 pytestmark = pytest.mark.usefixtures("interfaces")

@@ -42,7 +42,7 @@ from humansim_ros.ros.processes.lockstep_settings import (
     read_members,
 )
 from humansim_ros.ros.processes.node import SceneNode
-from humansim_ros.ros.processes.node_processes import TIMED_OUT, WRONG_INPUT
+from humansim_ros.ros.processes.stop_signals import TIMED_OUT, WRONG_INPUT
 from humansim_ros.scene.core import BRIDGE_NODE, LOCKSTEP, Scene, SceneState
 
 #: Seconds between two checks of the members.

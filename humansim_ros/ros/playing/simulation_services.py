@@ -26,7 +26,7 @@ from humansim_ros.ros.graph.qos import DATA, NEWEST
 from humansim_ros.ros.playing.clock import Tick
 from humansim_ros.ros.playing.entities import Entity, placement, scene_entities
 from humansim_ros.ros.playing.playing import MAX_WAITING, FramePlayer
-from humansim_ros.ros.processes.node_processes import QUIT
+from humansim_ros.ros.processes.stop_signals import QUIT
 from humansim_ros.scene.config import LIVE
 from humansim_ros.scene.core import CameraPose
 from humansim_ros.types import Array

@@ -2,10 +2,10 @@ from humansim_ros.ros.processes.lockstep_rules import LockstepSummary as Lockste
 from humansim_ros.ros.processes.lockstep_rules import RestartFile as RestartFile
 from humansim_ros.ros.processes.lockstep_settings import TEST_NODE as TEST_NODE
 from humansim_ros.ros.processes.lockstep_settings import TimeOptions as TimeOptions
-from humansim_ros.ros.processes.node_processes import QUIT as QUIT
-from humansim_ros.ros.processes.node_processes import WRONG_INPUT as WRONG_INPUT
-from humansim_ros.ros.processes.node_processes import EvaluateOptions as EvaluateOptions
-from humansim_ros.ros.processes.node_processes import RecordOptions as RecordOptions
+from humansim_ros.ros.processes.stop_signals import QUIT as QUIT
+from humansim_ros.ros.processes.stop_signals import WRONG_INPUT as WRONG_INPUT
+from humansim_ros.ros.processes.run_options import EvaluateOptions as EvaluateOptions
+from humansim_ros.ros.processes.run_options import RecordOptions as RecordOptions
 from humansim_ros.ros.processes.node_processes import relative_namespace as relative_namespace
 from humansim_ros.ros.processes.node_processes import scene_processes as scene_processes
 from humansim_ros.ros.processes.node_starter import NodeStarter as NodeStarter

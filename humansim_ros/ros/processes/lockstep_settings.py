@@ -8,8 +8,8 @@ from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
 from humansim_ros.errors import MAX_FRAMES, RosError, printable
-from humansim_ros.ros.processes.launch_arguments import launched
 from humansim_ros.ros.processes.lockstep_rules import OnTimeout
+from humansim_ros.ros.processes.run_options import launched
 from humansim_ros.scene.core import LOCKSTEP
 
 if TYPE_CHECKING:

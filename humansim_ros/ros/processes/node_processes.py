@@ -6,14 +6,15 @@ import json
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from humansim_ros.errors import RosError, unknown
 from humansim_ros.files.reading import cores, thread_limits
-from humansim_ros.ros.processes.launch_arguments import launched
 from humansim_ros.ros.processes.lockstep_settings import TOPIC_PREFIX, ParameterValue, TimeOptions
+from humansim_ros.ros.processes.run_options import EvaluateOptions, RecordOptions
 from humansim_ros.ros.processes.scene_names import SceneNames, read_names
+from humansim_ros.ros.processes.stop_signals import CANNOT_WRITE, QUIT, TIMED_OUT, WRONG_INPUT
 from humansim_ros.scene.core import BRIDGE_NODE, LOCKSTEP, PLAYER_NODE, skinner_node
 
 #: Environment variable that tells nodes that their parent has already shown the warnings of the scene.
@@ -23,69 +24,12 @@ WARNINGS_SHOWN = "HUMANSIM_SCENE_WARNINGS_SHOWN"
 RIG_NODE = "_camera_rig"
 #: Name of the node that creates the skinners of a process. It is hidden like the node for the cameras.
 SKINNER_RIG_NODE = "_skinner_rig"
-#: Exit code of a node that has reported wrong input. It is not started again, since it would report the input
-#: again.
-WRONG_INPUT = 2
 #: Words of the option ``only`` that stand for several nodes of a scene, or for a node instead of its name.
 _PLAYER, _SKINNERS, _CAMERAS, _SCANNERS = "player", "skinners", "cameras", "scanners"
-#: Exit code of a motion player that has stopped because nodes did not finish a frame in time.
-TIMED_OUT = 3
-#: Exit code of a motion player that was asked to quit. All other nodes end with it.
-QUIT = 4
 #: Name of the node that records the topics of a run.
 RECORDER_NODE = "recorder"
 #: Name of the node that evaluates an estimate.
 EVALUATOR_NODE = "evaluator"
-#: Exit code of a recorder that cannot write any more.
-CANNOT_WRITE = 1
-
-
-@dataclass(frozen=True)
-class RecordOptions:
-    """What is recorded of a run (docs/recording.md).
-
-    Attributes:
-        folder: Folder of the bag. It must not exist.
-        topics: Names and patterns of topics. If empty, the latched topics of the scene, and those that
-            ``humansim demo`` shows.
-        compression: ``none``, ``zstd`` or ``lz4``.
-    """
-
-    folder: Path = field(
-        metadata=launched("record", "Folder of a new bag for the topics of the scene; empty: none")
-    )
-    topics: Sequence[str] = field(
-        default=(),
-        metadata=launched("record_topics", "Topics to record, names or patterns, separated by commas"),
-    )
-    compression: str = field(
-        default="none", metadata=launched("record_compression", "Compression of the bag: none, zstd or lz4")
-    )
-
-
-@dataclass(frozen=True)
-class EvaluateOptions:
-    """An estimate that is evaluated in a run (docs/evaluation.md).
-
-    Attributes:
-        topic: Topic of the estimate. ``*`` stands for the name of a person.
-        keypoints: Keypoint set of the estimate. If empty, joints of the skeleton.
-        scale: Length of a unit of the estimate, metres.
-        axes: Axes of the estimate. If empty, the axes of ``map``.
-        output: JSON file for the result. If None, no file is written.
-    """
-
-    topic: str = field(
-        metadata=launched("evaluate", "Topic of an estimate to evaluate, such as /tracker/poses; empty: none")
-    )
-    keypoints: str = field(
-        default="", metadata=launched("evaluate_keypoints", "Keypoint set of the estimate, such as coco17")
-    )
-    scale: float = 1.0
-    axes: str = ""
-    output: Path | None = field(
-        default=None, metadata=launched("evaluate_output", "JSON file for the result")
-    )
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,15 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, NoReturn
 
+#: Exit code of a recorder that cannot write any more.
+CANNOT_WRITE = 1
+#: Exit code of a node that has reported wrong input. It is not started again, since it would report the input
+#: again.
+WRONG_INPUT = 2
+#: Exit code of a motion player that has stopped because nodes did not finish a frame in time.
+TIMED_OUT = 3
+#: Exit code of a motion player that was asked to quit. All other nodes end with it.
+QUIT = 4
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 #: A signal that is repeated within this time, seconds, counts as one, since a terminal that closes sends
 #: SIGHUP twice.

@@ -1,9 +1,9 @@
-"""Read options from the arguments of the launch file. The fields of a dataclass name the arguments."""
+"""Options of a run as dataclasses, and the arguments of the launch file that set their fields."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, fields
+from dataclasses import MISSING, dataclass, field, fields
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_type_hints
 
@@ -82,3 +82,51 @@ def true_or_false(name: str, text: str) -> bool:
     if word not in ("true", "false"):
         raise RosError(f"launch argument {name} must be true or false, not {text!r}")
     return word == "true"
+
+
+@dataclass(frozen=True)
+class RecordOptions:
+    """What is recorded of a run (docs/recording.md).
+
+    Attributes:
+        folder: Folder of the bag. It must not exist.
+        topics: Names and patterns of topics. If empty, the latched topics of the scene, and those that
+            ``humansim demo`` shows.
+        compression: ``none``, ``zstd`` or ``lz4``.
+    """
+
+    folder: Path = field(
+        metadata=launched("record", "Folder of a new bag for the topics of the scene; empty: none")
+    )
+    topics: Sequence[str] = field(
+        default=(),
+        metadata=launched("record_topics", "Topics to record, names or patterns, separated by commas"),
+    )
+    compression: str = field(
+        default="none", metadata=launched("record_compression", "Compression of the bag: none, zstd or lz4")
+    )
+
+
+@dataclass(frozen=True)
+class EvaluateOptions:
+    """An estimate that is evaluated in a run (docs/evaluation.md).
+
+    Attributes:
+        topic: Topic of the estimate. ``*`` stands for the name of a person.
+        keypoints: Keypoint set of the estimate. If empty, joints of the skeleton.
+        scale: Length of a unit of the estimate, metres.
+        axes: Axes of the estimate. If empty, the axes of ``map``.
+        output: JSON file for the result. If None, no file is written.
+    """
+
+    topic: str = field(
+        metadata=launched("evaluate", "Topic of an estimate to evaluate, such as /tracker/poses; empty: none")
+    )
+    keypoints: str = field(
+        default="", metadata=launched("evaluate_keypoints", "Keypoint set of the estimate, such as coco17")
+    )
+    scale: float = 1.0
+    axes: str = ""
+    output: Path | None = field(
+        default=None, metadata=launched("evaluate_output", "JSON file for the result")
+    )

@@ -265,7 +265,7 @@ def idealize(
 
 
 @dataclass(frozen=True)
-class Layout:
+class RigLayout:
     """Options of ``rig`` that choose a layout. Each attribute has the name of its option."""
 
     ring: int | None = None
@@ -275,7 +275,7 @@ class Layout:
 
 
 @dataclass(frozen=True)
-class Optics:
+class RigOptics:
     """Options of ``rig`` about the cameras. Each attribute has the name of its option."""
 
     size: str = "640x480"
@@ -287,13 +287,13 @@ class Optics:
 def rig(
     output: Path,
     *,
-    layout: Layout,
+    layout: RigLayout,
     radius: float = 4.0,
     height: float | None = None,
     look_at: tuple[float, float, float] = (0.0, 0.0, 1.0),
     start_deg: float = 0.0,
     spacing: float = 0.5,
-    optics: Optics,
+    optics: RigOptics,
 ) -> None:
     """Arrange cameras around a target. Writes a scene for `humansim run`, and camera_info files."""
     from humansim_ros.cameras.camera import rigs

@@ -85,7 +85,7 @@ def build(
 
 
 @dataclass(frozen=True)
-class Clothes:
+class ClothesOptions:
     """Options of ``make`` about hair and clothes. Each attribute has the name of its option."""
 
     hair: str | None = None
@@ -112,7 +112,7 @@ def make(
     weight: float | None = None,
     skin: int | None = None,
     *,
-    clothes: Clothes,
+    clothes: ClothesOptions,
     seed: int = 0,
     picture: Path | None = None,
 ) -> None:

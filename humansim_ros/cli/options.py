@@ -42,9 +42,9 @@ def with_options(command: str, function: Callable[..., None]) -> Callable[..., N
     Names, help texts and limits are in config/command_line.json, in the section of the command or in
     ``shared``, in the row with the name of the parameter. A row that is a text is the name of a shared row.
 
-    A parameter whose type is a dataclass stands for an option for each field that has a row. If None is
-    allowed as well, it is None unless the fields without a default are given. A parameter that is annotated
-    with typer's own options stays as it is.
+    A parameter with the type of a dataclass stands for an option for each field that has a row. If its type
+    allows None as well, it is None unless the fields without a default are given. A parameter that is
+    annotated with typer's own options stays as it is.
 
     Args:
         command: Name of the command, such as ``camera show``.
@@ -118,7 +118,8 @@ class _Group:
 
 
 def _row(command: str, name: str) -> Mapping[str, Any] | None:
-    """Row of the table for a parameter of a command, with what is not in the table; None if it has no row."""
+    """Row of the table for a parameter of a command, with what is not in the table; None
+    if the parameter has no row."""
     own = _ROWS.get(command, {}).get(name, name)
     found = _ROWS[_SHARED].get(own) if isinstance(own, str) else own
     key = own if isinstance(own, str) else f"{command}.{name}"

@@ -36,11 +36,6 @@ from humansim_ros.types import Array
 _ARRAYS = ("v_template", "f", "weights", "kintree_table", "J_regressor", "J", "shapedirs", "vt", "ft")
 
 
-def is_smpl(names: Sequence[str]) -> bool:
-    """Whether an archive with these array names is an SMPL model."""
-    return {"v_template", "kintree_table", "weights"} <= set(names)
-
-
 def count_betas(path: str | os.PathLike[str]) -> int:
     """Number of betas that a model takes. 0 for other files, and for models with joints that do not follow
     betas. Raises MeshError if the file cannot be read."""

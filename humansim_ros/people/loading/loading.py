@@ -60,12 +60,12 @@ from humansim_ros.people.humans.human import (
     read_human,
     write_human,
 )
-from humansim_ros.people.loading.figure import is_smpl, read_smpl, to_body_space
 from humansim_ros.people.makehuman.data import MakeHumanData, installed_data, people_data
 from humansim_ros.people.makehuman.population import Person, is_person, person_config, read_person
 from humansim_ros.people.makehuman.shape import MakeHumanConfig, Outfit
-from humansim_ros.people.rigging.fitting import rig
 
+#: Names of arrays by which an archive is an SMPL model.
+_SMPL_ARRAYS = {"v_template", "kintree_table", "weights"}
 OutfitName = Annotated[
     str,
     StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$"),
@@ -289,6 +289,10 @@ def make_human(path: str | os.PathLike[str], options: MeshHuman | None = None) -
 
 
 def _made(path: str | os.PathLike[str], options: MeshHuman) -> Human:
+    # imported here, since human files need none of it, and the imports are slow
+    from humansim_ros.people.loading.figure import read_smpl, to_body_space
+    from humansim_ros.people.rigging.fitting import rig
+
     source: Mesh | SkinnedMesh
     if Path(path).suffix.lower() == ".npz":
         source = read_smpl(path, options.betas)
@@ -325,7 +329,7 @@ def _warn_about_stature(path: str | os.PathLike[str], human: Human, options: Mes
 
 def _load(path: Path) -> Human:
     suffix = path.suffix.lower()
-    if suffix == ".npz" and not is_smpl(_array_names(path)):
+    if suffix == ".npz" and not set(_array_names(path)) >= _SMPL_ARRAYS:
         return read_human(path)
     if suffix in _DESCRIPTIONS:
         return _described(path)

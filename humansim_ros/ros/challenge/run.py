@@ -270,7 +270,7 @@ class CaseProcess:
         log: File for its output.
 
     Attributes:
-        process: The running process; None if it does not run.
+        process: The running process. None while no process runs.
         domain: Own ROS domain, so that the cases and what the user runs in another terminal do not receive
             each other's messages.
     """

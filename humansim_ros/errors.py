@@ -38,8 +38,11 @@ def within_bounds(numbers: ArrayLike) -> bool:
 class HumansimError(Exception):
     """Base class of errors from wrong input, wrong settings and missing parts of the system.
 
-    ``path``, ``line`` and ``key`` give the location; the text of the error begins with them.
+    ``path``, ``line`` and ``key`` give the location; the text of the error begins with them. ``exit_code``:
+    exit code of a command that ends with the error.
     """
+
+    exit_code = 2
 
     def __init__(
         self,

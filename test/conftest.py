@@ -384,15 +384,12 @@ def cluster(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> 
         return
     import ray_stand_in
 
-    from humansim_ros.data import recording_cluster as recording
-    from humansim_ros.data.engine import ray_cluster
-    from humansim_ros.data.formats import exporting
+    from humansim_ros.data.engine import pool, writing
 
-    for module in (recording, exporting):
-        monkeypatch.setattr(module, "connected", ray_stand_in.connected)
-    monkeypatch.setattr(ray_cluster, "_ONE_CORE", {})  # variables of this process
+    monkeypatch.setattr(pool, "connected", ray_stand_in.connected)
+    monkeypatch.setattr(pool, "_ONE_CORE", {})  # variables of this process
     yield
-    ray_cluster._worker.cache_clear()
+    writing._opened.cache_clear()
 
 
 @pytest.fixture(scope="session")
@@ -401,7 +398,7 @@ def workers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     ray = pytest.importorskip("ray")
     folder = tmp_path_factory.mktemp("workers")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("PYTHONPATH", f"{ROOT}{os.pathsep}{TESTS / 'record'}")
+        patch.setenv("PYTHONPATH", f"{ROOT}{os.pathsep}{TESTS / 'engine'}")
         patch.setenv("RAY_TMPDIR", "/tmp")  # its sockets must have short names
         patch.setenv("TMPDIR", str(folder))
         patch.setenv("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")

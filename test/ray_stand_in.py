@@ -3,23 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from contextlib import contextmanager
 from types import SimpleNamespace
 from typing import Any
 
 
-class TaskError(Exception):
-    """A task has failed, as ``ray.exceptions.RayError``. ``cause``: its exception."""
-
-    def __init__(self, cause: Exception) -> None:
-        super().__init__(str(cause))
-        self.cause = cause
-
-
 class RayStandIn:
     """The functions of Ray that this package uses."""
-
-    exceptions = SimpleNamespace(RayError=TaskError)
 
     def put(self, value: Any) -> Any:
         return value
@@ -30,25 +21,20 @@ class RayStandIn:
     def cluster_resources(self) -> dict[str, float]:
         return {"CPU": 1}
 
-    def wait(self, references: list[Any], **_: Any) -> tuple[list[Any], list[Any]]:
-        return references, []
-
-    def get(self, reference: _Done) -> Any:
-        if reference.error is not None:
-            raise TaskError(reference.error)
-        return reference.value
-
 
 class _Done:
     def __init__(self, function: Callable[..., Any], words: tuple[Any, ...]) -> None:
-        self.error: Exception | None = None
+        self._future: Future[Any] = Future()
         try:
-            self.value = function(*words)
+            self._future.set_result(function(*words))
         except Exception as error:
-            self.error = error
+            self._future.set_exception(error)
+
+    def future(self) -> Future[Any]:
+        return self._future
 
 
 @contextmanager
 def connected(address: str, workers: int | None) -> Iterator[RayStandIn]:
-    """Take the place of ``ray_cluster.connected``."""
+    """Take the place of ``pool.connected``."""
     yield RayStandIn()

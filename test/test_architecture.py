@@ -34,10 +34,6 @@ FOR_OTHER_PACKAGES = {
         *("MAX_BYTES", "default_points", "detect_points", "draw_report", "draw_sheet", "silhouette_iou"),
         "write_points",
     },
-    "data": {
-        *("ClusterRecording", "SceneRecording", "cluster_recordings", "export_source", "recipe_data_set"),
-        *("record", "record_on_cluster"),
-    },
 }
 
 

@@ -52,7 +52,7 @@ EXCEPTIONS = frozenset(
     }
 )
 #: Imports by name that close a circle of modules.
-HIDDEN_CIRCLES = frozenset({"data/api -> data/work"})
+HIDDEN_CIRCLES: frozenset[str] = frozenset()
 
 
 @cache

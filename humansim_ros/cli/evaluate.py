@@ -102,7 +102,7 @@ def challenge(
     if tracker is None:
         report = Report.read(output)
     else:
-        from humansim_ros.data.engine import FrameProgress
+        from humansim_ros.data.engine import WorkProgress
         from humansim_ros.ros.challenge import ChallengeOptions, load_suite, open_report, run_challenge
         from humansim_ros.ros.processes import require_ros
 
@@ -121,9 +121,9 @@ def challenge(
         )
         report = open_report(chosen, options, output, resume)
 
-        def show(result: CaseResult, progress: FrameProgress) -> None:
+        def show(result: CaseResult, progress: WorkProgress) -> None:
             text = result.failure or f"score {result.score:.0f}"
-            left = f"{progress.frames - progress.done} cases, {time_left(progress)}"
+            left = f"{progress.total - progress.done} cases, {time_left(progress)}"
             print_text(f"{result.axis} {result.label}: {text} ({left})")
 
         run_challenge(chosen, options, report, output, show)

@@ -1,4 +1,8 @@
-"""The ``humansim`` command. Exit codes: 0 success, 1 a check or run failed, 2 wrong input or command."""
+"""The ``humansim`` command.
+
+Exit codes: 0 success; 1 a check or run failed; 2 wrong input or command; 3 a worker died, and 4 the disk is
+full: the same command with ``--resume`` continues; 128 + number of the signal after a stop.
+"""
 
 from __future__ import annotations
 
@@ -186,7 +190,7 @@ def main(arguments: Sequence[str] | None = None, stopped: Callable[[], int | Non
         flush_output()
     except HumansimError as error:
         print_error(f"error: {error}")
-        return 2
+        return error.exit_code
     except typer.Abort as abort:
         if isinstance(abort.__cause__, EOFError):  # typer makes an Abort of it, as of the end of a terminal
             print_error(f"error: {_unexpected(abort.__cause__)}")

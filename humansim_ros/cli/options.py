@@ -106,7 +106,9 @@ class _Group:
         """Make the object, and remove its values from those of the command line. Raises HumansimError for an
         option that goes with an absent one."""
         values = {each.name: given.pop(each.name) for each in self.fields}
-        values |= {each.name: each.default for each in self.fields if values[each.name] == []}
+        # typer gives None or an empty list for a list that is not given
+        lists = [each.name for each in self.fields if each.default == () and not values[each.name]]
+        values |= dict.fromkeys(lists, ())
         absent = [each for each in self.fields if each.default is MISSING and values[each.name] is None]
         if not absent:
             return self.kind(**values)

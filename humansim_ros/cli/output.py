@@ -8,19 +8,17 @@ import os
 import sys
 import time
 import traceback
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import typer
-
 from humansim_ros.errors import HumansimError, escaped
 from humansim_ros.ros.processes import Stopped
 
 if TYPE_CHECKING:
-    from humansim_ros.data.engine import FrameProgress
+    from humansim_ros.data.engine import WorkPlan, WorkProgress
 
 
 #: By suffix of an output file: other suffixes of the same format, and name of the format in messages.
@@ -137,112 +135,93 @@ def progress_bar(frames: Iterable[Any], count: int) -> Iterator[Iterable[Any]]:
 _LINE_EVERY = 5.0
 
 
-@contextmanager
-def frame_progress(
-    title: str, cameras: int, unit: str = "frames"
-) -> Iterator[Callable[[FrameProgress], None]]:
-    """Show progress: a bar on a terminal, or else a line every five seconds. ``title``: text before the bar.
-    ``cameras``: number of camera-frames for each ``unit``."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn
+class WorkDisplay:
+    """Shows the progress of a recording or an export: a bar on a terminal, or else a line every five seconds.
 
-    console = Console(stderr=True)
-    if not console.is_terminal:
-        yield _lines(cameras, unit)
-        return
-    columns = (
-        TextColumn(title),
-        BarColumn(),
-        TextColumn(f"{{task.completed}}/{{task.total}} {unit}"),
-        TextColumn("{task.fields[rate]}"),
-    )
-    with Progress(*columns, console=console) as bar:
-        task = bar.add_task("", total=None, rate="starting")
+    Use it in a ``with`` block, and pass :meth:`show` as ``on_state``.
 
-        def show(progress: FrameProgress) -> None:
-            rate = f"{rate_text(progress, cameras, unit)}, {time_left(progress)}"
-            bar.update(task, total=progress.frames, completed=progress.done, rate=rate)
-
-        yield show
-
-
-def run_frames_shown(
-    title: str,
-    cameras: int,
-    run: Callable[[Callable[[FrameProgress], None]], FrameProgress],
-    interrupted: Callable[[int], str],
-    unit: str = "frames",
-) -> FrameProgress:
-    """Run work on frames and show its progress. After a stop or the death of a worker, print how much is
-    done.
-
-    Args:
-        title: Text before the bar.
-        cameras: Number of camera-frames for each frame.
-        run: Function that does the work. It must call its argument after each frame.
-        interrupted: Function of the number of finished frames that returns the text for an interruption.
-        unit: Name of what is counted.
+    Attributes:
+        plan, progress: Last plan and progress. None before the work has begun.
     """
-    from humansim_ros.data.engine import WorkerDiedError
 
-    done = 0
+    def __init__(self, title: str, output: str) -> None:
+        self._title, self._output = title, output
+        self.plan: WorkPlan | None = None
+        self.progress: WorkProgress | None = None
+        self._bar: Any = None
+        self._last = time.monotonic()
 
-    def show(progress: FrameProgress) -> None:
-        nonlocal done
-        done = progress.done
-        display(progress)
+    def __enter__(self) -> WorkDisplay:
+        return self
 
-    with frame_progress(title, cameras, unit) as display:
-        try:
-            return run(show)
-        except WorkerDiedError as error:
-            print_error(f"error: {error}; {interrupted(done)}")
-            raise typer.Exit(1) from None
-        except Stopped:
-            print_text(f"stopped; {interrupted(done)}")
-            raise
+    def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+        if isinstance(error, Stopped):
+            print_text(f"stopped; {self._output}: {self._kept()}; the same command with --resume continues")
 
+    def _kept(self) -> str:
+        if self.progress is None or self.plan is None:
+            return "nothing is finished"
+        return f"{self.progress.kept} of {self.progress.total} {self.plan.items} are finished"
 
-def costs_text(progress: FrameProgress, cameras: int, digits: int) -> str:
-    """Text with the processor time of each step, in ms per camera-frame or, without cameras, per frame."""
-    units = progress.new * max(cameras, 1)
-    costs = (f"{step} {1e3 * seconds / units:.{digits}f}" for step, seconds in progress.costs.items())
-    return f"processor time in ms per {'camera-frame' if cameras else 'frame'}: {', '.join(costs)}"
-
-
-def _lines(cameras: int, unit: str) -> Callable[[FrameProgress], None]:
-    """Return a function that prints a line of progress at most every five seconds."""
-    last = time.monotonic()
-
-    def show(progress: FrameProgress) -> None:
-        nonlocal last
-        if time.monotonic() - last >= _LINE_EVERY:
-            last = time.monotonic()
-            done = f"{progress.done} of {progress.frames} {unit}"
-            text = f"{done}, {rate_text(progress, cameras, unit)}, {time_left(progress)}"
+    def show(self, plan: WorkPlan, progress: WorkProgress) -> None:
+        """Show a state of the work."""
+        if self.plan is None and sys.stderr.isatty():
+            self._start_bar(plan)
+        self.plan, self.progress = plan, progress
+        rate = f"{rate_text(plan, progress)}, {time_left(progress)}"
+        if self._bar is not None:
+            self._bar.update(self._task, total=progress.total, completed=progress.done, rate=rate)
+        elif time.monotonic() - self._last >= _LINE_EVERY:
+            self._last = time.monotonic()
+            text = f"{progress.done} of {progress.total} {plan.items}, {rate}"
             print(text, file=sys.stderr, flush=True)
 
-    return show
+    def _start_bar(self, plan: WorkPlan) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, TextColumn
+        from rich.progress import Progress as Bar
+
+        self._bar = Bar(
+            TextColumn(self._title),
+            BarColumn(),
+            TextColumn(f"{{task.completed}}/{{task.total}} {plan.items}"),
+            TextColumn("{task.fields[rate]}"),
+            console=Console(stderr=True),
+        )
+        self._bar.start()
+        self._task = self._bar.add_task("", total=None, rate="starting")
+
+    def summary(self) -> str:
+        """Text after the work: number of items, rate, and the processor time of each step."""
+        plan, progress = self.plan, self.progress
+        assert plan is not None and progress is not None
+        if not progress.new:
+            return f"{self._output}: all {progress.total} {plan.items} are written already"
+        units = progress.new * max(plan.views, 1)
+        unit = "camera-frame" if plan.views else plan.items.removesuffix("s")
+        costs = (f"{step} {1e3 * seconds / units:.2f}" for step, seconds in progress.costs.items())
+        return (
+            f"wrote {self._output}: {progress.done} {plan.items}, {rate_text(plan, progress)}, "
+            f"{progress.size / units:.0f} bytes per {unit}\n"
+            f"processor time in ms per {unit}: {', '.join(costs)}"
+        )
 
 
-def time_left(progress: FrameProgress) -> str:
+def time_left(progress: WorkProgress) -> str:
     """Text with the time left, from the rate of this run, since an earlier run had another rate."""
     if not progress.rate:  # no task of a cluster has ended yet
         return "unknown time left"
-    seconds = (progress.frames - progress.done) / progress.rate
+    seconds = (progress.total - progress.done) / progress.rate
     return f"{timedelta(seconds=round(seconds))} left"
 
 
-def rate_text(progress: FrameProgress, cameras: int, unit: str = "frames") -> str:
-    """Text with the rate of the work.
-
-    Args:
-        progress: State of the work.
-        cameras: Number of camera-frames for each frame. If 0, the rate is in units.
-        unit: What is counted: frames, or scenes (which take seconds each).
-    """
+def rate_text(plan: WorkPlan, progress: WorkProgress) -> str:
+    """Text with the rate of the work, in camera-frames or items per second."""
     megabytes = progress.size / 1e6 / progress.seconds if progress.seconds else 0.0
-    if not cameras:
-        rate = f"{progress.rate:.0f}" if unit == "frames" else f"{progress.rate:.2g}"
-        return f"{rate} {unit}/s, {megabytes:.0f} MB/s"
-    return f"{cameras * progress.rate:.0f} camera-frames/s, {megabytes:.0f} MB/s"
+    rate, unit = progress.rate, plan.items
+    if plan.views:
+        rate, unit = plan.views * rate, "camera-frames"
+    number = f"{rate:.0f}" if rate >= 10 else f"{rate:.2g}"
+    return f"{number} {unit}/s, {megabytes:.0f} MB/s"

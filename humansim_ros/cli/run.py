@@ -124,9 +124,9 @@ def demo(
     seconds: float = 10.0,
 ) -> None:
     """Run a scene, subscribe to its topics like a client, and draw the received messages."""
-    from humansim_ros.ros.tools import record_demo
-
     _check_machine()
+    from humansim_ros.ros.tools import record_demo  # it needs ROS
+
     path = scene or resource_path("config/scenes/demo.yaml")
     video = "walk.mp4" if scene is None else f"{scene.stem}.mp4"
     if not record_demo(path, output, seconds, video):
@@ -220,9 +220,10 @@ def bench(
     Runs the nodes of `humansim run` as fast as they can, with one subscriber to all images.
     """
     from humansim_ros.ros.processes import require_ros
-    from humansim_ros.ros.tools import measure
 
     require_ros()
+    from humansim_ros.ros.tools import measure  # it needs ROS
+
     path = scene or resource_path("config/scenes/demo.yaml")
     names = list(dict.fromkeys(channels or ["rgb"]))
     result = measure(path, names, seconds, jobs, lambda line: print(line, file=sys.stderr, flush=True))

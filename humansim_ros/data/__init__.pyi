@@ -1,14 +1,7 @@
-from humansim_ros.data.api import Comparison as Comparison
-from humansim_ros.data.bags.chunks import BagMessage as BagMessage
-from humansim_ros.data.bags.chunks import encode_chunk as encode_chunk
 from humansim_ros.data.bags.reader import BagReader as BagReader
+from humansim_ros.data.bags.topics import BagMessage as BagMessage
 from humansim_ros.data.bags.topics import BagTopic as BagTopic
 from humansim_ros.data.bags.topics import Qos as Qos
 from humansim_ros.data.bags.writer import BagWriter as BagWriter
-from humansim_ros.data.recording import SceneRecording as SceneRecording
-from humansim_ros.data.recording import record as record
-from humansim_ros.data.recording_cluster import ClusterRecording as ClusterRecording
-from humansim_ros.data.recording_cluster import cluster_recordings as cluster_recordings
-from humansim_ros.data.recording_cluster import record_on_cluster as record_on_cluster
-from humansim_ros.data.work import export_source as export_source
-from humansim_ros.data.work import recipe_data_set as recipe_data_set
+from humansim_ros.data.bags.writer import encode_chunk as encode_chunk
+from humansim_ros.data.evaluation.compare import Comparison as Comparison

@@ -11,9 +11,7 @@ from mcap.reader import NonSeekingReader, SeekingReader
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
-from humansim_ros.data.bags.chunks import BagMessage, Chunk, Compression, encode_chunk
-from humansim_ros.data.bags.topics import BagTopic, Qos
-from humansim_ros.data.bags.writer import BagWriter
+from humansim_ros.data.bags.topics import BagMessage, BagTopic, Qos
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 TOPICS = (
@@ -28,8 +26,9 @@ def header(stamp: int) -> Any:
     return STORE.types["std_msgs/msg/Header"](time, "map")
 
 
-def messages_of(frame: int, size: int = 500) -> list[list[BagMessage]]:
-    """Chunks of a frame: an image of ``size`` bytes that depend on the frame, and a pose."""
+def messages_of(frame: int, size: int = 500) -> list[BagMessage]:
+    """Messages of a frame: a pose, and an image of ``size`` bytes that depend on the frame. They were
+    published 1 ns before they were logged."""
     stamp = 1 + frame * PERIOD
     image = STORE.types["sensor_msgs/msg/CompressedImage"](
         header(stamp), "jpeg", np.resize(np.random.default_rng(frame).integers(0, 8, 997, np.uint8), size)
@@ -39,21 +38,9 @@ def messages_of(frame: int, size: int = 500) -> list[list[BagMessage]]:
     pose = STORE.types["geometry_msgs/msg/Pose"](point, turn)
     stamped = STORE.types["geometry_msgs/msg/PoseStamped"](header(stamp), pose)
     return [
-        [BagMessage(1, stamp, STORE.serialize_cdr(stamped, TOPICS[1].type))],
-        [BagMessage(0, stamp, STORE.serialize_cdr(image, TOPICS[0].type))],
+        BagMessage(1, stamp, STORE.serialize_cdr(stamped, TOPICS[1].type), stamp - 1),
+        BagMessage(0, stamp, STORE.serialize_cdr(image, TOPICS[0].type), stamp - 1),
     ]
-
-
-def chunks_of(frame: int, compression: Compression = "none", size: int = 500) -> list[Chunk]:
-    return [encode_chunk(messages, compression) for messages in messages_of(frame, size)]
-
-
-def append_frame(writer: BagWriter, frame: int, compression: Compression = "none", size: int = 500) -> None:
-    """Append the chunks of a frame as one group."""
-    *others, last = chunks_of(frame, compression, size)
-    for chunk in others:
-        writer.append(chunk, ends_group=False)
-    writer.append(last)
 
 
 def content_of(frames: Sequence[int], size: int = 500) -> list[tuple[str, int, bytes]]:
@@ -61,8 +48,7 @@ def content_of(frames: Sequence[int], size: int = 500) -> list[tuple[str, int, b
     return sorted(
         (TOPICS[message.topic].name, message.stamp, bytes(message.data))
         for frame in frames
-        for messages in messages_of(frame, size)
-        for message in messages
+        for message in messages_of(frame, size)
     )
 
 

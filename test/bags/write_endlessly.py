@@ -1,28 +1,27 @@
-"""Program: append frames to a bag until it is killed.
+"""Program: write frames into a bag until it is killed, and print a line for each frame in the file.
 
-Prints a line for each frame.
-Arguments: folder, storage, size of images in bytes, max_size of files, whether direct writing is refused.
+Arguments: folder, size of images in bytes, max_size of files, whether the bag is continued.
 """
 
 import sys
 from itertools import count
 
-from bag_support import TOPICS, append_frame
+from bag_support import TOPICS, messages_of
 
-from humansim_ros.data.bags.mcap_file import DirectFile
-from humansim_ros.data.bags.metadata import Storage
 from humansim_ros.data.bags.writer import BagWriter
+from humansim_ros.errors import BagError
 
 
 def main() -> None:
-    folder, size, max_size = sys.argv[1], int(sys.argv[3]), int(sys.argv[4])
-    storage: Storage = "sqlite3" if sys.argv[2] == "sqlite3" else "mcap"
-    if sys.argv[5] == "True":
-        DirectFile.write = lambda *_: 0  # type: ignore[method-assign]
-    with BagWriter(folder, TOPICS, storage=storage, max_size=max_size, custom={"plan": "p"}) as writer:
-        for frame in count():
-            append_frame(writer, frame, size=size)
-            print(frame, flush=True)
+    folder, size, max_size, resume = sys.argv[1], int(sys.argv[2]), int(sys.argv[3]), sys.argv[4] == "True"
+    try:
+        with BagWriter(folder, TOPICS, max_size=max_size, custom={"plan": "p"}, resume=resume) as writer:
+            for frame in count(100 if resume else 0):
+                writer.write(messages_of(frame, size))
+                writer.flush()
+                print(frame, flush=True)
+    except BagError as error:
+        print(error)
 
 
 if __name__ == "__main__":

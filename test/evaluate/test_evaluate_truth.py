@@ -12,8 +12,7 @@ from evaluate_support import NAMES, PERIOD, changed, walking
 
 from humansim_ros import Scene
 from humansim_ros.cameras.camera.rigs import Trajectory
-from humansim_ros.data.bags.chunks import BagMessage, encode_chunk
-from humansim_ros.data.bags.topics import BagTopic, message_types
+from humansim_ros.data.bags.topics import BagMessage, BagTopic, message_types
 from humansim_ros.data.bags.writer import BagWriter
 from humansim_ros.data.evaluation.evaluation import evaluate_poses
 from humansim_ros.data.evaluation.joint_names import set_of_names
@@ -185,7 +184,7 @@ def write_bag(
     with BagWriter(folder, [BagTopic(name, kind) for name, kind in topics.items()]) as writer:
         for name, time, message in messages:
             data = message_types().serialize_cdr(message, topics[name])
-            writer.append(encode_chunk([BagMessage(order.index(name), time + late, data)], "none"))
+            writer.write([BagMessage(order.index(name), time + late, data)])
     return folder
 
 
@@ -259,7 +258,7 @@ def test_one_person_a_message_on_one_topic(tmp_path: Path) -> None:
 def test_topics_that_hold_no_poses(tmp_path: Path) -> None:
     bag = tmp_path / "bag"
     with BagWriter(bag, [BagTopic("/human/pose", "geometry_msgs/msg/PoseStamped")]) as writer:
-        writer.append(encode_chunk([BagMessage(0, 1, b"\0\1\0\0")], "none"))
+        writer.write([BagMessage(0, 1, b"\0\1\0\0")])
     with pytest.raises(EvaluationError, match="no topic /human/poses; did you mean '/human/pose'"):
         read_bag_topic(bag, "/human/poses", ReadOptions())
     with pytest.raises(EvaluationError, match="PoseStamped holds no poses of people; known are sensor_msgs"):
@@ -272,6 +271,6 @@ def test_topics_that_hold_no_poses(tmp_path: Path) -> None:
 
 def test_a_damaged_message_is_an_error(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag", [BagTopic("/poses", POSES)]) as writer:
-        writer.append(encode_chunk([BagMessage(0, 1, b"\0\1\0\0\xff\xff")], "none"))
+        writer.write([BagMessage(0, 1, b"\0\1\0\0\xff\xff")])
     with pytest.raises(EvaluationError, match=r"bag: /poses: a message cannot be read"):
         read_bag_topic(tmp_path / "bag", "/poses", ReadOptions(names=NAMES))

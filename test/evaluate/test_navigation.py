@@ -15,8 +15,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from humansim_ros import Scene, Simulation, evaluate, record
-from humansim_ros.data.bags.chunks import BagMessage, encode_chunk
-from humansim_ros.data.bags.topics import BagTopic, message_types
+from humansim_ros.data.bags.topics import BagMessage, BagTopic, message_types
 from humansim_ros.data.bags.writer import BagWriter
 from humansim_ros.data.evaluation.navigation import evaluate_navigation
 from humansim_ros.data.evaluation.nearby import PeopleNearby, RobotPath, scene_nearby
@@ -203,7 +202,7 @@ def bag_of(folder: Path, *messages: tuple[str, int, Any]) -> Path:
     with BagWriter(folder, [BagTopic(name, kind) for name, kind in kinds.items()]) as writer:
         for topic, log, content in messages:
             data = message_types().serialize_cdr(content, kinds[topic])
-            writer.append(encode_chunk([BagMessage(names.index(topic), log, data)], "none"))
+            writer.write([BagMessage(names.index(topic), log, data)])
     return folder
 
 
@@ -307,7 +306,7 @@ def test_damaged_paths_are_refused_or_finite(tmp_path: Path, topic: str) -> None
                 data = message_types().serialize_cdr(content, kinds[name])
                 if dice.random() < 0.2:
                     data = mutated_bytes(data, dice)
-                writer.append(encode_chunk([BagMessage(names.index(name), log, data)], "none"))
+                writer.write([BagMessage(names.index(name), log, data)])
         try:
             path = read_robot_path(f"{bag}:{topic}", None)
         except EvaluationError as error:

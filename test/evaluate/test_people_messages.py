@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from humansim_ros import Scene, Simulation, evaluate
-from humansim_ros.data.bags.chunks import BagMessage, encode_chunk
-from humansim_ros.data.bags.topics import BagTopic, described, message_types
+from humansim_ros.data.bags.topics import BagMessage, BagTopic, described, message_types
 from humansim_ros.data.bags.writer import BagWriter
 from humansim_ros.data.evaluation.readers.estimates import bag_transforms
 from humansim_ros.data.messages.cameras import extrinsics_message, transform_message
@@ -72,7 +71,7 @@ def write(folder: Path, topics: dict[str, str], rows: Sequence[tuple[str, int, A
     with BagWriter(folder, [described(BagTopic(name, kind)) for name, kind in topics.items()]) as writer:
         for topic, stamp, message in sorted(rows, key=lambda row: row[1]):
             data = BagMessage(names.index(topic), stamp, serialised(message, topics[topic]))
-            writer.append(encode_chunk([data], "none"))
+            writer.write([data])
     return folder
 
 
@@ -250,7 +249,7 @@ def test_only_the_frames_that_lead_to_map_are_read_from_a_bag(tmp_path: Path) ->
     links = (("odom", "base", 1.0), ("base", "camera", 2.0), ("map", "odom", 4.0), ("map", "other", np.nan))
     with BagWriter(tmp_path / "bag", [described(BagTopic("/tf", TF))]) as writer:
         for second, each in enumerate(links):
-            writer.append(encode_chunk([BagMessage(0, second, link(*each, second))], "none"))
+            writer.write([BagMessage(0, second, link(*each, second))])
     found = bag_transforms(tmp_path / "bag", ["/camera"])
     pose = found.pose("camera", 0)
     assert pose is not None and (pose[0][0, 3], pose[1]) == (7.0, "map")
@@ -381,7 +380,7 @@ def test_a_topic_with_another_version_of_the_message_is_refused(tmp_path: Path) 
     message = store.types[topic.type](header, [found])
     data = BagMessage(0, 1, memoryview(store.serialize_cdr(message, topic.type)))
     with BagWriter(tmp_path / "bag", [topic]) as writer:
-        writer.append(encode_chunk([data], "none"))
+        writer.write([data])
     scene_with(tmp_path / "scene.yaml", {})
     with pytest.raises(EvaluationError, match="Detection3DArray is of a version that is not known here"):
         evaluate(tmp_path / "scene.yaml", f"{tmp_path / 'bag'}:/tracker")

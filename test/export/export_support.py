@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import yaml
 
 from humansim_ros import Scene
-from humansim_ros.data.formats.exporting import Export, export
+from humansim_ros.data.engine import WorkProgress, run
+from humansim_ros.data.formats.exporting import Export
 from humansim_ros.data.formats.formats import chosen_formats
 from humansim_ros.data.formats.plan import ExportPlan, parse_range
 from humansim_ros.data.formats.source import SimulatedSource
@@ -34,6 +36,17 @@ def small_scene() -> Scene:
     return Scene.from_dict(yaml.safe_load(SCENE))
 
 
+@dataclass(frozen=True)
+class ExportJob:
+    """An export and its folder."""
+
+    export: Export
+    root: Path
+
+    def run(self, **options: Any) -> WorkProgress:
+        return run(self.export, self.root, **options)
+
+
 def job(
     root: Path,
     formats: str,
@@ -41,15 +54,15 @@ def job(
     frames: str = FRAMES,
     keypoints: str = "coco17",
     **options: Any,
-) -> Export:
+) -> ExportJob:
     rows = tuple(chosen_formats(formats.split(",")))
     source = SimulatedSource(scene or small_scene(), rows, keypoints)
-    return Export(source, ExportPlan.of(source, parse_range(frames), **options), root)
+    return ExportJob(Export(source, ExportPlan.of(source, parse_range(frames), **options)), root)
 
 
 def exported(root: Path, formats: str, scene: Scene | None = None, **options: Any) -> Path:
     """Export frames in this process; returns the folder."""
-    export(job(root, formats, scene, **options))
+    job(root, formats, scene, **options).run()
     return root
 
 

@@ -6,6 +6,7 @@ import json
 import re
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,17 +16,18 @@ import pytest
 import ros_support  # noqa: F401  # skips without ROS
 import yaml
 from commands import largest_file
-from export_support import SCENE, content, index_of, job, small_scene
+from export_support import SCENE, ExportJob, content, index_of, job, small_scene
 
 from humansim_ros import HumansimError, HumansimWarning, Scene
 from humansim_ros.cli.main import main
 from humansim_ros.data.bags.reader import BagReader
 from humansim_ros.data.bags.writer import BagWriter
+from humansim_ros.data.engine import run
 from humansim_ros.data.formats.bag import BagSource, recorded_patterns
-from humansim_ros.data.formats.exporting import Export, export
+from humansim_ros.data.formats.exporting import Export
 from humansim_ros.data.formats.formats import BODIES, EXPORT_FORMATS, chosen_formats
 from humansim_ros.data.formats.plan import ExportPlan
-from humansim_ros.data.recording import RecordingPlan, SceneRecording, record
+from humansim_ros.data.recording import SceneRecording
 from humansim_ros.errors import ExportError
 
 FRAMES = 4
@@ -35,14 +37,14 @@ _NUMBER = re.compile(r"-?\d+\.?\d*(?:e-?\d+)?")
 
 
 def recorded(folder: Path, scene: Scene, patterns: list[str], **options: Any) -> Path:
-    plan = RecordingPlan.of(scene, FRAMES, patterns, **options)
-    record(SceneRecording(scene, plan), folder)
+    plan = SceneRecording.of(scene, FRAMES, patterns, **options)
+    run(plan, folder)
     return folder
 
 
-def bag_job(root: Path, bag: Path, formats: str, frames: range | None = None, **options: Any) -> Export:
+def bag_job(root: Path, bag: Path, formats: str, frames: range | None = None, **options: Any) -> ExportJob:
     source = BagSource.read(bag, chosen_formats(formats.split(",")))
-    return Export(source, ExportPlan.of(source, frames, **options), root)
+    return ExportJob(Export(source, ExportPlan.of(source, frames, **options)), root)
 
 
 @pytest.fixture(scope="module")
@@ -57,8 +59,8 @@ def exports(tmp_path_factory: pytest.TempPathFactory, bag: Path) -> tuple[Path, 
     """All formats of the bag, and of its scene."""
     folder = tmp_path_factory.mktemp("exports")
     names = ",".join(FORMATS)
-    export(bag_job(folder / "of_bag", bag, names))
-    export(job(folder / "of_scene", names, frames=f"0:{FRAMES}"))
+    bag_job(folder / "of_bag", bag, names).run()
+    job(folder / "of_scene", names, frames=f"0:{FRAMES}").run()
     return folder / "of_bag", folder / "of_scene"
 
 
@@ -112,8 +114,8 @@ def test_a_laser_scanner_is_no_camera(tmp_path: Path) -> None:
     scanner = {"model": "sick_tim571", "position": [0, 2, 1]}
     camera = {"size": [16, 12], "position": [3, 0, 1], "look_at": [0, 0, 1]}
     scene = Scene.from_dict({"cameras": {"c": camera}, "scanners": {"laser": scanner}, "room": None})
-    plan = RecordingPlan.of(scene, 1, ["**"])
-    record(SceneRecording(scene, plan), tmp_path / "bag")
+    plan = SceneRecording.of(scene, 1, ["**"])
+    run(plan, tmp_path / "bag")
     source = BagSource.read(tmp_path / "bag", chosen_formats(["images"]))
     assert list(source.scene.cameras) == ["c"]
 
@@ -154,19 +156,20 @@ class _InterruptionError(Exception):
 def test_interruptions_and_processes_do_not_change_the_files(tmp_path: Path, bag: Path) -> None:
     formats = "images,labels,webdataset"
     whole = bag_job(tmp_path / "whole", bag, formats, shard_size=60_000)
-    export(whole)
+    whole.run()
     assert len(list((tmp_path / "whole/webdataset").iterdir())) > 1
     root = tmp_path / "out"
     made = bag_job(root, bag, formats, shard_size=60_000)
+    made = ExportJob(replace(made.export, shard_frames=1), root)
 
     def stop(progress: Any) -> None:
-        if progress.new == 2:
+        if progress.new == 3:
             raise _InterruptionError
 
     with pytest.raises(_InterruptionError):
-        export(made, on_progress=stop)
-    assert not index_of(root)["finished"]
-    state = export(made, jobs=2, resume=True)
+        made.run(on_progress=stop)
+    assert not (root / "index.json").exists()
+    state = made.run(workers=2, resume=True)
     assert (state.first, state.new) == (2, 2)
     assert content(root) == content(tmp_path / "whole")
 
@@ -178,22 +181,22 @@ def test_interruptions_and_processes_do_not_change_the_files(tmp_path: Path, bag
 def test_a_full_disk_leaves_whole_files_of_a_bag(limit: int, file: str, tmp_path: Path, bag: Path) -> None:
     """While frames are written, and while their samples are joined to a shard."""
     formats = "images,webdataset"
-    export(bag_job(tmp_path / "whole", bag, formats))
+    bag_job(tmp_path / "whole", bag, formats).run()
     root = tmp_path / "out"
     made = bag_job(root, bag, formats)
     message = f"{file}: cannot be written: File too large"
     with largest_file(limit), pytest.raises(HumansimError, match=message):
-        export(made)
+        made.run()
     assert not (root / file).exists()
-    export(made, resume=True)
+    made.run(resume=True)
     assert content(root) == content(tmp_path / "whole")
 
 
 def test_another_bag_does_not_continue_an_export(tmp_path: Path, bag: Path) -> None:
-    export(bag_job(tmp_path / "out", bag, "anipose"))
+    bag_job(tmp_path / "out", bag, "anipose").run()
     other = recorded(tmp_path / "other", small_scene(), ["*/camera_info", "*/extrinsics"])
     with pytest.raises(ExportError, match="the scene, a file of it, or the bag has changed"):
-        export(bag_job(tmp_path / "out", other, "anipose"), resume=True)
+        bag_job(tmp_path / "out", other, "anipose").run(resume=True)
 
 
 @pytest.mark.daily("options1")
@@ -203,7 +206,7 @@ def test_compressed_images_and_other_storages_are_read(
 ) -> None:
     patterns = ["*/image_raw", "*/camera_info", "*/extrinsics", "*/depth/image"]
     other = recorded(tmp_path / "bag", small_scene(), patterns, **options)
-    export(bag_job(tmp_path / "out", other, "images,depth-npy"))
+    bag_job(tmp_path / "out", other, "images,depth-npy").run()
     for file in (exports[1] / "images").rglob("*.png"):
         assert (tmp_path / "out" / file.relative_to(exports[1])).read_bytes() == file.read_bytes()
     for file in (exports[1] / "depth-npy").rglob("*.npy"):
@@ -224,7 +227,7 @@ def test_labels_as_png_give_the_files_of_the_scene(tmp_path: Path, exports: tupl
     with BagReader(other) as reader:
         names = {topic.name for topic in reader.topics}
     assert "/bent/instance/image/compressed" in names and "/bent/instance/image" not in names
-    export(bag_job(tmp_path / "out", other, "labels"))
+    bag_job(tmp_path / "out", other, "labels").run()
     files = [file for file in (exports[1] / "labels").rglob("*") if file.suffix in (".png", ".npz")]
     assert files
     for file in files:
@@ -262,13 +265,13 @@ def test_the_licence_of_a_scene_is_that_of_its_data_sets(tmp_path: Path) -> None
     scene = Scene.from_dict({**yaml.safe_load(SCENE), "license": " CC-BY-4.0 "})
     rows = chosen_formats(["coco"])
     bag = recorded(tmp_path / "bag", scene, recorded_patterns(rows, "coco17"))
-    export(bag_job(tmp_path / "of_bag", bag, "coco"))
-    export(job(tmp_path / "of_scene", "coco", scene, frames=f"0:{FRAMES}"))
+    bag_job(tmp_path / "of_bag", bag, "coco").run()
+    job(tmp_path / "of_scene", "coco", scene, frames=f"0:{FRAMES}").run()
     for name in ("of_bag", "of_scene"):
         assert index_of(tmp_path / name)["license"] == "CC-BY-4.0"
         coco = json.loads((tmp_path / name / "coco/person_keypoints.json").read_text())
         assert coco["licenses"][0]["name"] == "CC-BY-4.0"
-    assert job(tmp_path / "other", "coco", scene, license="MIT").plan.license == "MIT"
+    assert job(tmp_path / "other", "coco", scene, license="MIT").export.plan.license == "MIT"
 
 
 @pytest.mark.nightly
@@ -276,7 +279,7 @@ def test_jpeg_images_are_those_of_the_bag(tmp_path: Path, exports: tuple[Path, P
     other = recorded(
         tmp_path / "bag", small_scene(), ["*/image_raw", "*/camera_info", "*/extrinsics"], images="jpeg"
     )
-    export(bag_job(tmp_path / "out", other, "images"))
+    bag_job(tmp_path / "out", other, "images").run()
     for file in (exports[1] / "images").rglob("*.png"):
         found = cv2.imread(str(tmp_path / "out" / file.relative_to(exports[1]))).astype(int)
         assert np.abs(found - cv2.imread(str(file)).astype(int)).mean() < 4  # colours are not swapped
@@ -290,8 +293,8 @@ def test_each_frame_of_a_moving_camera_has_its_pose(tmp_path: Path) -> None:
     scene = Scene.from_dict(text)
     rows = chosen_formats(["coco"])
     other = recorded(tmp_path / "bag", scene, recorded_patterns(rows, "coco17"))
-    export(bag_job(tmp_path / "out", other, "coco"))
-    export(job(tmp_path / "truth", "coco", scene, frames=f"0:{FRAMES}"))
+    bag_job(tmp_path / "out", other, "coco").run()
+    job(tmp_path / "truth", "coco", scene, frames=f"0:{FRAMES}").run()
     found, truth = (
         json.loads((tmp_path / name / "coco/person_keypoints.json").read_text())["images"]
         for name in ("out", "truth")
@@ -306,12 +309,10 @@ def test_each_frame_of_a_moving_camera_has_its_pose(tmp_path: Path) -> None:
 
 def copy_without(bag: Path, to: Path, left_out: Callable[[str, int], bool]) -> Path:
     """A copy of a bag. ``left_out``: whether a message of a topic and log time is left out."""
-    from humansim_ros.data.bags.chunks import encode_chunk
-
     with BagReader(bag) as reader, BagWriter(to, list(reader.topics)) as writer:
         for message in reader.messages():
             if not left_out(reader.topics[message.topic].name, message.stamp):
-                writer.append(encode_chunk([message], "none"), ends_group=True)
+                writer.write([message])
     return to
 
 
@@ -324,7 +325,7 @@ def test_frames_that_lack_a_message_are_left_out_and_named(tmp_path: Path, bag: 
         HumansimWarning, match=r"1 of 4 frames lack a message on /bent/image_raw: they are left"
     ):
         made = bag_job(tmp_path / "out", part, "images")
-    export(made)
+    made.run()
     assert index_of(tmp_path / "out")["provenance"]["stamps"] == [1, 100_000_001, 150_000_001]
     assert len(list((tmp_path / "out/images/noisy").iterdir())) == 3
     apart = {"/bent/image_raw": {1}, "/noisy/image_raw": {second}}
@@ -387,13 +388,11 @@ def test_the_command_exports_all_frames_of_a_bag(
 
 def test_a_damaged_message_is_named(tmp_path: Path, bag: Path) -> None:
     """Its stamp can be read, but its image is cut."""
-    from humansim_ros.data.bags.chunks import encode_chunk
-
     with BagReader(bag) as reader, BagWriter(tmp_path / "bag", list(reader.topics)) as writer:
         for message in reader.messages():
             name = reader.topics[message.topic].name
             cut = name == "/bent/depth/image" and message.stamp == 1
             data = bytes(message.data)[:200] if cut else message.data
-            writer.append(encode_chunk([message._replace(data=data)], "none"), ends_group=True)
+            writer.write([message._replace(data=data)])
     with pytest.raises(ExportError, match=r"bag: /bent/depth/image: 200 bytes that are no Image"):
-        export(bag_job(tmp_path / "out", tmp_path / "bag", "depth-png"))
+        bag_job(tmp_path / "out", tmp_path / "bag", "depth-png").run()

@@ -12,7 +12,6 @@ import pytest
 from export_support import exported, job, small_scene
 
 from humansim_ros import Frame, Scene, Simulation
-from humansim_ros.data.formats.exporting import export
 from humansim_ros.errors import ExportError
 from humansim_ros.people import keypoint_set
 from humansim_ros.scene import OUTSIDE
@@ -145,7 +144,7 @@ def test_the_licence_of_the_user_comes_first_and_is_the_licence_of_each_image(tm
         assert {image["license"] for image in document["images"]} == {document["licenses"][0]["id"]}
     assert json.loads((root / "croissant.json").read_text())["license"] == links
     with pytest.raises(ExportError, match=r"license: CC-BY-4\.0 there, MIT now"):
-        export(job(root, "coco,croissant", license="MIT"), resume=True)
+        job(root, "coco,croissant", license="MIT").run(resume=True)
 
 
 @pytest.mark.parametrize("license", ["two\nlines", "\u202eMIT", "x" * 201])
@@ -155,7 +154,7 @@ def test_a_licence_that_is_no_line_is_refused(tmp_path: Path, license: str) -> N
 
 
 def test_the_address_of_a_licence_is_its_link(tmp_path: Path) -> None:
-    settings = job(tmp_path / "out", "coco", license="https://example.org/terms").settings
+    settings = job(tmp_path / "out", "coco", license="https://example.org/terms").export.settings
     assert settings.license_links["https://example.org/terms"] == "https://example.org/terms"
     assert not (tmp_path / "out").exists()
 

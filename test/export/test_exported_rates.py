@@ -12,18 +12,18 @@ import numpy as np
 import pytest
 import ros_support  # noqa: F401  # skips without ROS
 import yaml
-from export_support import SCENE, job
+from export_support import SCENE, ExportJob, job
 
 from humansim_ros import Scene
-from humansim_ros.data.bags.chunks import encode_chunk
 from humansim_ros.data.bags.reader import BagReader
 from humansim_ros.data.bags.writer import BagWriter
+from humansim_ros.data.engine import run
 from humansim_ros.data.evaluation.export_truth import SceneImages
 from humansim_ros.data.formats.bag import BagSource, recorded_patterns
-from humansim_ros.data.formats.exporting import Export, export
+from humansim_ros.data.formats.exporting import Export
 from humansim_ros.data.formats.formats import chosen_formats
 from humansim_ros.data.formats.plan import ExportPlan
-from humansim_ros.data.recording import RecordingPlan, SceneRecording, record
+from humansim_ros.data.recording import SceneRecording
 from humansim_ros.errors import ExportError, HumansimWarning
 from humansim_ros.people import keypoint_set
 
@@ -51,13 +51,13 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     patterns = [*recorded_patterns(rows, "coco17"), "/humans/*/joints", "*/joints"]
     folder = tmp_path_factory.mktemp("recorded") / "bag"
     scene = timed_scene()
-    record(SceneRecording(scene, RecordingPlan.of(scene, FRAMES, patterns)), folder)
+    run(SceneRecording.of(scene, FRAMES, patterns), folder)
     return folder
 
 
-def bag_job(root: Path, bag: Path, formats: str = FORMATS) -> Export:
+def bag_job(root: Path, bag: Path, formats: str = FORMATS) -> ExportJob:
     source = BagSource.read(bag, chosen_formats(formats.split(",")))
-    return Export(source, ExportPlan.of(source, None), root)
+    return ExportJob(Export(source, ExportPlan.of(source, None)), root)
 
 
 @pytest.mark.nightly
@@ -78,17 +78,17 @@ def test_a_bag_has_the_pictures_of_each_camera_and_the_world_of_each_frame(bag: 
 
 
 def test_a_recording_of_one_camera_has_a_message_for_each_frame_and_can_be_resumed(tmp_path: Path) -> None:
-    plan = RecordingPlan.of(timed_scene(), 7, ["/bent/camera_info"])
+    plan = SceneRecording.of(timed_scene(), 7, ["/bent/camera_info"], shard_frames=2)
     assert plan.topics == ("/scene_time", "/bent/camera_info")
-    record(SceneRecording(timed_scene(), plan), tmp_path / "whole")
+    run(plan, tmp_path / "whole")
 
     def stop(progress: Any) -> None:
         if progress.new == 4:  # after a frame without picture
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        record(SceneRecording(timed_scene(), plan), tmp_path / "bag", on_progress=stop)
-    record(SceneRecording(timed_scene(), plan), tmp_path / "bag", resume=True)
+        run(plan, tmp_path / "bag", on_progress=stop)
+    run(plan, tmp_path / "bag", resume=True)
     content = []
     for name in ("whole", "bag"):
         with BagReader(tmp_path / name) as reader:
@@ -100,8 +100,8 @@ def test_a_recording_of_one_camera_has_a_message_for_each_frame_and_can_be_resum
 def test_exports_of_the_scene_and_of_its_bag_have_the_pictures_of_each_camera(
     tmp_path: Path, bag: Path
 ) -> None:
-    export(job(tmp_path / "scene", FORMATS, timed_scene(), frames=f"0:{FRAMES}"))
-    export(bag_job(tmp_path / "bag", bag))
+    job(tmp_path / "scene", FORMATS, timed_scene(), frames=f"0:{FRAMES}").run()
+    bag_job(tmp_path / "bag", bag).run()
     for root in (tmp_path / "scene", tmp_path / "bag"):
         for camera, pictures in PICTURES.items():
             names = [path.name for path in sorted((root / "images" / camera).iterdir())]
@@ -143,7 +143,7 @@ def test_a_picture_that_a_bag_has_lost_takes_its_frame_and_no_other(tmp_path: Pa
         for message in reader.messages():
             topic = reader.topics[message.topic].name
             if (topic, message.stamp) != ("/noisy/instance/image", lost):
-                writer.append(encode_chunk([message], "none"), ends_group=True)
+                writer.write([message])
     with pytest.warns(HumansimWarning, match="1 of 7 frames lack a message on /noisy/instance/image"):
         source = BagSource.read(tmp_path / "bag", chosen_formats(["labels"]))
     assert [place.stamp for place in source.frames] == [s for s in _stamps() if s != lost]
@@ -155,12 +155,12 @@ def _stamps() -> list[int]:
 
 def test_a_project_of_pose2sim_needs_every_camera_in_each_frame(tmp_path: Path) -> None:
     with pytest.raises(ExportError, match="camera noisy has images at 10 Hz only"):
-        export(job(tmp_path / "out", "openpose", timed_scene()))
+        job(tmp_path / "out", "openpose", timed_scene()).run()
 
 
 @pytest.mark.nightly
 def test_a_video_has_the_rate_of_its_camera(tmp_path: Path) -> None:
-    export(job(tmp_path / "out", "mp4", timed_scene(), frames=f"0:{FRAMES}"))
+    job(tmp_path / "out", "mp4", timed_scene(), frames=f"0:{FRAMES}").run()
     for camera, pictures in PICTURES.items():
         video = cv2.VideoCapture(str(tmp_path / f"out/mp4/{camera}.mp4"))
         assert video.get(cv2.CAP_PROP_FRAME_COUNT) == len(pictures)

@@ -357,7 +357,8 @@ def test_every_reader_opens_files_in_one_place() -> None:
         "lazy.py",  # lists of names of the package
         "files/reading/files.py",
         "ros/challenge/run.py",  # output that the challenge itself has redirected
-        "data/engine/workers.py",  # processes in /proc
+        "data/engine/folder.py",  # regular files that the engine has written
+        "ros/processes/stop_signals.py",  # processes in /proc
         "files/reading/programs.py",  # what the project has converted, in its cache
         "view/edit/person_draft.py",  # regular files that the page has written beside the scene
         "view/server/uploads.py",

@@ -3,15 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-import os
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 from commands import humansim
-from conftest import ROOT
-from waiting import children
 
 #: A child, a moving box and two small cameras; one has noise, one a distorted lens.
 SCENE = """
@@ -35,19 +30,6 @@ def write_scene(folder: Path, text: str = SCENE) -> Path:
     return path
 
 
-def start(scene: Path, output: Path, *options: Any, **popen: Any) -> subprocess.Popen[str]:
-    """``humansim record`` as a process."""
-    words = [scene, "-o", output, *options]
-    return subprocess.Popen(
-        [sys.executable, "-m", "humansim_ros.cli", "record", *map(str, words)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        **popen,
-    )
-
-
 def run(scene: Path, output: Path, *options: Any) -> tuple[int, str, str]:
     """Exit code, standard output and standard error of ``humansim record``, run in this process."""
     done = humansim("record", scene, "-o", output, *options)
@@ -63,8 +45,3 @@ def hashes(bag: Path) -> dict[str, str]:
         ).hexdigest()
         for path in sorted(bag.iterdir())
     }
-
-
-def workers_of(process: subprocess.Popen[str]) -> list[int]:
-    """Processes that a recording has started to encode frames."""
-    return [pid for pid, line in children(process.pid).items() if "humansim_ros.data.engine.workers" in line]

@@ -36,7 +36,7 @@ def test_workers_record_the_bag_of_one_machine(cluster: None, tmp_path: Path) ->
     assert humansim("record", scene, "-o", bags["alone"], "--frames", FRAMES, "--jobs", 1).returncode == 0
     done = humansim("record", scene, "-o", bags["shards"], "--frames", FRAMES, *RAY, "--shard-frames", 3)
     assert done.returncode == 0, done.stderr
-    assert f"wrote {bags['shards']}: {2 * FRAMES} camera-frames" in done.stdout
+    assert f"wrote {bags['shards']}: {FRAMES} frames" in done.stdout
     files = [f"bag_{number}.mcap" for number in range(3)]
     assert sorted(path.name for path in bags["shards"].iterdir()) == [*files, "metadata.yaml"]
     assert content(bags["shards"]) == content(bags["alone"])
@@ -52,11 +52,12 @@ def test_several_scenes_get_a_bag_each(cluster: None, tmp_path: Path) -> None:
     words += ["--topics", "*/joints"]
     done = humansim("record", *words)
     assert done.returncode == 0, done.stderr
-    assert f"wrote 2 bags in file://{output}: {4 * FRAMES} camera-frames" in done.stdout
     for name in ("scene", "other"):
+        assert f"wrote file://{output}/{name}: {FRAMES} frames" in done.stdout
         files = sorted(path.name for path in (output / name).iterdir())
-        assert files == ["metadata.yaml", f"{name}_0.mcap"]
-    assert "nothing is missing" in humansim("record", *words, "--resume").stdout
+        assert files == ["metadata.yaml", f"{name}_0.mcap", f"{name}_1.mcap"]
+    again = humansim("record", *words, "--resume").stdout
+    assert again.count(f"all {FRAMES} frames are written already") == 2
 
 
 def test_wrong_options_are_refused(tmp_path: Path) -> None:
@@ -65,10 +66,6 @@ def test_wrong_options_are_refused(tmp_path: Path) -> None:
     assert "need --ray" in refused(scene, scene, "-o", bag, *few)
     assert "need --ray" in refused(scene, "-o", "memory://bag", *few)
     assert "different file names" in refused(scene, scene, "-o", bag, *few, *RAY)
-    assert "--storage: shards are MCAP files" in refused(scene, "-o", bag, *few, *RAY, "--storage", "sqlite3")
-    assert "--max-bag-size: each shard is a file" in refused(
-        scene, "-o", bag, *few, *RAY, "--max-bag-size", 10000
-    )
     for old in (("--shards", "cameras"), ("--merge",), ("--split",)):
         assert "has gone: --ray divides recordings by frames" in refused(scene, "-o", bag, *few, *RAY, *old)
     assert "--shard-frames" in refused(scene, "-o", bag, *few, *RAY, "--shard-frames", 0)

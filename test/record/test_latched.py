@@ -15,8 +15,8 @@ from record_support import hashes
 
 from humansim_ros import Scene
 from humansim_ros.data.bags.reader import BagReader
-from humansim_ros.data.engine.frame_job import FrameProgress
-from humansim_ros.data.recording import SceneRecording, record
+from humansim_ros.data.engine import WorkProgress, run
+from humansim_ros.data.recording import SceneRecording
 from humansim_ros.scene.core.simulation import Simulation
 
 pytest.importorskip("rosbags")
@@ -65,14 +65,15 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     )
 
 
-def bag(scene: Scene, folder: Path, jobs: int = 1, **options: Any) -> Path:
-    record(SceneRecording.of(scene, FRAMES, TOPICS, jobs=jobs), folder, jobs, **options)
+def bag(scene: Scene, folder: Path, size: int | None = None, jobs: int = 1, **options: Any) -> Path:
+    run(SceneRecording.of(scene, FRAMES, TOPICS, max_size=size), folder, workers=jobs, **options)
     return folder
 
 
 @pytest.fixture(scope="module")
 def whole(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return bag(scene, tmp_path_factory.mktemp("whole") / "bag")
+    """One file. In a bag of several files, each file begins with the present messages."""
+    return bag(scene, tmp_path_factory.mktemp("whole") / "bag", 0)
 
 
 def test_a_latched_message_is_recorded_again_only_when_it_changes(scene: Scene, whole: Path) -> None:
@@ -104,23 +105,49 @@ def test_a_latched_message_is_recorded_again_only_when_it_changes(scene: Scene, 
     assert 1 < len(found["/front/projection"]) < FRAMES == len(found["/front/extrinsics"])
 
 
-@pytest.mark.slow
-def test_neither_jobs_nor_interruptions_change_what_is_latched(
+def test_each_file_of_a_bag_begins_with_the_latched_messages(
     scene: Scene, whole: Path, tmp_path: Path
 ) -> None:
-    def stop(progress: FrameProgress) -> None:
+    """So that each file can be understood alone, as far as topics with a message per frame are concerned."""
+    shards = bag(scene, tmp_path / "bag")
+    first: dict[str, set[int]] = defaultdict(set)
+    values: dict[str, dict[int, bytes]] = defaultdict(dict)
+    with BagReader(whole) as reader:
+        names = [topic.name for topic in reader.topics]
+        latched = [topic.name for topic in reader.topics if any(q.transient_local for q in topic.qos)]
+        for message in reader.messages(latched):
+            values[names[message.topic]][message.stamp] = bytes(message.data)
+    with BagReader(shards) as reader:
+        for message in reader.messages(latched):
+            name = names[message.topic]
+            first[name].add(message.stamp)
+            newest = max(stamp for stamp in values[name] if stamp <= message.stamp)
+            assert bytes(message.data) == values[name][newest]
+    for name in latched:
+        assert first[name] >= values[name].keys(), name
+    assert len(first["/front/projection"]) > len(values["/front/projection"])
+
+
+@pytest.mark.slow
+@pytest.mark.process
+def test_neither_jobs_nor_interruptions_change_what_is_latched(scene: Scene, tmp_path: Path) -> None:
+    def stop(progress: WorkProgress) -> None:
         if progress.done == FRAMES // 2:
             raise KeyboardInterrupt
 
-    assert hashes(bag(scene, tmp_path / "two", 2)) == hashes(whole)
+    folders = {name: tmp_path / name / "bag" for name in ("whole", "two", "stopped")}
+    for folder in folders.values():
+        folder.parent.mkdir()
+    whole = hashes(bag(scene, folders["whole"]))
+    assert hashes(bag(scene, folders["two"], jobs=2)) == whole
     with suppress(KeyboardInterrupt):
-        bag(scene, tmp_path / "stopped", on_progress=stop)
-    assert hashes(tmp_path / "stopped") != hashes(whole)
-    assert hashes(bag(scene, tmp_path / "stopped", resume=True)) == hashes(whole)
+        bag(scene, folders["stopped"], on_progress=stop)
+    assert not (folders["stopped"] / "metadata.yaml").exists()
+    assert hashes(bag(scene, folders["stopped"], resume=True)) == whole
 
 
 def test_a_recording_of_rare_messages_has_the_time_of_each_frame(scene: Scene, tmp_path: Path) -> None:
     """By which it is continued at the right frame."""
     for topic in ("/humans/persons/*/face_id", "/lidar/points"):
         recording = SceneRecording.of(scene, 4, [topic])
-        assert "/scene_time" in recording.plan.topics
+        assert "/scene_time" in recording.topics

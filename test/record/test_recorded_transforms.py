@@ -12,10 +12,11 @@ import yaml
 from conftest import importable
 from scipy.spatial.transform import Rotation
 
+from humansim_ros.data.engine import run
 from humansim_ros.data.evaluation.readers.robot_paths import read_robot_path
 from humansim_ros.data.messages.topics import scene_topics
 from humansim_ros.data.messages.types import message_type
-from humansim_ros.data.recording import SceneRecording, record
+from humansim_ros.data.recording import SceneRecording
 from humansim_ros.errors import SceneError
 from humansim_ros.scene import Scene
 from humansim_ros.testing import SceneGraph
@@ -55,7 +56,7 @@ def loaded(folder: Path, **others: Any) -> Scene:
 
 def recorded(scene: Scene, bag: Path, *topics: str) -> dict[str, list[tuple[int, Any]]]:
     """Messages of a recording with their log times, by topic."""
-    record(SceneRecording.of(scene, FRAMES, topics), bag)
+    run(SceneRecording.of(scene, FRAMES, topics), bag)
     return read(bag)
 
 

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import fcntl
-import os
-import warnings
+import json
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -15,8 +12,8 @@ import pytest
 import ros_support  # noqa: F401  # skips without ROS
 from record_support import SCENE, hashes, write_scene
 
-from humansim_ros.data import recording
-from humansim_ros.data.recording import RecordingPlan, SceneRecording, record
+from humansim_ros.data.engine import run
+from humansim_ros.data.recording import SceneRecording
 from humansim_ros.errors import BagError
 from humansim_ros.scene import Scene, Simulation
 from humansim_ros.scene.core.frame import Frame
@@ -37,7 +34,7 @@ def frames(scene: Scene) -> list[Frame]:
 
 
 def recorded(scene: Scene, folder: Path, *patterns: str, jobs: int = 1, **options: Any) -> Path:
-    record(SceneRecording(scene, RecordingPlan.of(scene, FRAMES, patterns, **options)), folder, jobs)
+    run(SceneRecording.of(scene, FRAMES, patterns, **options), folder, workers=jobs)
     return folder
 
 
@@ -183,7 +180,7 @@ def test_qos_and_type_hashes_are_those_of_the_nodes(scene: Scene, tmp_path: Path
 
 
 def test_the_default_topics_are_those_of_the_demo_with_their_meaning(scene: Scene) -> None:
-    topics = RecordingPlan.of(scene, 1).topics
+    topics = SceneRecording.of(scene, 1).topics
     assert topics == (
         "/scene_time",
         *(f"/humans/anna/{kind}" for kind in ("motion", "motion/legend", "joints", "vertices", "mesh")),
@@ -199,29 +196,29 @@ def test_the_default_topics_are_those_of_the_demo_with_their_meaning(scene: Scen
     )
 
 
-@pytest.mark.daily("raw")
+@pytest.mark.daily("1")
 @pytest.mark.slow
 @pytest.mark.process
 @pytest.mark.parametrize(
     "options",
     [
-        {},
+        {"shard_frames": 1},
         {"compression": "zstd", "images": "jpeg", "depth": "png"},
         {"storage": "sqlite3"},
         {"max_duration": 0.1},
     ],
-    ids=lambda options: "-".join(map(str, options.values())) or "raw",
+    ids=lambda options: "-".join(map(str, options.values())),
 )
 def test_bytes_do_not_depend_on_the_number_of_processes(
     scene: Scene, tmp_path: Path, options: dict[str, Any]
 ) -> None:
-    names = ("*",) if not options else ()
+    names = ("*",) if "shard_frames" in options else ()
     found = []
     for jobs in (1, 3):
         (tmp_path / str(jobs)).mkdir()
         found.append(hashes(recorded(scene, tmp_path / str(jobs) / "bag", *names, jobs=jobs, **options)))
     assert found[0] == found[1]
-    assert len(found[0]) == (3 if "max_duration" in options else 2)
+    assert len(found[0]) == {"shard_frames": 5, "max_duration": 3}.get(next(iter(options)), 2)
 
 
 def test_jpeg_and_png_images_show_the_raw_ones(scene: Scene, frames: list[Frame], tmp_path: Path) -> None:
@@ -282,109 +279,47 @@ def test_labels_as_png_are_exact_in_place_of_the_raw_ones(
 
 
 def test_labels_are_png_by_default_topics_too_and_only_if_asked(scene: Scene) -> None:
-    raw = RecordingPlan.of(scene, FRAMES).topics
-    png = RecordingPlan.of(scene, FRAMES, labels="png").topics
+    raw = SceneRecording.of(scene, FRAMES).topics
+    png = SceneRecording.of(scene, FRAMES, labels="png").topics
     assert [name for name in raw if name not in png] == ["/noisy/part/image", "/bent/part/image"]
     assert {name for name in png if name not in raw} == {
         "/noisy/part/image/compressed",
         "/bent/part/image/compressed",
     }
-    everything = RecordingPlan.of(scene, FRAMES, ["*"]).topics
+    everything = SceneRecording.of(scene, FRAMES, ["*"]).topics
     assert [name for name in everything if name.endswith("/compressed")] == [
         "/noisy/image_raw/compressed",
         "/bent/image_raw/compressed",
     ]
 
 
-def test_a_part_of_a_recording_has_the_same_chunks(scene: Scene) -> None:
-    """Shards of frames are files of one bag."""
+def messages_of(bag: Path) -> list[tuple[str, int, bytes]]:
+    from rosbags.highlevel import AnyReader
 
-    def frames(numbers: range) -> list[list[bytes]]:
-        worker = SceneRecording(scene, RecordingPlan.of(scene, 3)).start()
-        results = [worker.work(index) for index in numbers]
-        worker.close()
-        return [[b"".join(bytes(part) for part in group) for group in result.data] for result in results]
-
-    whole = frames(range(3))
-    assert [len(group) for group in whole] == [3, 3, 3]
-    assert frames(range(1, 3)) == whole[1:]
+    with AnyReader([bag]) as reader:
+        return [(each.topic, stamp, bytes(data)) for each, stamp, data in reader.messages()]
 
 
-def test_a_recording_in_one_process_has_one_context_and_one_table(
-    scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_one_file_and_several_have_the_same_messages(scene: Scene, tmp_path: Path) -> None:
+    one = recorded(scene, tmp_path / "one", max_size=0)
+    several = recorded(scene, tmp_path / "several", shard_frames=1)
+    small = recorded(scene, tmp_path / "small", max_size=50_000, shard_frames=2)
+    assert sorted(path.name for path in one.iterdir()) == ["bag_0.mcap", "metadata.yaml"]
+    assert len(list(several.glob("*.mcap"))) == FRAMES
+    assert {path.name for path in small.glob("*.mcap")} >= {"bag_0.mcap", "bag_0_1.mcap", "bag_1.mcap"}
+    assert messages_of(one) == messages_of(several) == messages_of(small)
+
+
+@pytest.mark.parametrize("custom", [{}, {"humansim_recording": '{"scene": "", "frames": 2}'}])
+def test_bags_of_others_and_of_version_02_are_not_continued(
+    scene: Scene, tmp_path: Path, custom: dict[str, str]
 ) -> None:
-    from humansim_ros.data import recording
-    from humansim_ros.render.device.context import OpenGLContext
-
-    made: list[str] = []
-    create, topics = OpenGLContext.__init__, recording.scene_topics
-    monkeypatch.setattr(OpenGLContext, "__init__", lambda *words: (made.append("context"), create(*words))[1])
-    monkeypatch.setattr(
-        recording, "scene_topics", lambda *words, **how: (made.append("table"), topics(*words, **how))[1]
-    )
-    record(SceneRecording.of(scene, 2, ["/noisy/image_raw"]), tmp_path / "bag")
-    assert sorted(made) == ["context", "table"]
-
-
-@pytest.mark.parametrize(
-    ("free", "outcome"), [(1 << 40, ""), (20_000_000, "warning"), (10_000_000, "error"), (0, "error")]
-)
-def test_a_disk_that_is_too_small_is_told_before_it_is_full(
-    free: int, outcome: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """20 frames of 1 MB are to come."""
-    monkeypatch.setattr(recording.shutil, "disk_usage", lambda _: SimpleNamespace(free=free))
-    with warnings.catch_warnings(record=True) as found:
-        warnings.simplefilter("always")
-        if outcome == "error":
-            with pytest.raises(BagError, match=r"the other 20 frames need about 19\.1 MB, but .* are free"):
-                recording.check_space(tmp_path, 1e6, 20)
-        else:
-            recording.check_space(tmp_path, 1e6, 20)
-    assert len(found) == (outcome == "warning")
-
-
-def test_a_recording_stops_after_a_few_frames_if_the_disk_is_too_small(
-    scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    job = SceneRecording.of(scene, 9, ["/bent/joints"])
-    with monkeypatch.context() as patch:
-        patch.setattr(recording.shutil, "disk_usage", lambda _: SimpleNamespace(free=0))
-        with pytest.raises(BagError, match="the other 4 frames need about"):
-            record(job, tmp_path / "bag")
-    assert record(job, tmp_path / "bag", resume=True).done == 9
-
-
-def test_a_bag_of_an_older_version_without_tf_is_continued_with_its_topics(
-    scene: Scene, tmp_path: Path
-) -> None:
-    def stop(_: Any) -> None:
-        raise KeyboardInterrupt
-
-    now, bag = SceneRecording.of(scene, 2), tmp_path / "bag"
-    assert now.plan.topics[-1] == "/tf_static"
-    older = SceneRecording.of(scene, 2, [name for name in now.plan.topics if not name.startswith("/tf")])
-    with pytest.raises(KeyboardInterrupt):
-        record(older, bag, on_progress=stop)
-    with pytest.raises(BagError, match=r"topics: /tf_static only now\. To continue it, give just its topics"):
-        record(now, bag, resume=True)
-    with pytest.raises(BagError, match=r"frames: 2 in the bag, 3 now; .* only now$"):
-        record(SceneRecording.of(scene, 3, ["/tf_static"]), bag, resume=True)
-    assert record(older, bag, resume=True).first == 1
-    record(older, tmp_path / "whole")
-    assert by_rosbags(bag).keys() == set(older.plan.topics)
-    assert hashes(bag) == hashes(tmp_path / "whole")
-
-
-def test_a_bag_that_another_process_writes_is_not_continued(scene: Scene, tmp_path: Path) -> None:
     (tmp_path / "bag").mkdir()
-    lock = os.open(tmp_path / "bag", os.O_RDONLY)
-    fcntl.flock(lock, fcntl.LOCK_EX)
-    try:
-        with pytest.raises(BagError, match="another process is writing this bag"):
-            record(SceneRecording.of(scene, 2, ["/bent/joints"]), tmp_path / "bag", resume=True)
-    finally:
-        os.close(lock)
+    metadata = {"rosbag2_bagfile_information": {"version": 9, "custom_data": custom}}
+    (tmp_path / "bag/metadata.yaml").write_text(json.dumps(metadata))
+    with pytest.raises(BagError, match="not written by `humansim record` of this version"):
+        run(SceneRecording.of(scene, 2, ["/bent/joints"]), tmp_path / "bag", resume=True)
+    assert [path.name for path in (tmp_path / "bag").iterdir()] == ["metadata.yaml"]
 
 
 def test_topics_without_frames_are_recorded_once(scene: Scene, tmp_path: Path) -> None:

@@ -18,8 +18,9 @@ from std_msgs.msg import Float64MultiArray, String
 
 from humansim_ros.data import messages
 from humansim_ros.data.bags.reader import BagReader
+from humansim_ros.data.engine import run
 from humansim_ros.data.messages.topics import scene_topics
-from humansim_ros.data.recording import RecordingPlan, SceneRecording, record
+from humansim_ros.data.recording import SceneRecording
 from humansim_ros.ros.graph.qos import LATCHED
 from humansim_ros.ros.nodes.camera import CameraNode
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
@@ -78,9 +79,9 @@ def test_a_recording_has_the_faults_of_the_simulation_and_says_what_they_are(
     scene: Path, tmp_path: Path
 ) -> None:
     loaded = Scene.load(scene)
-    plan = RecordingPlan.of(loaded, COUNT, ["/left/image_raw", "/left/depth/image", "/left/faults/legend"])
+    plan = SceneRecording.of(loaded, COUNT, ["/left/image_raw", "/left/depth/image", "/left/faults/legend"])
     bag = tmp_path / "bag"
-    record(SceneRecording(loaded, plan), bag, jobs=1)
+    run(plan, bag)
     found: dict[str, list[tuple[int, Any]]] = {}
     kinds = {"/left/image_raw": Image, "/left/depth/image": Image, "/left/faults": DiagnosticArray}
     with BagReader(bag) as reader:
@@ -225,8 +226,8 @@ def told(scene: Path, count: int) -> dict[str, list[Any]]:
 
 def test_a_recording_of_a_wrong_calibration_has_the_lies_and_the_truth(lying: Path, tmp_path: Path) -> None:
     loaded = Scene.load(lying)
-    plan = RecordingPlan.of(loaded, 3, [f"/left/{name}" for name in LYING if name != "truth/extrinsics"])
-    record(SceneRecording(loaded, plan), tmp_path / "bag", jobs=1)
+    plan = SceneRecording.of(loaded, 3, [f"/left/{name}" for name in LYING if name != "truth/extrinsics"])
+    run(plan, tmp_path / "bag")
     found: dict[str, list[Any]] = {name: [] for name in LYING}
     kinds: set[str] = set()
     with BagReader(tmp_path / "bag") as reader:

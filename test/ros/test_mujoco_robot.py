@@ -17,7 +17,8 @@ from ros_support import Client, write_scene
 from sensor_msgs.msg import Image
 
 from humansim_ros import Scene
-from humansim_ros.data.formats.exporting import Export, export
+from humansim_ros.data.engine import run
+from humansim_ros.data.formats.exporting import Export
 from humansim_ros.data.formats.formats import chosen_formats
 from humansim_ros.data.formats.plan import ExportPlan
 from humansim_ros.data.formats.source import SimulatedSource
@@ -50,7 +51,7 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> tuple[Scene, Path]:
     folder = tmp_path_factory.mktemp("world")
     scene = Scene.load(write_scene(folder, SCENE))
     source = SimulatedSource(scene, tuple(chosen_formats(["mujoco"])))
-    export(Export(source, ExportPlan.of(source, range(1)), folder / "out"))
+    run(Export(source, ExportPlan.of(source, range(1))), folder / "out")
     return scene, folder / "out" / "mujoco" / "scene.xml"
 
 

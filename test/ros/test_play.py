@@ -15,9 +15,8 @@ from conftest import ROOT
 from ros_support import rclpy
 from waiting import PATIENCE, wait_until
 
-from humansim_ros.data.bags.chunks import BagMessage, encode_chunk
 from humansim_ros.data.bags.metadata import Storage
-from humansim_ros.data.bags.topics import BagTopic, Qos
+from humansim_ros.data.bags.topics import BagMessage, BagTopic, Qos
 from humansim_ros.data.bags.writer import BagWriter
 from humansim_ros.errors import HumansimError, HumansimWarning
 
@@ -54,7 +53,8 @@ def write_bag(
 ) -> Path:
     with BagWriter(folder, topics, storage=storage) as writer:
         for message in messages:
-            writer.append(encode_chunk([message]))
+            writer.write([message])
+            writer.flush()  # a chunk for each message, so that a part of the file has some of them
     return folder
 
 

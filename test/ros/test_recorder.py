@@ -313,21 +313,25 @@ class SlowBag:
         self.topics: tuple[Any, ...] = ()
         self.go = threading.Event()
         self.error = error
-        self.chunks: list[tuple[Any, bool]] = []
+        self.written: list[Any] = []
+        self.flushed = 0
         self.closed = False
 
-    def append(self, chunk: Any, *, ends_group: bool) -> None:
+    def write(self, messages: Sequence[Any]) -> None:
         assert self.go.wait(PATIENCE)
         if self.error:
             raise self.error
-        self.chunks.append((chunk, ends_group))
+        self.written += messages
+
+    def flush(self) -> None:
+        self.flushed = len(self.written)
 
     def close(self) -> None:
         self.closed = True
 
 
 def message(size: int, stamp: int = 1) -> Any:
-    from humansim_ros.data.bags.chunks import BagMessage
+    from humansim_ros.data.bags.topics import BagMessage
 
     return BagMessage(0, stamp, bytes(size))
 
@@ -360,21 +364,32 @@ def test_a_message_that_is_longer_than_the_queue_is_taken() -> None:
     assert thread.written == 1
 
 
-def test_a_frame_is_one_group_and_is_reported_when_it_is_in_the_file() -> None:
+def test_a_frame_is_reported_when_it_is_in_the_file() -> None:
     from humansim_ros.data.bags.bag_thread import BagThread
 
     bag: Any = SlowBag()
     reports: list[tuple[int, int]] = []
-    thread = BagThread(lambda: bag, 1 << 30, on_written=lambda s: reports.append((s, len(bag.chunks))))
+    thread = BagThread(lambda: bag, 1 << 30, on_written=lambda s: reports.append((s, bag.flushed)))
     for stamp in (1, 2):
-        for _ in range(3):  # more than a chunk holds
-            thread.add(message(3 << 20, stamp))
+        for _ in range(3):
+            thread.add(message(100, stamp))
         thread.end_frame(stamp)
     assert reports == []
     bag.go.set()
     thread.close()
-    assert [ends for _, ends in bag.chunks] == [False, False, True] * 2
     assert reports == [(1, 3), (2, 6)]
+    assert [each.stamp for each in bag.written] == [1, 1, 1, 2, 2, 2]
+
+
+def test_few_messages_are_in_the_file_after_half_a_second() -> None:
+    from humansim_ros.data.bags.bag_thread import BagThread
+
+    bag: Any = SlowBag()
+    bag.go.set()
+    thread = BagThread(lambda: bag, 1000)
+    thread.add(message(10))
+    assert wait_until(lambda: bag.flushed == 1)
+    thread.close()
 
 
 @pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "No space left on device"), MemoryError()])
@@ -694,7 +709,7 @@ def test_a_killed_recorder_leaves_a_readable_bag_and_continues_it(
 
 @pytest.mark.slow
 @pytest.mark.nightly
-def test_a_full_disk_is_said_once_and_the_bag_ends_with_whole_messages(
+def test_a_full_disk_is_said_once_and_the_bag_has_whole_messages(
     recorder_process: Callable[..., RecorderProcess],
 ) -> None:
     recorder = recorder_process(limit=1 << 27)  # more than the shared memory of the middleware
@@ -707,9 +722,10 @@ def test_a_full_disk_is_said_once_and_the_bag_ends_with_whole_messages(
     output = recorder.output.read_text()
     assert recorder.process.returncode == 1, output
     assert output.count("error: ") == 1
-    assert f"{recorder.folder}: cannot be written: File too large; the bag ends after" in output
+    assert f"{recorder.folder}: cannot be written: File too large; its messages are readable" in output
     assert "Traceback" not in output
-    found = [data for _, data in content(recorder.folder)]
+    with pytest.warns(HumansimWarning, match="was not finished"), BagReader(recorder.folder) as reader:
+        found = [bytes(each.data) for each in reader.messages()]
     assert len(found) > 20
     assert found == recorder.sent[: len(found)]
 

@@ -10,8 +10,9 @@ import ros_support  # noqa: F401  # skips without ROS
 
 from humansim_ros import HumansimError
 from humansim_ros.data import messages
+from humansim_ros.data.engine import run
 from humansim_ros.data.messages.topics import ScannerTopics, scene_topics
-from humansim_ros.data.recording import SceneRecording, record
+from humansim_ros.data.recording import SceneRecording
 from humansim_ros.ros.nodes.recorder import has_message_per_frame
 from humansim_ros.ros.processes.node_processes import scene_processes
 from humansim_ros.scene import Needs, Scene, Simulation
@@ -90,7 +91,7 @@ def test_live_sweeps_are_those_of_a_simulation(scene: Scene) -> None:
 @pytest.mark.slow
 def test_a_recording_has_the_sweeps_of_a_simulation(scene: Scene, tmp_path: Path) -> None:
     patterns = ["/lidar/*", "/plane/scan"]
-    record(SceneRecording.of(scene, 5, patterns), tmp_path / "bag")
+    run(SceneRecording.of(scene, 5, patterns), tmp_path / "bag")
     found: dict[str, list[Any]] = {}
     with highlevel.AnyReader([tmp_path / "bag"]) as reader:
         for connection, _, data in reader.messages():

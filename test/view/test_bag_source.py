@@ -13,11 +13,11 @@ from ros_support import write_scene
 
 from humansim_ros import Scene, Simulation, load_human
 from humansim_ros.cameras.camera.rigs import Trajectory
-from humansim_ros.data.bags.chunks import BagMessage, encode_chunk
 from humansim_ros.data.bags.reader import BagReader
-from humansim_ros.data.bags.topics import BagTopic, Qos
+from humansim_ros.data.bags.topics import BagMessage, BagTopic, Qos
 from humansim_ros.data.bags.writer import BagWriter
-from humansim_ros.data.recording import RecordingPlan, SceneRecording, record
+from humansim_ros.data.engine import run
+from humansim_ros.data.recording import SceneRecording
 from humansim_ros.errors import BagError, HumansimError
 from humansim_ros.people.humans.human import write_human
 from humansim_ros.scene import Frame, Needs
@@ -65,7 +65,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
 def recorded(
     folder: Path, scene: Scene, patterns: Sequence[str] = TOPICS, frames: int = FRAMES, **options: Any
 ) -> Path:
-    record(SceneRecording(scene, RecordingPlan.of(scene, frames, list(patterns), **options)), folder)
+    run(SceneRecording.of(scene, frames, list(patterns), **options), folder)
     return folder
 
 
@@ -98,7 +98,7 @@ def written(folder: Path, topics: Sequence[tuple[BagTopic, Sequence[tuple[int, A
     ]
     with BagWriter(folder, [topic for topic, _ in topics]) as writer:
         if found:
-            writer.append(encode_chunk(sorted(found, key=lambda each: each.stamp), "none"))
+            writer.write(sorted(found, key=lambda each: each.stamp))
     return folder
 
 

@@ -134,14 +134,14 @@ def test_another_scene_is_rendered_by_the_same_processes(workers: ImageWorkers, 
     assert (after.images["front"]["rgb"] != before.images["front"]["rgb"]).any()
     for index in range(12, 18):
         workers.exact(request(index))
-    assert workers._workers.processes == started and all(process.poll() is None for process in started)
+    assert workers._workers.processes == started and all(process.is_alive() for process in started)
 
 
 def test_a_process_that_dies_is_told(workers: ImageWorkers) -> None:
     workers.exact(request(1))
     for process in workers._workers.processes:
         process.kill()
-        process.wait()
+        process.join()
     with pytest.raises(HumansimError, match="died"):
         workers.exact(request(2))
 

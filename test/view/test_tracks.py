@@ -15,15 +15,15 @@ from labs import lab, write_estimate
 from waiting import wait_until
 
 from humansim_ros import Scene, Simulation, evaluate
-from humansim_ros.data.bags.chunks import BagMessage, encode_chunk
 from humansim_ros.data.bags.reader import BagReader
-from humansim_ros.data.bags.topics import BagTopic, Qos
+from humansim_ros.data.bags.topics import BagMessage, BagTopic, Qos
 from humansim_ros.data.bags.writer import BagWriter
+from humansim_ros.data.engine import run
 from humansim_ros.data.evaluation.evaluation import evaluate_poses
 from humansim_ros.data.evaluation.readers.estimates import read_estimates
 from humansim_ros.data.evaluation.readers.pose_files import ReadOptions
 from humansim_ros.data.evaluation.truth import bag_truth
-from humansim_ros.data.recording import RecordingPlan, SceneRecording, record
+from humansim_ros.data.recording import SceneRecording
 from humansim_ros.motion.body.skeleton import body_joints
 from humansim_ros.motion.files.keyframes import KeyframeTimeline, KeyframeTrack
 from humansim_ros.view.sources.bag_source import BagViewSource
@@ -192,7 +192,7 @@ def tracker_of(source: BagViewSource) -> Tracker:
 def bag(tmp_path_factory: pytest.TempPathFactory, scene: Scene) -> Path:
     folder = tmp_path_factory.mktemp("bags") / "walk"
     patterns = ["*/image_raw", "*/camera_info", "*/extrinsics", "*/joints", "*/legend"]
-    record(SceneRecording(scene, RecordingPlan.of(scene, 20, patterns)), folder)
+    run(SceneRecording.of(scene, 20, patterns, max_size=0), folder)
     return folder
 
 
@@ -236,7 +236,7 @@ def with_estimate(
         messages.append(BagMessage(len(topics), log + 1000, serialize_message(message)))
     listed = [*topics, BagTopic("/tracker/poses", kind, (Qos(),))]
     with BagWriter(folder, listed) as writer:
-        writer.append(encode_chunk(sorted(messages, key=lambda each: each.stamp), "none"))
+        writer.write(sorted(messages, key=lambda each: each.stamp))
     return folder
 
 
@@ -275,7 +275,7 @@ def test_without_joints_in_images_the_joints_are_projected(tmp_path: Path, bag: 
             for each in reader.messages([topic.name for topic in topics])
         ]
         with BagWriter(tmp_path / "bag", topics) as writer:
-            writer.append(encode_chunk(found, "none"))
+            writer.write(found)
     source = BagViewSource(tmp_path / "bag")
     tracker = tracker_of(source)
     assert set(tracker._worker.outline().projected) == {"left", "away"}
@@ -290,7 +290,7 @@ def test_errors_of_an_estimate_are_those_of_evaluate(tmp_path: Path, bag: Path) 
     path = with_estimate(tmp_path / "bag", bag, shifts, left_out=(0, 1, 8, 19))
     source = BagViewSource(path, estimate="/tracker/poses")
     tracker = tracker_of(source)
-    found = tracker.work(_Asked(1, "errors")).value
+    found = tracker.work(_Asked(1, "errors"))
     tracks = Tracks(tracker._worker.outline())
     tracks.errors = found
     tracker.close()
@@ -329,7 +329,7 @@ def test_files_of_an_estimate_are_compared_with_a_scene_and_a_bag_as_evaluate_do
     assert job is not None
     tracker = pickle.loads(pickle.dumps(job)).start()
     tracks = Tracks(tracker._worker.outline())
-    tracks.errors = tracker.work(_Asked(1, "errors")).value
+    tracks.errors = tracker.work(_Asked(1, "errors"))
     tracker.close()
     shown = source.frame(4)
     source.close()
@@ -354,7 +354,7 @@ def test_an_estimate_of_nobody_is_shown_with_a_note(rows: str, tmp_path: Path, s
     job = source.tracks()
     assert job is not None and source.frames > 3
     tracker = pickle.loads(pickle.dumps(job)).start()
-    found = tracker.work(_Asked(1, "errors")).value
+    found = tracker.work(_Asked(1, "errors"))
     assert not any(found.errors) and ("no poses" in found.note or "no person" in found.note)
     assert not source.frame(3).estimate
     tracker.close()
@@ -416,7 +416,7 @@ def test_an_estimate_that_fits_nothing_is_told_and_the_other_tracks_are_read(
 ) -> None:
     source = BagViewSource(with_estimate(tmp_path / "bag", bag, shifts, late), estimate="/tracker/poses")
     tracker = tracker_of(source)
-    found = tracker.work(_Asked(1, "errors")).value
+    found = tracker.work(_Asked(1, "errors"))
     assert words in found.note and not any(found.errors)
     assert tracker._worker.motion(3).joints.keys() == {"anna", "ben"}
     tracker.close()

@@ -1,10 +1,11 @@
 from humansim_ros.data.bags.bag_thread import BagThread as BagThread
-from humansim_ros.data.bags.chunks import BagMessage as BagMessage
-from humansim_ros.data.bags.chunks import Compression as Compression
 from humansim_ros.data.bags.metadata import Storage as Storage
 from humansim_ros.data.bags.metadata import is_bag as is_bag
 from humansim_ros.data.bags.reader import BagReader as BagReader
+from humansim_ros.data.bags.topics import BagMessage as BagMessage
 from humansim_ros.data.bags.topics import BagTopic as BagTopic
 from humansim_ros.data.bags.topics import Qos as Qos
 from humansim_ros.data.bags.topics import check_topics as check_topics
+from humansim_ros.data.bags.writer import SQLITE_DEPRECATED as SQLITE_DEPRECATED
 from humansim_ros.data.bags.writer import BagWriter as BagWriter
+from humansim_ros.data.bags.writer import Compression as Compression

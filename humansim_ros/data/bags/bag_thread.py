@@ -2,36 +2,22 @@
 
 from __future__ import annotations
 
-import math
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import TypeAlias
 
-from humansim_ros.data.bags.chunks import BagMessage, Compression, encode_chunk
-from humansim_ros.data.bags.topics import BagTopic, described
+from humansim_ros.data.bags.topics import BagMessage, BagTopic
 from humansim_ros.data.bags.writer import BagWriter
 from humansim_ros.errors import HumansimError
 
-#: Messages become a chunk when their total size reaches this, bytes.
-_CHUNK_BYTES = 4 << 20
-#: After this time, seconds, messages become a chunk even if they are few. A killed recorder loses no more
-#: than this.
-_CHUNK_SECONDS = 0.5
-
-
-@dataclass(frozen=True)
-class _FrameEnd:
-    """Item of the queue: all messages of a frame come before this item. ``stamp``: stamp of the frame."""
-
-    stamp: int
-
-
-_Item: TypeAlias = BagTopic | BagMessage | _FrameEnd
+#: After this time, seconds, messages are in the file, even if they are few. A killed recorder loses no more.
+_FLUSH_SECONDS = 0.5
+#: A message, a new topic, the stamp of a complete frame, or the end (None).
+_Item: TypeAlias = BagMessage | BagTopic | int | None
 
 
 class BagThread:
@@ -40,13 +26,12 @@ class BagThread:
     Args:
         open_bag: Function that opens the bag. Only the thread calls it, and uses and closes the bag.
         max_bytes: Most bytes of messages in the queue. A longer message is accepted when the queue is empty.
-        compression: Compression of the chunks.
         on_written: Called in the thread with the stamp of a frame, after the messages of the frame have been
-            written. If None, messages do not belong to frames, and are written after half a second.
+            written. If None, messages do not belong to frames.
 
     Attributes:
         error: The error that has ended the thread. None while it writes.
-        written: Number of messages in the file.
+        written: Number of messages that have been written.
         written_bytes: Total size of these messages, bytes.
 
     Raises:
@@ -57,14 +42,12 @@ class BagThread:
         self,
         open_bag: Callable[[], BagWriter],
         max_bytes: int,
-        compression: Compression = "none",
         on_written: Callable[[int], object] | None = None,
     ) -> None:
-        self._max_bytes, self._compression, self._on_written = max_bytes, compression, on_written
+        self._max_bytes, self._on_written = max_bytes, on_written
         self._items: deque[_Item] = deque()
         self._bytes = 0
         self._changed = threading.Condition()
-        self._closing = False
         self.error: HumansimError | None = None
         self.written = self.written_bytes = 0
         opened: Future[Sequence[BagTopic]] = Future()
@@ -91,20 +74,16 @@ class BagThread:
             if self.error:
                 return False
             self._bytes += size
-            self._items.append(message)
-            self._changed.notify_all()
+            self._put(message)
         return True
 
     def end_frame(self, stamp: int) -> None:
-        """Let the thread write everything in the queue now, as a group of chunks that stays in one file. Then
-        ``on_written`` is called."""
-        self._put(_FrameEnd(stamp))
+        """Let the thread write everything in the queue now. Then ``on_written`` is called."""
+        self._put(stamp)
 
     def close(self) -> None:
         """Write everything in the queue and finish the bag. If that fails, ``error`` is set."""
-        with self._changed:
-            self._closing = True
-            self._changed.notify_all()
+        self._put(None)
         self._thread.join()
 
     def _put(self, item: _Item) -> None:
@@ -135,45 +114,31 @@ class BagThread:
             self._changed.notify_all()
 
     def _write_all(self, writer: BagWriter) -> None:
-        in_frames = self._on_written is not None
-        messages: list[BagMessage] = []
-        size, due = 0, math.inf
+        due: float | None = None  # when the messages so far must be in the file
         while True:
-            item = self._next(due)
-            if isinstance(item, BagTopic):
-                writer.add_topic(described(item))
-                continue
-            message = item if isinstance(item, BagMessage) else None
-            if messages and (message is None or size + len(message.data) > _CHUNK_BYTES):
-                chunk = encode_chunk(messages, self._compression)
-                writer.append(chunk, ends_group=not (in_frames and message))
-                self._release(len(messages), size)
-                messages, size, due = [], 0, math.inf
-            if message is not None:
-                if not (messages or in_frames):
-                    due = time.monotonic() + _CHUNK_SECONDS
-                messages.append(message)
-                size += len(message.data)
-            elif isinstance(item, _FrameEnd) and self._on_written is not None:
-                self._on_written(item.stamp)
-            elif self._closing and not self._items:
+            with self._changed:
+                while not self._items and (due is None or time.monotonic() < due):
+                    self._changed.wait(None if due is None else max(0.0, due - time.monotonic()))
+                is_late = not self._items
+                item = None if is_late else self._items.popleft()
+            if isinstance(item, BagMessage):
+                writer.write([item])
+                self._release(len(item.data))
+                due = due or time.monotonic() + _FLUSH_SECONDS
+            elif isinstance(item, BagTopic):
+                writer.add_topic(item)
+            elif is_late or item is not None:
+                writer.flush()
+                due = None
+                if item is not None and self._on_written is not None:
+                    self._on_written(item)
+            else:
                 return
 
-    def _next(self, due: float) -> _Item | None:
-        """Wait for the next item of the queue. None after the monotonic time ``due``, and at the end."""
+    def _release(self, size: int) -> None:
+        """Note that a message has been written, so that the queue has space for others."""
         with self._changed:
-            while time.monotonic() < due:
-                if self._items:
-                    return self._items.popleft()
-                if self._closing:
-                    break
-                self._changed.wait(None if math.isinf(due) else max(0.0, due - time.monotonic()))
-            return None
-
-    def _release(self, number: int, size: int) -> None:
-        """Note that messages have been written, so that the queue has space for others."""
-        with self._changed:
-            self.written += number
+            self.written += 1
             self.written_bytes += size
             self._bytes -= size
             self._changed.notify_all()

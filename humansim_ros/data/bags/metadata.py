@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
 import yaml
 
-from humansim_ros.data.bags.topics import BagTopic, Qos
+from humansim_ros.data.bags.topics import BagTopic
 from humansim_ros.errors import BagError
 from humansim_ros.files.reading import read_bytes
 
@@ -130,18 +129,6 @@ def read_metadata(folder: Path) -> dict[str, Any]:
     if not isinstance(information, dict):
         raise BagError("this file is no metadata of a bag of rosbag2", path=path)
     return information
-
-
-def topics_in(information: Mapping[str, Any]) -> list[BagTopic]:
-    """Topics of a bag from its metadata. Topics that cannot be read are left out."""
-    topics = []
-    for each in information.get("topics_with_message_count") or []:
-        with suppress(LookupError, AttributeError, TypeError, ValueError):
-            topic = each["topic_metadata"]
-            qos = tuple(Qos.from_yaml(profile) for profile in topic.get("offered_qos_profiles") or [])
-            name, kind, type_hash = topic["name"], topic["type"], topic.get("type_description_hash", "")
-            topics.append(BagTopic(str(name), str(kind), qos, "", str(type_hash)))
-    return topics
 
 
 def custom_in(information: Mapping[str, Any]) -> dict[str, str]:

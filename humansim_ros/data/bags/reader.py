@@ -11,17 +11,14 @@ from pathlib import Path, PurePath
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
-from humansim_ros.data.bags.chunks import BagMessage
 from humansim_ros.data.bags.libraries import needs_libraries
 from humansim_ros.data.bags.metadata import SUFFIXES, Content, Storage, custom_in, read_metadata
-from humansim_ros.data.bags.topics import BagTopic
+from humansim_ros.data.bags.topics import FOREVER, BagMessage, BagTopic
 from humansim_ros.errors import BagError, unknown, warn_about
 
 if TYPE_CHECKING:
-    from humansim_ros.data.bags.mcap_file import McapInput
+    from humansim_ros.data.bags.mcap_input import McapInput
     from humansim_ros.data.bags.sqlite_file import SqliteInput
-
-_FOREVER = (1 << 63) - 1
 
 
 @dataclass(frozen=True)
@@ -61,7 +58,10 @@ class BagReader:
         storage, paths, metadata = _files(self.path)
         try:
             for file in paths:
-                self._inputs.append(_open(storage, file))
+                if len(paths) > 1 and not file.stat().st_size:  # its writer was killed when it began the file
+                    warn_about(file, "this file of the bag is empty; the other files are read")
+                else:
+                    self._inputs.append(_open(storage, file))
         except BaseException:
             self.close()
             raise
@@ -86,11 +86,27 @@ class BagReader:
         self._indices = [[places[topic.name, topic.type] for topic in each.topics] for each in self._inputs]
         return tuple(topics.values())
 
+    @property
+    def contents(self) -> list[tuple[Path, Content, bool]]:
+        """Path and content of each file, and whether the file was finished. Contents count messages by topic
+        index of the bag."""
+        return [
+            (
+                each.path,
+                Content(
+                    {indices[index]: number for index, number in each.content.counts.items()},
+                    each.content.start,
+                    each.content.end,
+                ),
+                each.whole,
+            )
+            for each, indices in zip(self._inputs, self._indices, strict=True)
+        ]
+
     def _make_info(self, storage: Storage, metadata: Mapping[str, Any]) -> BagInfo:
         content = Content()
-        for each, indices in zip(self._inputs, self._indices, strict=True):
-            for index, number in each.content.counts.items():
-                content.add({indices[index]: number}, each.content.start, each.content.end)
+        for _, of_file, _ in self.contents:
+            content.add(of_file.counts, of_file.start, of_file.end)
         files = tuple(each.path for each in self._inputs)
         return BagInfo(
             storage=storage,
@@ -104,7 +120,7 @@ class BagReader:
         )
 
     def messages(
-        self, topics: Collection[str] | None = None, *, start: int = 0, end: int = _FOREVER
+        self, topics: Collection[str] | None = None, *, start: int = 0, end: int = FOREVER
     ) -> Iterator[BagMessage]:
         """Messages in the order of their log times. Damaged messages are left out, with a HumansimWarning.
 
@@ -160,7 +176,7 @@ class BagReader:
 
 def _open(storage: Storage, path: Path) -> McapInput | SqliteInput:
     with needs_libraries():
-        from humansim_ros.data.bags.mcap_file import McapInput
+        from humansim_ros.data.bags.mcap_input import McapInput
         from humansim_ros.data.bags.sqlite_file import SqliteInput
     return McapInput(path) if storage == "mcap" else SqliteInput(path)
 

@@ -1,4 +1,4 @@
-"""Topics of a bag: name, type, QoS, and the definition and hash of the type."""
+"""Messages and topics of a bag: name, type, QoS, and the definition and hash of the type."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import yaml
 
@@ -25,6 +25,23 @@ _NAME = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
 _TYPE = re.compile(r"[a-z][a-z0-9_]*(/[a-z]+)?/[A-Z][A-Za-z0-9]*")
 #: Duration that means "no limit", as Fast DDS and rosbag2 write it.
 _INFINITE = {"sec": 9223372036, "nsec": 854775807}
+
+#: Bytes in memory. A NumPy array or shared memory is passed as ``memoryview``.
+Buffer: TypeAlias = bytes | bytearray | memoryview
+
+#: Later than all log times, nanoseconds.
+FOREVER = (1 << 63) - 1
+
+
+class BagMessage(NamedTuple):
+    """A message of a bag. ``topic`` is the index in the topics of the bag, ``stamp`` the log time in
+    nanoseconds, ``data`` the message in CDR with its header of 4 bytes, ``published`` the publish time (None
+    if equal to the log time)."""
+
+    topic: int
+    stamp: int
+    data: Buffer
+    published: int | None = None
 
 
 @dataclass(frozen=True)
@@ -49,6 +66,24 @@ class Qos:
             "liveliness_lease_duration": dict(_INFINITE),
             "avoid_ros_namespace_conventions": False,
         }
+
+    def as_rosbags(self) -> Any:
+        """Policies as ``rosbags.interfaces.Qos``."""
+        from rosbags.interfaces import Qos as RosbagsQos
+        from rosbags.interfaces import QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+
+        infinite = QosTime(**_INFINITE)
+        return RosbagsQos(
+            history=QosHistory.KEEP_ALL if self.keep_all else QosHistory.KEEP_LAST,
+            depth=self.depth,
+            reliability=QosReliability.RELIABLE if self.reliable else QosReliability.BEST_EFFORT,
+            durability=QosDurability.TRANSIENT_LOCAL if self.transient_local else QosDurability.VOLATILE,
+            deadline=infinite,
+            lifespan=infinite,
+            liveliness=QosLiveliness.AUTOMATIC,
+            liveliness_lease_duration=infinite,
+            avoid_ros_namespace_conventions=False,
+        )
 
     @classmethod
     def from_yaml(cls, policies: dict[str, Any]) -> Qos:

@@ -1,25 +1,19 @@
-"""Write a bag of rosbag2: append encoded chunks, split the bag into files, and update ``metadata.yaml``.
-
-An interrupted bag can be finished or continued.
-"""
+"""Write MCAP files and bags of rosbag2 by the mcap library."""
 
 from __future__ import annotations
 
-import errno
 import fcntl
 import os
-import re
 import shutil
-import sqlite3
 import time
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, cast
+from typing import Any, Literal, TypeAlias, cast, get_args
 
 from humansim_ros import __version__
-from humansim_ros.data.bags.chunks import COMPRESSIONS, BagMessage, Chunk, Compression
 from humansim_ros.data.bags.libraries import needs_libraries
 from humansim_ros.data.bags.metadata import (
     SUFFIXES,
@@ -28,42 +22,31 @@ from humansim_ros.data.bags.metadata import (
     custom_in,
     metadata_text,
     read_metadata,
-    topics_in,
     write_metadata,
 )
-from humansim_ros.data.bags.topics import BagTopic, check_topics, described, qos_text
-from humansim_ros.errors import BagError
+from humansim_ros.data.bags.reader import BagReader
+from humansim_ros.data.bags.sqlite_file import write_sqlite
+from humansim_ros.data.bags.topics import BagMessage, BagTopic, check_topics, described, qos_text
+from humansim_ros.errors import BagError, HumansimWarning
 
-with needs_libraries():
-    from mcap.writer import CompressionType, Writer
-
-if TYPE_CHECKING:
-    from humansim_ros.data.bags.mcap_file import GroupFile
-    from humansim_ros.data.bags.sqlite_file import SqliteFile
-
-#: Seconds between updates of metadata.yaml.
-_RENEWAL = 1.0
-#: Exceptions that writing a file of a bag may raise.
-_ERRORS = (OSError, sqlite3.Error)
-#: Error numbers that mean a full disk.
-_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-#: When the disk is full, this number of bytes is freed first, for the summary and metadata.yaml.
-_SPARE = 1 << 14
-
+Compression: TypeAlias = Literal["none", "zstd", "lz4"]
+#: Warning about the storage sqlite3.
+SQLITE_DEPRECATED = (
+    "writing of sqlite3 bags is deprecated, and 0.4.0 removes it; `ros2 bag convert` converts MCAP bags"
+)
 #: A chunk ends when it is larger than this, bytes. rosbag2 writes chunks of the same size.
 _CHUNK_SIZE = 768 << 10
-_COMPRESSION_TYPES: dict[Compression, CompressionType] = {
-    "none": CompressionType.NONE,
-    "zstd": CompressionType.ZSTD,
-    "lz4": CompressionType.LZ4,
-}
+#: Smallest size at which a bag can be split, bytes.
+_SMALLEST = 1024
+#: Seconds between updates of metadata.yaml.
+_RENEWAL = 1.0
 
 
 class McapFile:
     """An MCAP file that is being written. The same topics and messages give the same bytes.
 
-    Use it in a ``with`` block, or call :meth:`close`. If a ``with`` block ends with an error, the file stays
-    unfinished: it has its complete chunks, but no summary.
+    Use it in a ``with`` block, or call :meth:`close`. A ``with`` block that ends with an error leaves the
+    complete chunks, but no summary.
 
     Args:
         path: The file. An existing file is replaced.
@@ -82,12 +65,16 @@ class McapFile:
     def __init__(
         self, path: Path, topics: Sequence[BagTopic], compression: Compression = "none", profile: str = "ros2"
     ) -> None:
+        with needs_libraries():
+            from mcap.writer import CompressionType, Writer
+
         self.topics: list[BagTopic] = []
         self.content = Content()
         self._schemas: dict[str, int] = {}
         self._file = path.open("wb")
-        self._writer = Writer(self._file, _CHUNK_SIZE, _COMPRESSION_TYPES[compression])
+        self._writer = Writer(self._file, _CHUNK_SIZE, CompressionType[compression.upper()])
         self._writer.start(profile, f"humansim_ros {__version__}")
+        self._writer.flush()  # from now on it is an MCAP file
         for topic in topics:
             self.add_topic(topic)
 
@@ -132,6 +119,11 @@ class McapFile:
                 self._writer.finish()
         return self.content
 
+    def abandon(self) -> None:
+        """Close the file after an error. It keeps its complete chunks, but has no summary."""
+        with suppress(OSError):
+            self._file.close()
+
     def __enter__(self) -> McapFile:
         return self
 
@@ -140,23 +132,231 @@ class McapFile:
     ) -> None:
         if kind is None:
             self.close()
-        self._file.close()
+        self.abandon()
 
 
-def _file_class(storage: Storage) -> type[GroupFile] | type[SqliteFile]:
-    """Class that writes the files of a storage format.
+def encode_chunk(messages: Sequence[BagMessage], compression: Compression = "none") -> list[BagMessage]:
+    """Deprecated: BagWriter makes chunks of messages itself. Returns the messages."""
+    text = "encode_chunk is deprecated: give messages to BagWriter.write; 0.4.0 removes it"
+    warnings.warn(text, DeprecationWarning, stacklevel=2)
+    return list(messages)
+
+
+class BagWriter:
+    """Writer of a bag of rosbag2.
+
+    Use it in a ``with`` block, or call :meth:`close`. Whatever happens to the process, BagReader reads the
+    bag up to its last complete chunk, and :meth:`resume` continues it. All methods must be called in one
+    thread. Start other processes by ``spawn`` or ``forkserver``, since processes of ``fork`` keep the bag
+    locked.
+
+    Args:
+        folder: Folder of the bag. It is created.
+        topics: Topics. Messages refer to a topic by its index here. Missing definitions are looked up.
+        storage: ``mcap``; or ``sqlite3`` (deprecated): :meth:`close` converts the bag to one sqlite3 file.
+        compression: Compression of the chunks. sqlite3 files have none.
+        max_size: When a file has this size, bytes, a new file begins. If 0, never.
+        max_duration: When a file has this duration, seconds, a new file begins. If 0, never.
+        custom: Texts for ``custom_data`` of metadata.yaml. ``writer.custom`` can be changed until the end.
+        resume: Whether to continue an existing bag, as :meth:`resume` does.
+
+    Attributes:
+        folder: Absolute path of the folder.
 
     Raises:
-        BagError: There is no such storage, or the libraries of bags are not installed.
+        BagError: The folder exists or cannot be created, or an option or a topic is wrong.
     """
-    if storage not in SUFFIXES:
-        raise BagError(f"{storage!r} is no storage of bags; choose one of {', '.join(SUFFIXES)}")
-    with needs_libraries():
-        import rosbags.typesys  # noqa: F401
 
-        from humansim_ros.data.bags.mcap_file import GroupFile
-        from humansim_ros.data.bags.sqlite_file import SqliteFile
-    return GroupFile if storage == "mcap" else SqliteFile
+    def __init__(
+        self,
+        folder: str | os.PathLike[str],
+        topics: Sequence[BagTopic] = (),
+        *,
+        storage: Storage = "mcap",
+        compression: Compression = "none",
+        max_size: int = 0,
+        max_duration: float = 0.0,
+        custom: Mapping[str, str] | None = None,
+        resume: bool = False,
+    ) -> None:
+        _check_options(storage, compression, max_size, max_duration)
+        check_topics(topics)
+        self.folder, self._storage, self._compression = Path(folder).resolve(), storage, compression
+        self._max_size, self._max_duration = max_size, round(max_duration * 1e9)
+        self.custom, self._closed = dict(custom or {}), False
+        topics = [described(topic) for topic in topics]
+        #: Name and content of the files before the last one.
+        self._done: list[tuple[str, Content]] = []
+        with _unwritable(self.folder):
+            if not resume:
+                try:
+                    self.folder.mkdir(parents=True)
+                except FileExistsError:
+                    raise BagError("this path exists; choose another name for the bag", path=folder) from None
+            self._lock = _lock_bag(self.folder)
+            try:
+                if resume:
+                    self.custom = custom_in(read_metadata(self.folder))
+                    topics, self._done = _finished(self.folder, compression)
+                self._begin(topics)
+            except BaseException:
+                os.close(self._lock)
+                if not resume:
+                    shutil.rmtree(self.folder, ignore_errors=True)
+                raise
+
+    @classmethod
+    def resume(cls, folder: str | os.PathLike[str], **options: Any) -> BagWriter:
+        """Continue an interrupted or a finished bag with a new file. Files that were not finished are
+        finished. ``topics``, ``end`` and ``custom`` of the writer describe the existing content of the bag.
+
+        Args:
+            folder: Folder of the bag.
+            options: ``compression``, ``max_size`` and ``max_duration``, as for a new bag.
+
+        Raises:
+            BagError: There is no MCAP bag, or another process writes it.
+        """
+        return cls(folder, **options, resume=True)
+
+    def _begin(self, topics: Sequence[BagTopic]) -> None:
+        """Begin the next file."""
+        self._file = McapFile(self._path(len(self._done)), topics, self._compression)
+        self._write_metadata()
+
+    def _path(self, number: int) -> Path:
+        return self.folder / f"{self.folder.name}_{number}.mcap"
+
+    def _write_metadata(self) -> None:
+        self._renewed = time.monotonic()
+        files = [*self._done, (self._path(len(self._done)).name, self._file.content)]
+        write_metadata(self.folder, metadata_text("mcap", self._file.topics, files, self.custom))
+
+    @property
+    def topics(self) -> Sequence[BagTopic]:
+        """Topics of the bag."""
+        return tuple(self._file.topics)
+
+    @property
+    def end(self) -> int | None:
+        """Newest log time in nanoseconds; None in an empty bag."""
+        contents = [*(content for _, content in self._done), self._file.content]
+        return max((content.end for content in contents if content.end is not None), default=None)
+
+    def add_topic(self, topic: BagTopic) -> int:
+        """Add a topic. Returns its index for messages.
+
+        Raises:
+            BagError: The name or type is wrong, the bag has the topic, or the disk is full.
+        """
+        check_topics([*self.topics, topic])
+        with self._writing():
+            index = self._file.add_topic(described(topic))
+            self._write_metadata()
+        return index
+
+    def write(self, messages: Sequence[BagMessage]) -> None:
+        """Add messages, in the order of their times. They are in the file when their chunk is complete.
+
+        Raises:
+            BagError: The disk is full.
+        """
+        with self._writing():
+            for message in messages:
+                if self._is_full(message.stamp):
+                    self._split()
+                self._file.write([message])
+        if time.monotonic() - self._renewed > _RENEWAL:
+            self.flush()
+
+    def append(self, chunk: Sequence[BagMessage], *, ends_group: bool = True) -> None:
+        """Deprecated: use :meth:`write`. ``ends_group`` has no effect."""
+        warnings.warn("append is deprecated: use write; 0.4.0 removes it", DeprecationWarning, stacklevel=2)
+        self.write(chunk)
+
+    def _is_full(self, stamp: int) -> bool:
+        start = self._file.content.start
+        if start is None:
+            return False
+        return 0 < self._max_duration < stamp - start or 0 < self._max_size <= self._file.size
+
+    def _split(self) -> None:
+        """Finish the file, and begin the next one."""
+        self._done.append((self._path(len(self._done)).name, self._file.close()))
+        self._begin(self._file.topics)
+
+    def flush(self) -> None:
+        """Complete the chunk, so that all messages are in the file even if the process is killed. This also
+        happens every second while messages are added.
+
+        Raises:
+            BagError: The disk is full.
+        """
+        with self._writing():
+            self._file.flush()
+            if time.monotonic() - self._renewed > _RENEWAL:
+                self._write_metadata()
+
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        """Context for writing to the files. After an error, the bag is closed as it is."""
+        if self._closed:
+            raise BagError("the bag is closed", path=self.folder)
+        try:
+            yield
+        except OSError as reason:
+            self._end()
+            text = f"{_text(reason)}; its messages are readable up to the last complete chunk"
+            raise BagError(text, path=self.folder) from None
+
+    def _end(self) -> None:
+        self._closed = True
+        self._file.abandon()
+        os.close(self._lock)
+
+    def close(self) -> None:
+        """Finish the bag. Further calls do nothing.
+
+        Raises:
+            BagError: The disk is full.
+        """
+        if self._closed:
+            return
+        with self._writing():
+            self._file.close()
+            self._write_metadata()
+            if self._storage == "sqlite3":
+                _convert(self.folder)
+            self._end()
+
+    def __enter__(self) -> BagWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def _check_options(storage: str, compression: str, max_size: int, max_duration: float) -> None:
+    """Check options of a bag and the libraries, and warn of a storage that is deprecated. Raises BagError."""
+    with needs_libraries():
+        import mcap.writer  # noqa: F401
+        import rosbags.typesys  # noqa: F401
+    for name, value, known in (
+        ("storage of bags", storage, SUFFIXES),
+        ("compression of chunks", compression, get_args(Compression)),
+    ):
+        if value not in known:
+            raise BagError(f"{value!r} is no {name}; choose one of {', '.join(known)}")
+    if max_size != 0 and max_size < _SMALLEST:
+        raise BagError(f"must be 0 (never split) or at least {_SMALLEST} bytes", key="max_size")
+    if not max_duration >= 0:
+        raise BagError("must be 0 (never split) or a number of seconds", key="max_duration")
+    if storage == "sqlite3":
+        if compression != "none":
+            raise BagError("files of sqlite3 are not compressed; choose the storage mcap", key="storage")
+        warnings.warn(SQLITE_DEPRECATED, DeprecationWarning, stacklevel=3)
 
 
 def _lock_bag(folder: Path) -> int:
@@ -177,23 +377,40 @@ def _lock_bag(folder: Path) -> int:
     return descriptor
 
 
-def check_unlocked(folder: Path) -> None:
-    """Check that no other process writes a bag. Raises BagError."""
-    with _unwritable(folder):
-        os.close(_lock_bag(folder))
+def _finished(folder: Path, compression: Compression) -> tuple[list[BagTopic], list[tuple[str, Content]]]:
+    """Finish the files of a bag that were interrupted. Returns the topics of the bag, and name and content of
+    each file."""
+    if not any(path.stat().st_size for path in folder.glob("*.mcap")):
+        if any(path.suffix != ".mcap" for path in folder.iterdir()):
+            raise BagError("there is no MCAP bag to continue here", path=folder)
+        return [], []  # its writer was killed at its start
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", HumansimWarning)  # that files were not finished
+        with BagReader(folder) as reader:
+            topics, contents = list(reader.topics), reader.contents
+        for path, _, whole in contents:
+            if not whole:
+                copied = path.with_name(f".{path.name}.new")
+                with BagReader(path) as reader, McapFile(copied, reader.topics, compression) as file:
+                    for message in reader.messages():
+                        file.write([message])
+                copied.replace(path)
+    return topics, [(path.name, content) for path, content, _ in contents]
 
 
-def _files(folder: Path, suffix: str) -> tuple[str, list[Path]]:
-    """Find the files of a bag. Returns the common prefix of their names, and the files in order. Raises
-    BagError if there are none."""
-    found: dict[str, dict[int, Path]] = {}
-    for path in folder.glob(f"*{suffix}"):
-        if match := re.fullmatch(r"(.+)_(\d+)", path.stem):
-            found.setdefault(match[1], {})[int(match[2])] = path
-    for prefix, paths in found.items():
-        if len(found) == 1 and sorted(paths) == list(range(len(paths))):
-            return prefix, [paths[number] for number in range(len(paths))]
-    raise BagError("there is no bag to continue here; remove the folder, and record again", path=folder)
+def _convert(folder: Path) -> None:
+    """Replace the MCAP files of a bag by one sqlite3 file."""
+    with BagReader(folder) as reader:
+        info, topics = reader.info, reader.topics
+    temporary, name = folder / ".converted", f"{folder.name}_0.db3"
+    shutil.rmtree(temporary, ignore_errors=True)
+    write_sqlite(info.files, temporary)
+    (temporary / f"{temporary.name}.db3").rename(folder / name)
+    content = Content(dict(info.counts), info.start, info.end)
+    write_metadata(folder, metadata_text("sqlite3", topics, [(name, content)], info.custom))
+    shutil.rmtree(temporary)
+    for path in info.files:
+        path.unlink()
 
 
 @contextmanager
@@ -201,305 +418,9 @@ def _unwritable(folder: Path) -> Iterator[None]:
     """Convert errors of writing to BagError."""
     try:
         yield
-    except _ERRORS as reason:
+    except OSError as reason:
         raise BagError(_text(reason), path=folder) from None
 
 
-def _text(reason: Exception) -> str:
-    return f"cannot be written: {getattr(reason, 'strerror', None) or reason}"
-
-
-class BagWriter:
-    """Writer of a bag.
-
-    Use it in a ``with`` block, or call :meth:`close`. A bag keeps the chunks that have been appended,
-    whatever happens to the process: if it is killed, BagReader reads the bag, and :meth:`resume` continues or
-    finishes it. All methods must be called in one thread. Start other processes by ``spawn`` or
-    ``forkserver``, since processes of ``fork`` keep the bag locked.
-
-    Args:
-        folder: Folder of the bag. It is created.
-        topics: Topics. Messages refer to a topic by its index here. Missing definitions are looked up.
-        storage: ``mcap`` or ``sqlite3``.
-        compression: Compression of the chunks. sqlite3 files have none.
-        max_size: When a file has this size, bytes, the next group begins a new file. If 0, never.
-        max_duration: When a file has this duration, seconds, the next group begins a new file. If 0, never.
-        custom: Texts for ``custom_data`` of metadata.yaml. ``writer.custom`` can be changed until the end.
-
-    Attributes:
-        folder: Absolute path of the folder.
-        groups: Number of complete groups in the bag.
-
-    Raises:
-        BagError: The folder exists or cannot be created, or an option or a topic is wrong.
-    """
-
-    def __init__(
-        self,
-        folder: str | os.PathLike[str],
-        topics: Sequence[BagTopic] = (),
-        *,
-        storage: Storage = "mcap",
-        compression: Compression = "none",
-        max_size: int = 0,
-        max_duration: float = 0.0,
-        custom: Mapping[str, str] | None = None,
-    ) -> None:
-        self._file_class = _file_class(storage)
-        if compression not in COMPRESSIONS:
-            raise BagError(
-                f"{compression!r} is no compression of chunks; choose one of {', '.join(COMPRESSIONS)}"
-            )
-        if storage == "sqlite3" and compression != "none":
-            raise BagError("files of sqlite3 are not compressed; choose the storage mcap", path=folder)
-        check_topics(topics)
-        topics = [described(topic) for topic in topics]
-        self._set_limits(max_size, max_duration)
-        self.folder, self._storage = Path(folder).resolve(), storage
-        self._prefix, self.groups, self.custom = self.folder.name, 0, dict(custom or {})
-        with _unwritable(self.folder):
-            try:
-                self.folder.mkdir(parents=True)
-            except FileExistsError:
-                raise BagError("this path exists; choose another name for the bag", path=folder) from None
-            try:
-                self._lock = _lock_bag(self.folder)
-                self._done: list[tuple[str, Content]] = []
-                self._file = self._file_class.create(self._path(0), topics)
-                self._begin()
-            except BaseException:
-                shutil.rmtree(self.folder, ignore_errors=True)
-                raise
-
-    @classmethod
-    def resume(
-        cls, folder: str | os.PathLike[str], *, max_size: int = 0, max_duration: float = 0.0
-    ) -> BagWriter:
-        """Continue an interrupted or a finished bag after its last complete group.
-
-        ``groups``, ``topics``, ``end`` and ``custom`` of the writer describe the existing content of the bag.
-        With the same limits and the same chunks as before, the bag becomes the same as without interruption.
-
-        Args:
-            folder: Folder of the bag.
-            max_size: The same as for a new bag.
-            max_duration: The same as for a new bag.
-
-        Raises:
-            BagError: There is no bag of humansim, another process writes it, or the bag is damaged.
-        """
-        writer = cls.__new__(cls)
-        writer.folder = Path(folder).resolve()
-        if not writer.folder.is_dir():
-            raise BagError("there is no bag to continue here", path=folder)
-        with _unwritable(writer.folder):
-            writer._lock = _lock_bag(writer.folder)
-            try:
-                writer._reopen()
-                writer._set_limits(max_size, max_duration)
-                writer._begin()
-            except BaseException:
-                os.close(writer._lock)
-                raise
-        return writer
-
-    def _set_limits(self, max_size: int, max_duration: float) -> None:
-        smallest = self._file_class.smallest
-        if max_size != 0 and max_size < smallest:
-            raise BagError(f"must be 0 (never split) or at least {smallest} bytes", key="max_size")
-        if not max_duration >= 0:
-            raise BagError("must be 0 (never split) or a number of seconds", key="max_duration")
-        self._max_size, self._max_duration = max_size, round(max_duration * 1e9)
-
-    def _begin(self) -> None:
-        self._in_group = self._closed = self._torn = False
-        self._renewed = time.monotonic()
-        self._write_metadata()
-
-    def _reopen(self, spare: int = 0) -> None:
-        """Open the files to continue them after their last complete group.
-
-        ``spare``: to free disk space, remove groups with at least this number of bytes from the end.
-
-        Raises:
-            BagError: The folder holds no bag of humansim, or the bag is damaged.
-            OSError: A file cannot be written.
-        """
-        information = read_metadata(self.folder)
-        self.custom = custom_in(information)
-        self._storage = "sqlite3" if information.get("storage_identifier") == "sqlite3" else "mcap"
-        self._prefix, paths = _files(self.folder, SUFFIXES[self._storage])
-        self._file_class = _file_class(self._storage)
-        for path in self.folder.glob(".*.new"):
-            path.unlink()
-        while True:
-            self._file, groups = self._file_class.reopen(paths[-1], spare=spare)
-            if groups is not None:
-                break
-            # without messages; perhaps not even the topics are complete
-            self._file.close()
-            paths[-1].unlink()
-            if len(paths) == 1:
-                topics = max(self._file.topics, topics_in(information), key=len)
-                self._file = self._file_class.create(paths[0], [described(topic) for topic in topics])
-                break
-            paths.pop()
-            spare = 0
-        self.groups = groups or 0
-        try:
-            self._done = [(path.name, self._file_class.content_of(path)) for path in paths[:-1]]
-        except BaseException:
-            self._file.close()
-            raise
-
-    def _path(self, number: int) -> Path:
-        return self.folder / f"{self._prefix}_{number}{SUFFIXES[self._storage]}"
-
-    def _write_metadata(self) -> None:
-        files = [*self._done, (self._file.path.name, self._file.content)]
-        write_metadata(self.folder, metadata_text(self._storage, self._file.topics, files, self.custom))
-
-    @property
-    def topics(self) -> Sequence[BagTopic]:
-        """Topics of the bag."""
-        return tuple(self._file.topics)
-
-    @property
-    def end(self) -> int | None:
-        """Newest log time in nanoseconds; None in an empty bag."""
-        contents = [*(content for _, content in self._done), self._file.content]
-        return max((content.end for content in contents if content.end is not None), default=None)
-
-    @property
-    def size(self) -> int:
-        """Size in bytes of the file that is being written."""
-        return self._file.size
-
-    def add_topic(self, topic: BagTopic) -> int:
-        """Add a topic. Returns its index for messages.
-
-        Raises:
-            BagError: The name or type is wrong, the bag has the topic, or the disk is full.
-        """
-        check_topics([*self.topics, topic])
-        topic = described(topic)
-        with self._writing():
-            self._file.add_topic(topic)
-        self.sync()
-        return len(self.topics) - 1
-
-    def append(self, chunk: Chunk, *, ends_group: bool = True) -> None:
-        """Append a chunk. Its bytes are passed to the system at once, so they may change after the call.
-
-        Args:
-            chunk: Encoded messages. Chunks must come in the order of their times.
-            ends_group: Whether the chunk is the last of its group. If False, the next chunk belongs to the
-                same group, for example with another camera of the frame. Files are split, and bags are
-                continued, only between groups.
-
-        Raises:
-            BagError: The disk is full. The bag is finished with the previous groups.
-        """
-        with self._writing():
-            if not self._in_group and self._is_full(chunk.end):
-                self._split()
-            self._file.append(chunk, self.groups, ends_group)
-            self._in_group = not ends_group
-            self.groups += ends_group
-        if time.monotonic() - self._renewed > _RENEWAL:
-            self.sync()
-
-    def _is_full(self, end: int) -> bool:
-        start = self._file.content.start
-        if start is None:
-            return False
-        return 0 < self._max_duration < end - start or 0 < self._max_size <= self._file.size
-
-    def _split(self) -> None:
-        """Finish the file, and begin the next one."""
-        self._file.finish()
-        following = self._file_class.create(self._path(len(self._done) + 1), self._file.topics)
-        self._done.append((self._file.path.name, self._file.content))
-        self._file = following
-        self._write_metadata()
-
-    @contextmanager
-    def _writing(self) -> Iterator[None]:
-        """Context for writing to the files. If that fails, finish the bag after its last complete group."""
-        if self._closed:
-            raise BagError("the bag is closed", path=self.folder)
-        try:
-            yield
-        except _ERRORS as reason:
-            self._torn = True
-            with suppress(BagError):
-                self.close()
-            text = f"{_text(reason)}; the bag ends after {self.groups} whole groups of messages"
-            raise BagError(text, path=self.folder) from None
-        except BaseException:  # such as KeyboardInterrupt
-            self._torn = True
-            raise
-
-    def sync(self) -> None:
-        """Update metadata.yaml. This also happens every second while chunks are appended.
-
-        Raises:
-            BagError: The disk is full. The bag is finished with the previous groups.
-        """
-        self._renewed = time.monotonic()
-        with self._writing():
-            self._write_metadata()
-
-    def close(self) -> None:
-        """Finish the bag. Further calls do nothing. If the call is interrupted, :meth:`resume` can finish the
-        bag.
-
-        Raises:
-            BagError: The disk is full. The bag has only the groups that fit.
-        """
-        if self._closed:
-            return
-        self._closed = True
-        try:
-            with _unwritable(self.folder):
-                if self._torn:
-                    self._finish_again()
-                    return
-                try:
-                    self._finish()
-                except _ERRORS:
-                    self._finish_again()
-                    raise
-        finally:
-            os.close(self._lock)
-
-    def _finish(self) -> None:
-        self._file.finish()
-        self._write_metadata()
-
-    def _finish_again(self) -> None:
-        """Finish the bag after an error: open its files again, and finish them. If the disk is full, groups
-        are removed until there is space."""
-        custom, spare = self.custom, 0
-        while True:
-            self._file.close()
-            self._reopen(spare)
-            self.custom = custom
-            try:
-                self._finish()
-                return
-            except OSError as reason:
-                if reason.errno not in _FULL or self.groups == 0:
-                    raise
-                spare = max(_SPARE, 2 * spare)
-            finally:
-                with suppress(OSError):
-                    self._file.close()
-
-    def __enter__(self) -> BagWriter:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
+def _text(reason: OSError) -> str:
+    return f"cannot be written: {reason.strerror or reason}"

@@ -1,4 +1,5 @@
-"""Work on the frames of a scene in several processes, or on a Ray cluster."""
+"""The engine: do the work of a plan in shards, with any number of processes or on a Ray cluster, and continue
+interrupted work."""
 
 from humansim_ros.lazy import lazy_exports
 

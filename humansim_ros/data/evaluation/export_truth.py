@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from bisect import bisect_right
 from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import numpy as np
 
 from humansim_ros.cameras.camera import Camera
 from humansim_ros.data.bags import is_bag
+from humansim_ros.data.engine import answers
 from humansim_ros.data.evaluation.boxes import BoxTracks, scene_boxes
 from humansim_ros.data.evaluation.images import ImageTruth
 from humansim_ros.data.evaluation.pictures import ScenePictures
@@ -272,18 +274,39 @@ class SceneImages:
             )
         described = ExportScene.of(self.scene)
         settings = ExportSettings(described, frames, judged.name)
-        needs = EXPORT_FORMATS["coco"].needs
-        with Simulation(self.scene) as simulation:
-            records = [
-                (index, coco_images(ExportFrame(simulation.frame(index, needs), settings)))
-                for index in frames
-            ]
+        records = list(zip(frames, answers(_ImageJob(self.scene, settings), frames), strict=True))
         document = coco_document(records, *scene_categories(described, judged), first=self._first(frames[0]))
         return ImageTruth.of(document, judged, str(self.scene.path or "the scene"))
 
     def pictures(self) -> ScenePictures:
         """Colour images of the scene, for reports."""
         return ScenePictures(self.scene)
+
+
+@dataclass(frozen=True)
+class _ImageJob:
+    """The truth of the images of a scene, for processes."""
+
+    scene: Scene
+    settings: ExportSettings
+
+    def start(self) -> _ImageWorker:
+        return _ImageWorker(self)
+
+
+class _ImageWorker:
+    """Renders frames, and returns the truth of their images."""
+
+    def __init__(self, job: _ImageJob) -> None:
+        self._settings = job.settings
+        self._simulation = Simulation(job.scene)
+
+    def work(self, index: int) -> list[dict[str, Any]]:
+        frame = self._simulation.frame(index, EXPORT_FORMATS["coco"].needs)
+        return coco_images(ExportFrame(frame, self._settings))
+
+    def close(self) -> None:
+        self._simulation.close()
 
 
 def open_image_truth(path: Path, keypoints: str | None) -> ExportTruth | SceneImages:

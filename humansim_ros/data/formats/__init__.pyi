@@ -1,6 +1,4 @@
 from humansim_ros.data.formats.exporting import Export as Export
-from humansim_ros.data.formats.exporting import export as export
-from humansim_ros.data.formats.exporting import export_on_cluster as export_on_cluster
 from humansim_ros.data.formats.formats import EXPORT_FORMATS as EXPORT_FORMATS
 from humansim_ros.data.formats.formats import chosen_formats as chosen_formats
 from humansim_ros.data.formats.glb import GlbDocument as GlbDocument

@@ -411,6 +411,8 @@ def recorded_patterns(formats: Iterable[ExportFormat], keypoints: str) -> list[s
 class BagFrames:
     """Reads frames of a bag in any order. ``source``: the bag, which is opened."""
 
+    device = ""
+
     def __init__(self, source: BagSource) -> None:
         self._source = source
         self._reader = BagReader(source.path)

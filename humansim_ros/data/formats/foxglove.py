@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from humansim_ros.cameras.camera import Camera
-from humansim_ros.data.bags.topics import BagTopic
+from humansim_ros.data.bags.topics import BagMessage, BagTopic
 from humansim_ros.data.formats.images import encoded_image
 from humansim_ros.data.formats.writer import ExportFolder, ExportFrame, FormatWriter, Record
 from humansim_ros.errors import ExportError
@@ -58,8 +58,7 @@ class FoxgloveWriter(FormatWriter):
 
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
         """Join the messages of all frames to one file."""
-        from humansim_ros.data.bags.chunks import BagMessage, encode_chunk
-        from humansim_ros.data.bags.mcap_file import McapFile
+        from humansim_ros.data.bags.writer import McapFile
 
         frames = dict(records)
         kinds = {name: kind for record in frames.values() for name, kind in record["topics"].items()}
@@ -69,20 +68,13 @@ class FoxgloveWriter(FormatWriter):
             for name, kind in kinds.items()
         ]
         numbers = {name: number for number, name in enumerate(kinds)}
-        with folder.path("foxglove.mcap") as path:
-            file = McapFile.create(path, topics, profile="")
-            try:
-                for number, (index, record) in enumerate(frames.items()):
-                    temporary = folder.temporary(f"{index:06d}.txt")
-                    content = read_bytes(temporary, ExportError, "message", ANY_SIZE)
-                    rows = (line.split(b"\t", 1) for line in content.splitlines())
-                    messages = [
-                        BagMessage(numbers[topic.decode()], record["stamp"], data) for topic, data in rows
-                    ]
-                    file.append(encode_chunk(messages, "zstd"), number, True)
-                file.finish()
-            finally:
-                file.close()
+        with folder.path("foxglove.mcap") as path, McapFile(path, topics, "zstd", profile="") as file:
+            for index, record in frames.items():
+                temporary = folder.temporary(f"{index:06d}.txt")
+                content = read_bytes(temporary, ExportError, "message", ANY_SIZE)
+                for line in content.splitlines():
+                    topic, data = line.split(b"\t", 1)
+                    file.write([BagMessage(numbers[topic.decode()], record["stamp"], data)])
 
     def _messages(self, frame: ExportFrame) -> Iterator[tuple[str, str, dict[str, Any]]]:
         """Yield all messages of a frame: topic, name of the schema, and content."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -104,34 +104,6 @@ class ExportPlan:
         content = {_KEY: _LAYOUT, "finished": False, "plan": asdict(self), **more}
         return json.dumps(content, indent=1) + "\n"
 
-    def check_continues(self, folder: Path) -> bool:
-        """Check that a folder has this export, and return whether it is complete.
-
-        Raises:
-            ExportError: The folder has no export, or another one.
-        """
-        index = read_index(folder)
-        try:
-            values = index["plan"]
-            there = ExportPlan(**{**values, "formats": tuple(values["formats"])})
-        except (KeyError, TypeError):
-            raise ExportError("this index has no plan: the export cannot be continued", path=folder) from None
-        texts = [
-            self._difference(name, there)
-            for name in (field.name for field in fields(self))
-            if getattr(self, name) != getattr(there, name)
-        ]
-        if texts:
-            raise ExportError(f"this folder has another export: {'; '.join(texts)}", path=folder)
-        return bool(index["finished"])
-
-    def _difference(self, name: str, there: ExportPlan) -> str:
-        """Describe in words how a field differs from the same field in ``there``, the plan of a folder."""
-        if name == "scene":
-            return "the scene, a file of it, or the bag has changed"
-        before, now = _text(getattr(there, name)), _text(getattr(self, name))
-        return f"{name.replace('_', ' ')}: {before} there, {now} now"
-
 
 def read_index(folder: Path) -> dict[str, Any]:
     """Content of the index of an export. Raises ExportError if the folder or its index is missing."""
@@ -173,7 +145,3 @@ def parse_range(text: str) -> range:
     raise ExportError(
         f"a range is A:B, from A up to, but not including, B, such as 0:300; not {text!r}", key="--range"
     )
-
-
-def _text(value: Any) -> str:
-    return ", ".join(value) if isinstance(value, tuple) else str(value)

@@ -17,13 +17,19 @@ from humansim_ros.data.formats.formats import SWEEPS, ExportFormat, needed_chann
 from humansim_ros.data.formats.writer import ExportScene
 from humansim_ros.errors import ExportError, SceneError
 from humansim_ros.files.reading import read_blocks
-from humansim_ros.render.device import OpenGLContext
+from humansim_ros.render.device import rendering_device
 from humansim_ros.scene.config import map_files
 from humansim_ros.scene.core import Frame, Needs, Scene, SceneCamera, Simulation
 
 
 class FrameReader(Protocol):
-    """Provides frames in any order, in one process."""
+    """Provides frames in any order, in one process.
+
+    Attributes:
+        device: Device that renders. Empty if nothing is rendered.
+    """
+
+    device: str
 
     def frame(self, index: int) -> Frame:
         """Make a frame with the data that the formats need. Raises HumansimError if that fails."""
@@ -105,9 +111,7 @@ class SimulatedSource:
         """Device that renders. Empty if nothing is rendered. Raises RenderError if OpenGL is missing."""
         if not needed_channels(self.formats):
             return ""
-        context = OpenGLContext()
-        context.close()
-        return context.device
+        return rendering_device()
 
     def open(self) -> FrameReader:
         """Load the renderer. Raises ExportError if a format needs a laser scanner but the scene has none."""
@@ -149,6 +153,7 @@ class _SimulatedFrames:
     def __init__(self, scene: Scene, needs: Needs) -> None:
         self._needs = needs
         self._simulation = Simulation(scene)
+        self.device = self._simulation.renderer.device if needs.channels else ""
 
     def frame(self, index: int) -> Frame:
         """Render a frame."""

@@ -15,20 +15,19 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypedDict
+from uuid import uuid4
 
 import numpy as np
 
 from humansim_ros.cameras.camera import Camera
+from humansim_ros.data.engine import TEMPORARY, WORK
 from humansim_ros.errors import ExportError, warn_about
-from humansim_ros.files.reading import atomic_path, read_blocks
+from humansim_ros.files.reading import read_blocks
 from humansim_ros.people.humans import Human
 from humansim_ros.scene.config import AboutConfig, CameraTiming, HumanConfig
 from humansim_ros.scene.core import Frame, Scene
 from humansim_ros.types import Array
 
-#: Name of the folder of an export with the records of finished frames. :meth:`FormatWriter.finish` needs
-#: these. The folder is removed at the end.
-TEMPORARY = ".frames"
 #: Addresses of the texts of licences by their SPDX identifier.
 LICENSES = {
     "CC0-1.0": "https://creativecommons.org/publicdomain/zero/1.0/",
@@ -99,10 +98,18 @@ class ExportFolder:
         """Give a temporary path to write a file to. After the ``with`` block, the file gets its name."""
         relative = self._prefix + name
         target = self.root / relative
-        self._make_folder(target.parent)
-        with atomic_path(target) as temporary:
+        # in the folder of the work, so that nothing else is left after a kill
+        temporary = self.root / WORK / f".partial-{uuid4().hex}{target.suffix}"
+        for folder in (target.parent, temporary.parent):
+            self._make_folder(folder)
+        try:
             yield temporary
             self.written[relative] = file_entry(temporary)
+            temporary.replace(target)
+        except OSError as reason:
+            raise ExportError(f"cannot be written: {reason.strerror or reason}", path=target) from reason
+        finally:
+            temporary.unlink(missing_ok=True)
 
     def link(self, name: str, target: str) -> None:
         """Make a symbolic link to a file or folder of the export, so that no image is written twice.

@@ -1,6 +1,7 @@
 from humansim_ros.render.device.caches import WeakCache as WeakCache
 from humansim_ros.render.device.context import OpenGLContext as OpenGLContext
 from humansim_ros.render.device.context import keep_image_blocks as keep_image_blocks
+from humansim_ros.render.device.context import rendering_device as rendering_device
 from humansim_ros.render.device.lens_tessellation import NEAR as NEAR
 from humansim_ros.render.device.lens_tessellation import near_plane as near_plane
 from humansim_ros.render.device.mesh_buffers import PosedMesh as PosedMesh

@@ -306,3 +306,10 @@ def set_uniform(program: moderngl.Program, name: str, value: Any) -> None:
 def columns(matrix: Array) -> bytes:
     """Bytes of a matrix column by column, as shaders expect."""
     return bytes(matrix.T.astype("f4").tobytes())
+
+
+def rendering_device() -> str:
+    """Name of the device that renders in this process. Raises RenderError if OpenGL is missing."""
+    context = OpenGLContext()
+    context.close()
+    return context.device

@@ -120,6 +120,11 @@ class Renderer(ABC):
     channels: Collection[str]
     name: str
 
+    @property
+    def device(self) -> str:
+        """Name of the device that renders. Empty if it is not known."""
+        return ""
+
     def __enter__(self: _Self) -> _Self:
         return self
 

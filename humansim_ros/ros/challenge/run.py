@@ -17,7 +17,7 @@ from typing import Any
 
 import yaml
 
-from humansim_ros.data.engine import FrameProgress
+from humansim_ros.data.engine import WorkProgress
 from humansim_ros.data.evaluation import axes_matrix, chosen_set
 from humansim_ros.errors import ChallengeError, HumansimError, printable
 from humansim_ros.files.reading import atomic_path
@@ -227,7 +227,7 @@ def run_challenge(
     options: ChallengeOptions,
     report: Report,
     folder: Path,
-    on_result: Callable[[CaseResult, FrameProgress], object],
+    on_result: Callable[[CaseResult, WorkProgress], object],
 ) -> None:
     """Run all cases that have no result yet. Results are written after each case.
 
@@ -244,7 +244,7 @@ def run_challenge(
     """
     command_words(options.tracker, {})
     cases = [case for case in suite.cases if case.name not in report.results]
-    progress, start = FrameProgress.of(len(suite.cases), len(cases)), time.monotonic()
+    progress, start = WorkProgress.of(len(suite.cases), len(cases)), time.monotonic()
     with CaseProcess(folder / CASES / "nodes.log") as nodes:
         for case in cases:
             result = run_case(

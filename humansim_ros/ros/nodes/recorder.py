@@ -30,6 +30,7 @@ from sensor_msgs.msg import TimeReference
 from std_msgs.msg import Header
 
 from humansim_ros.data.bags import (
+    SQLITE_DEPRECATED,
     BagMessage,
     BagReader,
     BagThread,
@@ -153,7 +154,6 @@ class RecorderNode(SuiteNode):
         lockstep = bool(declare("lockstep", False, "The player waits for the recorder", read_only=True))
         description = "Bytes of messages that wait for the disk; in real time others are dropped then"
         max_queue = int(declare("max_queue", 1 << 28, description, (1, 2**40), read_only=True))
-        compression = self._choice_parameter("compression", "Of mcap files", Compression)
         if path and scene is None:
             scene = loaded_scene(path)
         if awaited is None:
@@ -189,17 +189,18 @@ class RecorderNode(SuiteNode):
         self._started = self._waiting_since = time.monotonic()
         self._unmatched_reported = not self._choice.patterns
         on_written = self._report if lockstep else None
-        self._bag = BagThread(self._bag_opener(compression), max_queue, compression, on_written)
+        self._bag = BagThread(self._bag_opener(), max_queue, on_written)
         if lockstep:
             # a second subscription, even if the topic is recorded
             self.create_subscription(TimeReference, SCENE_TIME, self._on_scene_time, DATA, raw=True)
         self.create_timer(_DISCOVERY_EVERY, self._discover, clock=self._steady_clock)
 
-    def _bag_opener(self, compression: Compression) -> Callable[[], BagWriter]:
+    def _bag_opener(self) -> Callable[[], BagWriter]:
         """Read the parameters of the bag. Returns the function that opens it."""
         declare = self.described_parameter
         text = self.text_parameter("output", "", "Folder of the bag")
         storage = self._choice_parameter("storage", "Format of the files", Storage)
+        compression = self._choice_parameter("compression", "Of mcap files", Compression)
         description = "Bytes at which a new file of the bag begins; 0: never"
         max_size = int(declare("max_bag_size", 0, description, (0, 1 << 62), read_only=True))
         description = "Seconds after which a new file of the bag begins; 0: never"
@@ -207,25 +208,27 @@ class RecorderNode(SuiteNode):
         resume = bool(declare("resume", False, "Continue the bag if it exists", read_only=True))
         if not text:
             raise RosError("name the folder of the bag: --ros-args -p output:=FOLDER", key="parameter output")
+        if storage == "sqlite3":
+            self.get_logger().warn(SQLITE_DEPRECATED)
         output = self._output = Path(text).absolute()
-        if resume and output.is_dir():
-            return lambda: self._resumed(output, max_size, max_duration)
-        return lambda: BagWriter(
+        return lambda: self._opened(
             output,
+            resume=resume and output.is_dir(),
             storage=storage,
             compression=compression,
             max_size=max_size,
             max_duration=max_duration,
         )
 
-    def _resumed(self, folder: Path, max_size: int, max_duration: float) -> BagWriter:
-        """Open an existing bag, and note its last messages, since they will be repeated or continued."""
-        writer = BagWriter.resume(folder, max_size=max_size, max_duration=max_duration)
+    def _opened(self, folder: Path, **options: Any) -> BagWriter:
+        """Open a bag. In an existing one, note its last messages, since they will be repeated or
+        continued."""
+        writer = BagWriter(folder, **options)
         if writer.end is None:
             return writer
         self._log_time = writer.end
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", HumansimWarning)  # that it is not finished
+            warnings.simplefilter("ignore", HumansimWarning)  # that the new file is not finished
             with BagReader(folder) as reader:
                 for message in reader.messages(start=max(0, writer.end - _REPEATED)):
                     if self._frames is not None and message.published is not None:

@@ -7,11 +7,12 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TypeAlias
 
 import numpy as np
 
 from humansim_ros.cameras.camera import Camera
-from humansim_ros.data.engine import Costs, FrameResult, WorkerDiedError, Workers
+from humansim_ros.data.engine import JobProcesses, ProcessDiedError
 from humansim_ros.data.evaluation import truth_at
 from humansim_ros.errors import EvaluationError, HumansimError
 from humansim_ros.files.mesh import Mesh
@@ -316,7 +317,7 @@ class ImageWorkers:
     Args:
         scene: The scene.
         count: Number of processes. If None, as many as the machine has cores, but at most four.
-        copies: Whether the processes are forked from this process (see :class:`Workers`).
+        copies: Whether the processes are forked from this process (see :class:`JobProcesses`).
 
     Raises:
         HumansimError: Raised by :meth:`latest` and :meth:`exact` if rendering fails, or a process died.
@@ -324,7 +325,7 @@ class ImageWorkers:
 
     def __init__(self, scene: Scene, count: int | None = None, copies: bool = False) -> None:
         self._count = count or min(_MOST, cores())
-        self._workers = Workers(_PageImages(scene), self._count, _NICE, copies)
+        self._workers = JobProcesses(_PageImages(scene), self._count, _NICE, copies)
         self._latest: Images | None = None
         #: Frames in progress, by number of the request, in this order.
         self._frames: dict[int, _Frame] = {}
@@ -402,12 +403,10 @@ class ImageWorkers:
         with self._death():
             for part, result in self._workers.arrived(timeout):
                 found = True
-                # None stands for the start of a job; if the start fails, so does the first request
-                if part is not None:
-                    self._take(part, result)
+                self._take(part, result)
         return found
 
-    def _take(self, part: _Part, result: FrameResult | HumansimError) -> None:
+    def _take(self, part: _Part, result: _CameraImages | HumansimError) -> None:
         if part.number <= self._first:  # of a scene that is not shown any more
             return
         frame = self._frames.get(part.number)
@@ -416,7 +415,7 @@ class ImageWorkers:
             raise result
         if frame is None:
             return
-        frame.images |= _images_of(result)
+        frame.images |= result
         images = frame.so_far
         if not images.is_whole:
             return
@@ -428,8 +427,12 @@ class ImageWorkers:
     def _death(self) -> Iterator[None]:
         try:
             yield
-        except WorkerDiedError:
+        except ProcessDiedError:
             raise HumansimError("a process that renders images died; open the scene again") from None
+
+
+#: Images by camera and channel.
+_CameraImages: TypeAlias = dict[str, dict[str, Image]]
 
 
 @dataclass(frozen=True)
@@ -455,34 +458,24 @@ class _Painter:
     """Renders images in a process."""
 
     def __init__(self, scene: Scene) -> None:
-        self.costs = Costs()
         self._scene = scene
         self._simulation = Simulation(scene)
 
     def close(self) -> None:
         self._simulation.close()
 
-    def work(self, part: _Part) -> FrameResult:
+    def work(self, part: _Part) -> _CameraImages:
         request = part.request
         wanted = set(request.channels)
         rendered = wanted - {JOINTS} | ({"rgb", *REQUIRED_CHANNELS["joints"]} if JOINTS in wanted else set())
         frame = self._simulation.frame(request.index, Needs(rendered, part.cameras))
-        images: dict[tuple[str, str], Image] = {}
+        images: _CameraImages = {}
         for camera in part.cameras:
             width = None if camera in request.full else request.width
             for channel in request.channels:
                 image = picture(self._scene, frame, camera, channel)
-                images[camera, channel] = fitted(image, width, channel)
-        contents = [[np.ascontiguousarray(image).data] for image in images.values()]
-        return FrameResult([(*key, image.shape) for key, image in images.items()], contents)
-
-
-def _images_of(result: FrameResult) -> dict[str, dict[str, Image]]:
-    """Decode the images of a result, by camera and channel."""
-    images: dict[str, dict[str, Image]] = {}
-    for (camera, channel, shape), (content,) in zip(result.value, result.data, strict=True):
-        images.setdefault(camera, {})[channel] = np.frombuffer(content, np.uint8).reshape(shape).copy()
-    return images
+                images.setdefault(camera, {})[channel] = fitted(image, width, channel)
+        return images
 
 
 def picture(scene: Scene, frame: Frame, camera: str, channel: str) -> Image:

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from humansim_ros.cameras.camera import Camera
-from humansim_ros.data.engine import FrameJob
+from humansim_ros.data.engine import ProcessJob
 from humansim_ros.files.mesh import Mesh
 from humansim_ros.people.humans import Human
 from humansim_ros.scene.config import FIRST_STAMP
@@ -183,7 +183,7 @@ class ViewSource(ABC):
     def describe(self, camera: str, x: int, y: int) -> PixelInfo:
         """Values, as topics have them, of a pixel (column, row) of the frame that was returned last."""
 
-    def tracks(self) -> FrameJob | None:
+    def tracks(self) -> ProcessJob | None:
         """Job that reads the tracks of the timeline (``tracks.py``). If None, the source has no timeline."""
         return None
 

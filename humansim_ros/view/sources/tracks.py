@@ -19,7 +19,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.data.engine import Costs, FrameJob, FrameResult, WorkerDiedError, Workers
+from humansim_ros.data.engine import JobProcesses, ProcessDiedError, ProcessJob
 from humansim_ros.data.evaluation import (
     FramePairs,
     LiveOptions,
@@ -354,20 +354,19 @@ class Tracker:
     """Answers requests of the page in the other process, with a worker."""
 
     def __init__(self, worker: TrackWorker) -> None:
-        self.costs = Costs()
         self._worker = worker
 
-    def work(self, asked: _Asked) -> FrameResult:
+    def work(self, asked: _Asked) -> Any:
         """Answer a request. Errors of the comparison with an estimate become a note."""
         if asked.kind == "outline":
-            return FrameResult(self._worker.outline())
+            return self._worker.outline()
         if asked.kind == "errors":
             try:
-                return FrameResult(self._worker.errors())
+                return self._worker.errors()
             except EvaluationError as error:  # the other tracks are shown all the same
-                return FrameResult(ErrorTrack(note=error.message))
+                return ErrorTrack(note=error.message)
         read = self._worker.motion if asked.kind == "motion" else self._worker.views
-        return FrameResult({index: read(index) for index in asked.frames})
+        return {index: read(index) for index in asked.frames}
 
     def close(self) -> None:
         """Close the worker."""
@@ -491,11 +490,11 @@ class TrackReader:
         self._publish = publish
         self._condition = threading.Condition()
         self._number, self._since = 0, 0.0
-        self._job: FrameJob | None = None
+        self._job: ProcessJob | None = None
         self._is_ready = self._has_ended = False
         self._thread: threading.Thread | None = None
 
-    def show(self, job: FrameJob | None) -> int:
+    def show(self, job: ProcessJob | None) -> int:
         """Read the tracks of another source once :meth:`begin` is called. If ``job`` is None, there are none.
 
         Returns:
@@ -527,13 +526,13 @@ class TrackReader:
             self._thread.join()
 
     def _run(self) -> None:
-        workers: Workers | None = None
+        workers: JobProcesses | None = None
         read = 0
         while (found := self._next(read)) is not None:
             read, job = found
             try:
                 if workers is None:
-                    workers = Workers(job, 1, _NICE)
+                    workers = JobProcesses(job, 1, _NICE)
                 else:
                     workers.use(job)
                 self._read(workers, read)
@@ -541,14 +540,14 @@ class TrackReader:
                 is_known = isinstance(error, HumansimError)
                 if not is_known:
                     _LOG.exception("the tracks of the timeline could not be read")
-                if workers is not None and (isinstance(error, WorkerDiedError) or not is_known):
+                if workers is not None and (isinstance(error, ProcessDiedError) or not is_known):
                     workers.close()
                     workers = None
                 self._publish(read, str(error) if is_known else f"they could not be read: {error!r}")
         if workers is not None:
             workers.close()
 
-    def _next(self, read: int) -> tuple[int, FrameJob] | None:
+    def _next(self, read: int) -> tuple[int, ProcessJob] | None:
         """Wait for the next source to read. Returns its number and job; None after :meth:`close`."""
         with self._condition:
             while not self._has_ended:
@@ -564,7 +563,7 @@ class TrackReader:
     def _is_replaced(self, number: int) -> bool:
         return self._has_ended or number != self._number
 
-    def _read(self, workers: Workers, number: int) -> None:
+    def _read(self, workers: JobProcesses, number: int) -> None:
         outline = self._answer(workers, _Asked(number, "outline"))
         if outline is None:
             return
@@ -587,18 +586,17 @@ class TrackReader:
                 published = time.monotonic()
         self._publish(number, tracks)
 
-    def _answer(self, workers: Workers, asked: _Asked) -> Any:
+    def _answer(self, workers: JobProcesses, asked: _Asked) -> Any:
         """Wait for the answer to a request; None if the source has been replaced meanwhile."""
         sent = False
         while not self._is_replaced(asked.source):
             sent = sent or workers.ask(asked)
-            # collect all answers at once, because the next step frees the memory of the previous one
             found = dict(workers.arrived(_TICK))
             answer = found.get(asked)
             if isinstance(answer, HumansimError):
                 raise answer
             if answer is not None:
-                return answer.value
+                return answer
         return None
 
 

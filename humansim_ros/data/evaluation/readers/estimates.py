@@ -13,9 +13,8 @@ from typing import Any
 import numpy as np
 
 from humansim_ros.data.bags import is_bag
-from humansim_ros.data.bags.chunks import BagMessage
 from humansim_ros.data.bags.reader import BagReader
-from humansim_ros.data.bags.topics import BagTopic, types_of
+from humansim_ros.data.bags.topics import BagMessage, BagTopic, types_of
 from humansim_ros.data.evaluation.alignment import axes_matrix
 from humansim_ros.data.evaluation.pose_sequence import PoseSequence, SequenceBuilder
 from humansim_ros.data.evaluation.readers.pose_files import (

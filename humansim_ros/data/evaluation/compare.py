@@ -1,28 +1,46 @@
-"""Implementation of the functions of ``humansim_ros.data.api``."""
+"""Comparison of an estimate with the truth: the command ``evaluate`` and ``humansim_ros.evaluate``."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from humansim_ros.data.api import Comparison
-from humansim_ros.errors import BagError, EvaluationError, ExportError, RenderError, warn_about
+from humansim_ros.errors import EvaluationError, RenderError, warn_about
+from humansim_ros.files.reading import write_file
 
 if TYPE_CHECKING:
-    from humansim_ros.data.datasets.data_set import DataSet
-    from humansim_ros.data.engine.frame_job import FrameProgress
     from humansim_ros.data.evaluation.export_truth import ExportTruth
     from humansim_ros.data.evaluation.truth import RecordedTruth, SceneTruth
-    from humansim_ros.data.formats.formats import ExportFormat
-    from humansim_ros.data.formats.source import ExportSource
-    from humansim_ros.scene.core import Scene
-
 
 #: Default values of the options for 3D poses. Another value means that the user has set the option.
 _DEFAULTS = {"scale": 1, "offset": 0}
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Result of ``humansim_ros.evaluate``; ``print`` shows the table that ``humansim evaluate`` prints.
+
+    Attributes:
+        data: All metrics, with the keys of docs/evaluation.md. Units are metres and seconds; shares are 0 to
+            1.
+        table: The table.
+        page: Function that returns the HTML page.
+    """
+
+    data: dict[str, Any]
+    table: str
+    page: Callable[[], str]
+
+    def __str__(self) -> str:
+        return self.table
+
+    def write_report(self, path: str | os.PathLike[str]) -> None:
+        """Write tables, plots and the worst frames to an HTML file."""
+        write_file(path, self.page())
 
 
 def compare(truth: Path, estimate: Sequence[str], min_score: float | None, **options: Any) -> Comparison:
@@ -187,127 +205,3 @@ def _images(
             return html_report(result, pictures)
 
     return Comparison(to_data(result), show(result), page)
-
-
-def write_bag(
-    scene: Scene | str | os.PathLike[str] | None,
-    output: Path,
-    frames: int | None,
-    seconds: float | None,
-    topics: Sequence[str],
-    jobs: int | None,
-    resume: bool,
-    on_progress: Callable[[int, int], None],
-    **options: Any,
-) -> None:
-    """Record a scene. See :func:`humansim_ros.data.api.record`.
-
-    Args:
-        scene, output, frames, seconds, topics, jobs, resume, on_progress: The same as for ``record``.
-        options: Options of :class:`RecordingPlan`.
-    """
-    from humansim_ros.data.recording import SceneRecording, record
-    from humansim_ros.files.reading import cores
-
-    if (frames is None) == (seconds is None):
-        raise BagError("give either frames or seconds", key="record")
-    loaded, processes = _loaded(scene), jobs or cores()
-    count = frames if frames is not None else max(1, round((seconds or 0.0) * loaded.config.rate))
-    recording = SceneRecording.of(loaded, count, topics, jobs=processes, **options)
-    record(recording, output, processes, resume, lambda state: on_progress(state.done, state.frames))
-
-
-def write_data_set(
-    source: Scene | str | os.PathLike[str] | None,
-    output: Path,
-    formats: Sequence[str],
-    scenes: int | None,
-    frames: int | range | None,
-    keypoints: str,
-    images: str,
-    shard_size: int,
-    jobs: int | None,
-    resume: bool,
-    on_progress: Callable[[int, int], None],
-) -> None:
-    """Export a scene, bag or recipe. See :func:`humansim_ros.data.api.export`.
-
-    Args:
-        source, output, formats, scenes, frames, keypoints, images, shard_size, jobs, resume: The same as for
-        ``export``.
-        on_progress: The same as for ``export``.
-    """
-    from humansim_ros.data.formats.exporting import Export, export
-    from humansim_ros.data.formats.formats import chosen_formats
-    from humansim_ros.data.formats.plan import ExportPlan
-    from humansim_ros.files.reading import cores
-
-    def show(state: FrameProgress) -> None:
-        on_progress(state.done, state.frames)
-
-    options = {"--format": formats, "--frames": frames, "--keypoints": keypoints, "--images": images}
-    drawn = recipe_data_set(source, output, scenes, options | {"--shard-size": shard_size})
-    if drawn is not None:
-        from humansim_ros.data.datasets import data_set
-
-        data_set.write_data_set(drawn, jobs or cores(), resume, show)
-        return
-    chosen = range(frames) if isinstance(frames, int) else frames
-    opened = export_source(source, tuple(chosen_formats(formats)), keypoints)
-    job = Export(opened, ExportPlan.of(opened, chosen, f".{images}", shard_size), output)
-    export(job, jobs or cores(), resume, show)
-
-
-def recipe_data_set(
-    source: Scene | str | os.PathLike[str] | None,
-    output: Path,
-    scenes: int | None,
-    options: Mapping[str, Any],
-) -> DataSet | None:
-    """Create the data set of many scenes if the source is a recipe; otherwise return None.
-
-    Args:
-        source: Scene, bag or recipe.
-        output: Folder of the data set.
-        scenes: Number of scenes, in place of that in the recipe.
-        options: Options of an export of one scene, by name, such as ``--format``.
-
-    Raises:
-        ExportError: The recipe is wrong, an option does not fit a recipe, or ``scenes`` is given without a
-            recipe.
-        RenderError: OpenGL is missing.
-    """
-    from humansim_ros.files.yaml import has_key
-    from humansim_ros.scene.config import RECIPE
-
-    if not isinstance(source, (str, os.PathLike)) or not has_key(Path(source), RECIPE):
-        if scenes is not None:
-            raise ExportError("is for recipes; a scene file is one scene", key="--scenes")
-        return None
-    from humansim_ros.data.datasets.data_set import DataSet, check_options
-    from humansim_ros.data.datasets.recipe import Recipe
-
-    check_options(options)
-    return DataSet.of(Recipe.load(source, scenes), output)
-
-
-def export_source(
-    source: Scene | str | os.PathLike[str] | None, formats: tuple[ExportFormat, ...], keypoints: str
-) -> ExportSource:
-    """Create the source of an export from a scene, its file, or a bag."""
-    from humansim_ros.data.bags import is_bag
-    from humansim_ros.data.formats.source import SimulatedSource
-    from humansim_ros.people.keypoints import keypoint_set
-
-    points = keypoint_set(keypoints).name
-    if isinstance(source, (str, os.PathLike)) and is_bag(Path(source)):
-        from humansim_ros.data.formats.bag import BagSource
-
-        return BagSource.read(Path(source), formats, points)
-    return SimulatedSource(_loaded(source), formats, points)
-
-
-def _loaded(scene: Scene | str | os.PathLike[str] | None) -> Scene:
-    from humansim_ros.scene.core import Scene
-
-    return scene if isinstance(scene, Scene) else Scene.load(scene)

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from ros_support import Client, rclpy
 
-from humansim_ros.data.messages import DepthCompression, topics
+from humansim_ros.data.messages import DepthCompression, camera_topics
 from humansim_ros.data.messages.images import compressed_depth_message, compressed_image_message
 from humansim_ros.errors import RosError
 from humansim_ros.ros.nodes.camera_rig import CameraRigNode
@@ -160,7 +160,7 @@ def test_nothing_is_encoded_without_subscribers(studio: Any, monkeypatch: pytest
     encoded: list[str] = []
     build = compressed_image_message
     monkeypatch.setattr(
-        topics,
+        camera_topics,
         "compressed_image_message",
         lambda image, encoding, *rest: encoded.append(encoding) or build(image, encoding, *rest),
     )

@@ -13,7 +13,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
-from humansim_ros import __version__
 from humansim_ros.data.bags.metadata import NAME as METADATA
 from humansim_ros.data.bags.metadata import Content, Storage, metadata_text, read_metadata
 from humansim_ros.data.bags.topics import BagMessage, BagTopic, Qos, described
@@ -36,7 +35,7 @@ from humansim_ros.data.messages.topic import Topic
 from humansim_ros.data.messages.topics import SCENE_TIME_TOPIC, scene_topics
 from humansim_ros.data.messages.types import CompressedImage
 from humansim_ros.errors import BagError, near_names, warn_about
-from humansim_ros.files.reading import parse_json
+from humansim_ros.files.reading import package_version, parse_json
 from humansim_ros.render.device import rendering_device
 from humansim_ros.scene.core import Frame, Needs, Scene, Simulation
 
@@ -174,7 +173,7 @@ class SceneRecording(WorkPlan):
             "max_size": self.max_size,
             "shard_frames": len(self.shards[0].items),
             "device": self.device,
-            "version": __version__,
+            "version": package_version(),
         }
 
     @cached_property

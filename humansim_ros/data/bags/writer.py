@@ -13,7 +13,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, TypeAlias, cast, get_args
 
-from humansim_ros import __version__
 from humansim_ros.data.bags.libraries import needs_libraries
 from humansim_ros.data.bags.metadata import (
     SUFFIXES,
@@ -28,6 +27,7 @@ from humansim_ros.data.bags.reader import BagReader
 from humansim_ros.data.bags.sqlite_file import write_sqlite
 from humansim_ros.data.bags.topics import BagMessage, BagTopic, check_topics, described, qos_text
 from humansim_ros.errors import BagError, HumansimWarning
+from humansim_ros.files.reading import package_version
 
 Compression: TypeAlias = Literal["none", "zstd", "lz4"]
 #: Warning about the storage sqlite3.
@@ -73,7 +73,7 @@ class McapFile:
         self._schemas: dict[str, int] = {}
         self._file = path.open("wb")
         self._writer = Writer(self._file, _CHUNK_SIZE, CompressionType[compression.upper()])
-        self._writer.start(profile, f"humansim_ros {__version__}")
+        self._writer.start(profile, f"humansim_ros {package_version()}")
         self._writer.flush()  # from now on it is an MCAP file
         for topic in topics:
             self.add_topic(topic)

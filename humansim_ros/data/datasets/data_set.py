@@ -18,7 +18,6 @@ from typing import Any
 
 import yaml
 
-from humansim_ros import __version__
 from humansim_ros.data.datasets.datasheet import DataSetSummary, datasheet, example_paths, readme
 from humansim_ros.data.datasets.recipe import DrawnScene, Recipe
 from humansim_ros.data.engine import (
@@ -39,7 +38,7 @@ from humansim_ros.data.formats.source import SimulatedSource, versions
 from humansim_ros.data.formats.statistics import STATISTICS, Totals
 from humansim_ros.data.formats.writer import SHARD_SIZE, ExportFolder, file_entry
 from humansim_ros.errors import ExportError, HumansimError, RenderError, some_of
-from humansim_ros.files.reading import ANY_SIZE, read_json
+from humansim_ros.files.reading import ANY_SIZE, package_version, read_json
 from humansim_ros.render.device import rendering_device
 from humansim_ros.scene.config import map_files
 from humansim_ros.scene.core import found_name
@@ -101,7 +100,7 @@ class DataSet(WorkPlan):
             "seed": recipe.config.seed,
             "formats": [row.name for row in recipe.formats],
             "device": self.device,
-            "version": __version__,
+            "version": package_version(),
         }
 
     @cached_property

@@ -10,17 +10,16 @@ import shutil
 import socket
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import Any
 
-from humansim_ros import __version__
 from humansim_ros.data.engine.folder import WORK, OutputFolder
 from humansim_ros.data.engine.work import Done, PartialError, Worker, WorkPlan, WorkShard, key_text
 from humansim_ros.errors import HumansimError, RenderError
-from humansim_ros.files.reading import temporary_folder
+from humansim_ros.files.reading import package_version, temporary_folder
 
 #: The plan, in that folder.
 PLAN_FILE = f"{WORK}/plan.json"
@@ -48,7 +47,7 @@ class ShardJob:
 
     plan: WorkPlan
     output: OutputFolder
-    version: str = __version__
+    version: str = field(default_factory=package_version)
 
     @property
     def key(self) -> str:
@@ -102,8 +101,10 @@ def write_shard(job: ShardJob, shard: WorkShard, tick: Callable[[], None] = igno
     Raises:
         HumansimError: This machine cannot do the work, or the shard cannot be written.
     """
-    if job.version != __version__:
-        text = f"has humansim_ros {__version__}, and the driver {job.version}: install the same everywhere"
+    if job.version != package_version():
+        text = (
+            f"has humansim_ros {package_version()}, and the driver {job.version}: install the same everywhere"
+        )
         raise HumansimError(f"{socket.gethostname()} {text}")
     if job.output.size(PLAN_FILE) is None:
         text = f"host {socket.gethostname()} does not have this folder: use one that all hosts share"

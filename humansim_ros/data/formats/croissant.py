@@ -7,9 +7,8 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import PurePosixPath
 from typing import Any
 
-from humansim_ros import __version__
 from humansim_ros.data.formats.writer import ExportFolder, FormatWriter, Record
-from humansim_ros.files.reading import read_table
+from humansim_ros.files.reading import package_version, read_table
 from humansim_ros.scene.config import AboutConfig
 
 #: Name of the card, in the root of the export.
@@ -47,7 +46,7 @@ class CroissantWriter(FormatWriter):
         made = (
             f"Synthetic ground truth of {len(scene.people)} people seen by {len(scene.cameras)} cameras: "
             f"frames {first} to {last} of a scene at {settings.rate:g} Hz, made by humansim_ros "
-            f"{__version__}. index.json has the scene, seeds, versions and the hashes of all files."
+            f"{package_version()}. index.json has the scene, seeds, versions and the hashes of all files."
         )
         suffix = settings.image_suffix
         images = [

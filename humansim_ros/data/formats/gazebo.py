@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-from humansim_ros import __version__
 from humansim_ros.cameras.camera import Camera
 from humansim_ros.data.formats.animation import (
     AnimatedHuman,
@@ -31,6 +30,7 @@ from humansim_ros.data.formats.animation import (
 from humansim_ros.data.formats.writer import ExportCamera, ExportFolder, Record
 from humansim_ros.errors import warn_about
 from humansim_ros.files.mesh import Mesh
+from humansim_ros.files.reading import package_version
 from humansim_ros.geometry import matrix_to_quaternion, multiply_quaternions, quaternion_to_matrix, transform
 from humansim_ros.render.interface import Lighting
 from humansim_ros.types import Array
@@ -242,7 +242,7 @@ def collada_text(puppet: Puppet, texture: str | None, times: Array) -> str:
         "COLLADA", xmlns="http://www.collada.org/2005/11/COLLADASchema", version="1.4.1"
     )
     asset = add_tag(root, "asset")
-    add_tag(asset, "contributor/authoring_tool", f"humansim_ros {__version__}")
+    add_tag(asset, "contributor/authoring_tool", f"humansim_ros {package_version()}")
     for tag in ("created", "modified"):
         add_tag(asset, tag, "2000-01-01T00:00:00Z")  # the same bytes in each run
     add_tag(asset, "unit", name="meter", meter="1")

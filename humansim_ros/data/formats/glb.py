@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros import __version__
 from humansim_ros.data.formats.animation import (
     BONES_OF_SET,
     AnimatedHuman,
@@ -23,7 +22,7 @@ from humansim_ros.data.formats.animation import (
 from humansim_ros.data.formats.writer import ExportFolder, Record
 from humansim_ros.errors import warn_about
 from humansim_ros.files.mesh import GlbBuilder, split_seams
-from humansim_ros.files.reading import decode_srgb
+from humansim_ros.files.reading import decode_srgb, package_version
 from humansim_ros.motion.files import PosedBones, write_bvh
 from humansim_ros.people.humans import Human
 from humansim_ros.types import Array
@@ -187,7 +186,7 @@ class GlbDocument(GlbBuilder):
         if self._channels:
             animation = {"name": "motion", "samplers": self._samplers, "channels": self._channels}
             self.lists["animations"] = [animation]
-        asset = {"generator": f"humansim_ros {__version__}"}
+        asset = {"generator": f"humansim_ros {package_version()}"}
         return self.packed(asset=asset, scene=0, scenes=[{"nodes": self._roots}])
 
 

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from humansim_ros import __version__
 from humansim_ros.data.formats.source import ExportSource
 from humansim_ros.data.formats.writer import SHARD_SIZE
 from humansim_ros.errors import MAX_FRAMES, ExportError
-from humansim_ros.files.reading import ANY_SIZE, read_json
+from humansim_ros.files.reading import ANY_SIZE, package_version, read_json
 from humansim_ros.scene.config import checked_license
 
 #: Name of the index: the file of an export with its plan. In a complete export the index also lists all files
@@ -49,7 +48,7 @@ class ExportPlan:
     keypoints: str
     shard_size: int
     device: str
-    version: str = __version__
+    version: str = field(default_factory=package_version)
     license: str = ""
 
     @classmethod

@@ -12,11 +12,10 @@ from typing import Any, Protocol
 import cv2
 import numpy as np
 
-from humansim_ros import __version__
 from humansim_ros.data.formats.formats import SWEEPS, ExportFormat, needed_channels
 from humansim_ros.data.formats.writer import ExportScene
 from humansim_ros.errors import ExportError, SceneError
-from humansim_ros.files.reading import read_blocks
+from humansim_ros.files.reading import package_version, read_blocks
 from humansim_ros.render.device import rendering_device
 from humansim_ros.scene.config import map_files
 from humansim_ros.scene.core import Frame, Needs, Scene, SceneCamera, Simulation
@@ -167,7 +166,7 @@ class _SimulatedFrames:
 def versions() -> dict[str, str]:
     """Versions of this package and of the packages that influence the numbers in the files."""
     return {
-        "humansim_ros": __version__,
+        "humansim_ros": package_version(),
         "python": platform.python_version(),
         "numpy": np.__version__,
         "opencv": cv2.__version__,

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from humansim_ros import __version__
 from humansim_ros.cameras.camera import Camera
 from humansim_ros.data.formats.animation import (
     AnimatedHuman,
@@ -26,7 +25,7 @@ from humansim_ros.data.formats.animation import (
 )
 from humansim_ros.data.formats.writer import ExportFolder, Record, warn_of_lenses
 from humansim_ros.files.mesh import Mesh
-from humansim_ros.files.reading import decode_srgb
+from humansim_ros.files.reading import decode_srgb, package_version
 from humansim_ros.geometry import WORLD_FROM_BODY
 from humansim_ros.motion.body import Skeleton
 from humansim_ros.render.interface import Lighting
@@ -74,7 +73,7 @@ class UsdStage:
             self._stage.SetEndTimeCode(self._times[-1])
             self._stage.SetTimeCodesPerSecond(scene.rate)
             self._stage.SetFramesPerSecond(scene.rate)
-        self._stage.GetRootLayer().documentation = f"humansim_ros {__version__}"
+        self._stage.GetRootLayer().documentation = f"humansim_ros {package_version()}"
         UsdGeom.SetStageUpAxis(self._stage, UsdGeom.Tokens.z)
         UsdGeom.SetStageMetersPerUnit(self._stage, UsdGeom.LinearUnits.meters)
         world = UsdGeom.Xform.Define(self._stage, "/World")

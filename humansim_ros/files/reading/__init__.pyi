@@ -10,6 +10,7 @@ from humansim_ros.files.reading.arrays import write_npz as write_npz
 from humansim_ros.files.reading.assets import built_in_names as built_in_names
 from humansim_ros.files.reading.assets import find_asset as find_asset
 from humansim_ros.files.reading.assets import hiding_quotes as hiding_quotes
+from humansim_ros.files.reading.assets import package_version as package_version
 from humansim_ros.files.reading.assets import read_table as read_table
 from humansim_ros.files.reading.assets import resource_path as resource_path
 from humansim_ros.files.reading.assets import resource_root as resource_root

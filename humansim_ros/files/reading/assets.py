@@ -19,7 +19,6 @@ from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, Literal
 
-import humansim_ros
 from humansim_ros.errors import HIDING, HumansimError, ResourceError, unknown
 from humansim_ros.files.reading.files import exists, expand_user, missing_file
 
@@ -172,7 +171,7 @@ def hiding_quotes(known: Callable[[], object]) -> Iterator[None]:
 @cache
 def _own_texts() -> tuple[str, ...]:
     """Texts with words that reveal nothing about a file: the sources and the tables of this package."""
-    package = Path(humansim_ros.__file__).parent
+    package = Path(__file__).parents[2]
     files = (*package.rglob("*.py"), *resource_path("config").rglob("*.*"))
     return tuple(
         file.read_text("utf-8", "replace").lower()

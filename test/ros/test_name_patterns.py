@@ -8,7 +8,7 @@ import time
 import pytest
 import ros_support  # noqa: F401  (skips where ROS is missing)
 
-from humansim_ros.ros.playing.simulation_services import Refusal, name_filter
+from humansim_ros.ros.playing.entities import Refusal, name_filter
 
 
 @pytest.fixture(autouse=True)

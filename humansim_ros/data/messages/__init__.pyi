@@ -17,6 +17,7 @@ from humansim_ros.data.messages.cameras import read_object as read_object
 from humansim_ros.data.messages.cameras import read_pose as read_pose
 from humansim_ros.data.messages.cameras import read_region as read_region
 from humansim_ros.data.messages.cameras import read_twist as read_twist
+from humansim_ros.data.messages.cameras import rigid_pose as rigid_pose
 from humansim_ros.data.messages.cameras import twist_message as twist_message
 from humansim_ros.data.messages.cdr import check_serialised as check_serialised
 from humansim_ros.data.messages.cdr import deserialised as deserialised

@@ -1,15 +1,30 @@
-"""Entities of a scene, as ``simulation_interfaces`` calls humans, objects and cameras."""
+"""Entities (``simulation_interfaces`` calls humans, objects and cameras so), and filters of requests."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 import scipy
 
+from humansim_ros.errors import printable
 from humansim_ros.scene.core import Playback, Scene
 from humansim_ros.types import Array
+
+#: Most characters of a pattern from the network, and most bytes of a compiled pattern.
+_MAX_PATTERN, _MAX_PATTERN_BYTES = 256, 1 << 20
+#: Most elements of a list in a filter.
+MAX_FILTERS = 1000
+
+
+class Refusal(Exception):
+    """Raised to refuse a request with a message. ``code``: name of the constant for the result code."""
+
+    def __init__(self, message: str, code: str = "RESULT_OPERATION_FAILED") -> None:
+        super().__init__(message)
+        self.code = code
 
 
 @dataclass(frozen=True)
@@ -65,3 +80,35 @@ def placement(playback: Playback, name: str, position: Array, yaw: float) -> dic
     cos, sin = np.cos(turn), np.sin(turn)
     anchor = position + np.array([[cos, -sin], [sin, cos]]) @ (settings.position - now.position[:2])
     return {"position": tuple(anchor.tolist()), "yaw_deg": settings.yaw_deg + float(np.degrees(turn))}
+
+
+def name_filter(pattern: str) -> Callable[[str], bool]:
+    """Make a function that tests whether a POSIX extended pattern matches any part of a name. With RE2, its
+    time is linear in the length of the name. Raises Refusal if the pattern is too long or wrong."""
+    if not pattern:
+        return lambda name: True
+    if len(pattern) > _MAX_PATTERN:
+        raise Refusal(f"a pattern of {len(pattern)} characters; at most {_MAX_PATTERN} are read")
+    try:
+        import re2
+    except ImportError:
+        problem = "filters by a pattern need the package google-re2: pip install google-re2"
+        raise Refusal(problem, "RESULT_FEATURE_UNSUPPORTED") from None
+    options = re2.Options()
+    options.posix_syntax = options.one_line = True
+    options.log_errors = False
+    options.max_mem = _MAX_PATTERN_BYTES
+    try:
+        found = re2.compile(pattern, options)
+    except re2.error as error:
+        reason = error.args[0].decode(errors="replace") if error.args else ""
+        raise Refusal(f"the filter is no POSIX extended pattern: {printable(reason, 80)}") from None
+    return lambda name: found.search(name) is not None
+
+
+def has_tags(tags: Any, own: Collection[str]) -> bool:
+    """Whether a filter by tags (TagsFilter) accepts an entity with its own tags."""
+    if len(tags.tags) > MAX_FILTERS:
+        raise Refusal(f"more than {MAX_FILTERS} tags")
+    found = [tag in own for tag in tags.tags]
+    return not found or (all if tags.filter_mode == type(tags).FILTER_MODE_ALL else any)(found)

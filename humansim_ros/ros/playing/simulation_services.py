@@ -7,7 +7,7 @@ name, as in Gazebo.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from importlib import import_module
@@ -15,16 +15,31 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import Accel, PoseStamped, Vector3
+from geometry_msgs.msg import Accel, PoseStamped, Twist, Vector3
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.task import Future
 
-from humansim_ros.data.messages import WORLD_FRAME, header, pose_message, read_pose, twist_message
-from humansim_ros.errors import HumansimError, RosError, printable, within_bounds
+from humansim_ros.data.messages import (
+    WORLD_FRAME,
+    header,
+    pose_message,
+    read_pose,
+    rigid_pose,
+    twist_message,
+)
+from humansim_ros.errors import HumansimError, RosError, printable
 from humansim_ros.geometry import ObjectPose, Velocity
 from humansim_ros.ros.graph.qos import DATA, NEWEST
 from humansim_ros.ros.playing.clock import Tick
-from humansim_ros.ros.playing.entities import Entity, placement, scene_entities
+from humansim_ros.ros.playing.entities import (
+    MAX_FILTERS,
+    Entity,
+    Refusal,
+    has_tags,
+    name_filter,
+    placement,
+    scene_entities,
+)
 from humansim_ros.ros.playing.playing import MAX_WAITING, FramePlayer
 from humansim_ros.ros.processes.stop_signals import QUIT
 from humansim_ros.scene.config import LIVE
@@ -70,25 +85,13 @@ _FEATURES = (
 _INFO = "humansim_ros: a step is a frame, an entity has the name that its topics begin with"
 #: Tags of the scene as a world, and scheme of the URI of this world.
 _WORLD_TAGS, _WORLD_SCHEME = ("humans",), "humansim"
-#: Most characters of a pattern from the network, and most bytes of a compiled pattern.
-_MAX_PATTERN, _MAX_PATTERN_BYTES = 256, 1 << 20
-#: Most elements of a list in a filter.
-_MAX_FILTERS = 1000
-#: Largest deviation of a quaternion's length from 1, and of a human's rotation from a rotation about z.
+#: Largest deviation of a human's rotation from a rotation about z.
 _ROTATION_TOLERANCE = 1e-3
 #: In a request, a human may be this far above or below the floor, metres.
 _FLOOR_TOLERANCE = 1e-3
 _REST = Velocity(np.zeros(3), np.zeros(3))
 #: The process ends this time after the answer to a request to quit, seconds.
 _QUIT_AFTER = 0.2
-
-
-class Refusal(Exception):
-    """Raised to refuse a request with a message. ``code``: name of the constant for the result code."""
-
-    def __init__(self, message: str, code: str = "RESULT_OPERATION_FAILED") -> None:
-        super().__init__(message)
-        self.code = code
 
 
 def serve_simulation(player: FramePlayer) -> SimulationServices | None:
@@ -215,7 +218,7 @@ class SimulationServices:
     def _get_available_worlds(self, request: Any, response: Any) -> None:
         if request.additional_sources:
             raise Refusal("only the scene of the player is a world: no sources are searched")
-        if _has_tags(request.filter, _WORLD_TAGS):
+        if has_tags(request.filter, _WORLD_TAGS):
             response.worlds = [self._world()]
 
     def _state(self) -> int:
@@ -372,15 +375,13 @@ class SimulationServices:
     def _set_entity_state(self, request: Any, _: Any) -> None:
         entity = self._entity(request.entity)
         # newer versions of the package say which parts of the state are meant
-        if getattr(request, "set_twist", True) and any(_numbers(request.state.twist)):
+        if getattr(request, "set_twist", True) and request.state.twist != Twist():
             raise Refusal("the scene gives velocities: the twist must be zero")
         if not getattr(request, "set_pose", True):
             raise Refusal("only a pose can be set: set_pose is false")
         position, rotation = _read_pose(request.state)
         if not entity.moves and entity.kind == "object":
-            raise Refusal(
-                f"{entity.name} is static: only objects with keyframes can be moved",
-            )
+            raise Refusal(f"{entity.name} is static: only objects with keyframes can be moved")
         if entity.kind == "human":
             self._place_human(entity, position, rotation)
         elif entity.kind == "object":
@@ -404,11 +405,7 @@ class SimulationServices:
     def _place_camera(self, entity: Entity, position: Array, rotation: Array) -> None:
         if entity.moves:
             raise Refusal(f"{entity.name} is moved by a trajectory of the scene")
-        message = PoseStamped(header=header(0, WORLD_FRAME))
-        message.pose.position.x, message.pose.position.y, message.pose.position.z = position.tolist()
-        q = message.pose.orientation
-        q.x, q.y, q.z, q.w = rotation.tolist()
-        self._send_camera_pose(entity.key, read_pose(message))
+        self._send_camera_pose(entity.key, CameraPose.at(position, rotation))
 
     def _send_camera_pose(self, name: str, pose: CameraPose) -> None:
         """Move a static camera from the next frame on."""
@@ -459,12 +456,12 @@ class SimulationServices:
         """Entities (humans, objects, cameras) that pass all filters of a request."""
         if filters.bounds.type:
             raise Refusal("entities cannot be filtered by bounds", "RESULT_FEATURE_UNSUPPORTED")
-        if len(filters.categories) > _MAX_FILTERS:
-            raise Refusal(f"more than {_MAX_FILTERS} categories")
+        if len(filters.categories) > MAX_FILTERS:
+            raise Refusal(f"more than {MAX_FILTERS} categories")
         categories = {each.category for each in filters.categories}
         name_matches = name_filter(filters.filter)
         for entity in self._entities.values():
-            if not _has_tags(filters.tags, entity.tags):
+            if not has_tags(filters.tags, entity.tags):
                 continue
             if categories and self._category(entity) not in categories:
                 continue
@@ -566,57 +563,13 @@ class StepRun:
             self.ended.set_result(None)
 
 
-def _numbers(message: Any) -> list[float]:
-    """All numbers in a message that consists of vectors, as a list."""
-    vectors = (getattr(message, name) for name in message.get_fields_and_field_types())
-    return [getattr(vector, axis) for vector in vectors for axis in vector.get_fields_and_field_types()]
-
-
-def name_filter(pattern: str) -> Callable[[str], bool]:
-    """Make a function that tests whether a POSIX extended pattern matches any part of a name. With RE2, its
-    time is linear in the length of the name. Raises Refusal if the pattern is too long or wrong."""
-    if not pattern:
-        return lambda name: True
-    if len(pattern) > _MAX_PATTERN:
-        problem = f"a pattern of {len(pattern)} characters; at most {_MAX_PATTERN} are read"
-        raise Refusal(problem)
-    try:
-        import re2
-    except ImportError:
-        problem = "filters by a pattern need the package google-re2: pip install google-re2"
-        raise Refusal(problem, "RESULT_FEATURE_UNSUPPORTED") from None
-    options = re2.Options()
-    options.posix_syntax = options.one_line = True
-    options.log_errors = False
-    options.max_mem = _MAX_PATTERN_BYTES
-    try:
-        found = re2.compile(pattern, options)
-    except re2.error as error:
-        reason = error.args[0].decode(errors="replace") if error.args else ""
-        problem = f"the filter is no POSIX extended pattern: {printable(reason, 80)}"
-        raise Refusal(problem) from None
-    return lambda name: found.search(name) is not None
-
-
-def _has_tags(tags: Any, own: Collection[str]) -> bool:
-    """Whether a filter by tags (TagsFilter) accepts an entity with its own tags."""
-    if len(tags.tags) > _MAX_FILTERS:
-        raise Refusal(f"more than {_MAX_FILTERS} tags")
-    found = [tag in own for tag in tags.tags]
-    return not found or (all if tags.filter_mode == type(tags).FILTER_MODE_ALL else any)(found)
-
-
 def _read_pose(state: Any) -> tuple[Array, Array]:
     """Position (3,) and normalised quaternion (4,) of a requested state. Raises Refusal if it is no pose in
     ``map``."""
     frame = state.header.frame_id
     if frame not in ("", WORLD_FRAME):
         raise Refusal(f"poses must be in {WORLD_FRAME}, this is in '{printable(frame, 80)}'", "INVALID_POSE")
-    numbers = np.array(_numbers(state.pose))
-    position, rotation = numbers[:3], numbers[3:]
-    if not within_bounds(numbers) or not abs(np.linalg.norm(rotation) - 1) < _ROTATION_TOLERANCE:
-        raise Refusal(
-            "the pose is not finite, is more than 1000 km away, or its quaternion has not length 1",
-            "INVALID_POSE",
-        )
-    return position, rotation / np.linalg.norm(rotation)
+    try:
+        return rigid_pose(state.pose, "the pose")
+    except RosError as error:
+        raise Refusal(str(error), "INVALID_POSE") from None

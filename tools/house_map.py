@@ -25,7 +25,7 @@ PACKAGES: Mapping[str, tuple[int, tuple[str, ...]]] = {
     "people": (3, ("rigging", "humans", "makehuman", "loading", "keypoints")),
     "render": (3, ("interface", "device", "frame", "pictures")),
     "scene": (4, ("truth", "config", "core", "features", "checks", "pictures")),
-    "data": (5, ("bags", "messages", "engine", "formats", "datasets", "evaluation")),
+    "data": (5, ("bags", "messages", "recorded", "engine", "formats", "datasets", "evaluation")),
     "photographs": (5, ()),
     "ros": (6, ("graph", "processes", "playing", "nodes", "challenge", "tools")),
     "view": (7, ("server", "edit", "sources", "panels")),

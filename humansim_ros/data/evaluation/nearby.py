@@ -10,12 +10,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.data.bags.reader import BagReader
+from humansim_ros.data.bags import BagTopic
 from humansim_ros.data.evaluation.readers.estimates import deserialised_message, topic_pattern, topic_person
 from humansim_ros.data.evaluation.truth import bag_truth, check_motions, frames_of
 from humansim_ros.data.messages.headers import to_nanoseconds
 from humansim_ros.data.messages.humans import read_vertices
-from humansim_ros.errors import EvaluationError, located
+from humansim_ros.data.recorded import RecordedMessages
+from humansim_ros.errors import EvaluationError
 from humansim_ros.scene.config import FIRST_STAMP
 from humansim_ros.scene.core import Scene, SceneStates
 from humansim_ros.scene.features import ROBOT
@@ -151,17 +152,17 @@ def _bag_bodies(
     rows = {time: row for row, time in enumerate(times.tolist())}
     pattern = topic_pattern(_VERTICES)
     nearest: dict[str, Array] = defaultdict(lambda: np.full(len(times), np.inf))
-    with BagReader(bag) as reader:
-        names = [each.name for each in reader.topics if each.type == _CLOUD and pattern.fullmatch(each.name)]
-        for message in reader.messages(names) if names else ():
-            topic = reader.topics[message.topic]
-            match = pattern.fullmatch(topic.name)
-            assert match is not None
-            with located(EvaluationError, bag, key=topic.name):
-                content = deserialised_message(message.data, topic)
-                vertices, stamp = read_vertices(content), to_nanoseconds(content.header.stamp)
-            row = rows.get(stamp)
-            if row is not None:
+
+    def read(data: bytes, topic: BagTopic) -> tuple[int, NDArray[np.floating]]:
+        content = deserialised_message(data, topic)
+        return to_nanoseconds(content.header.stamp), read_vertices(content)
+
+    with RecordedMessages(bag) as recorded:
+        found = {name: pattern.fullmatch(name) for name in recorded.topics}
+        names = [name for name, match in found.items() if match and recorded.topics[name].type == _CLOUD]
+        for topic, _, (stamp, vertices) in recorded.each(names, read, EvaluationError):
+            row, match = rows.get(stamp), found[topic.name]
+            if row is not None and match is not None:
                 nearest[topic_person(match) or ""][row] = _nearest_vertex(vertices, places[row], np.inf)
     return {name: nearest[name] for name in people if name in nearest} if names else None
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import compress
@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 
 from humansim_ros.cameras.camera import Camera
 from humansim_ros.data import messages
-from humansim_ros.data.bags.reader import BagReader
 from humansim_ros.data.formats.formats import BODIES, BOXES, KEYPOINTS, POSITIONS, ExportFormat
 from humansim_ros.data.formats.source import versions
 from humansim_ros.data.formats.writer import ExportCamera, ExportScene
@@ -39,7 +38,8 @@ from humansim_ros.data.messages.types import (
     TimeReference,
     TransformStamped,
 )
-from humansim_ros.errors import BagError, ExportError, HumansimError, printable, some_of, warn_about
+from humansim_ros.data.recorded import Place, RecordedMessages
+from humansim_ros.errors import ExportError, located, printable, some_of, warn_about
 from humansim_ros.files.reading import parse_json
 from humansim_ros.people.keypoints import keypoint_set
 from humansim_ros.render.interface import CHANNEL_TABLE, View
@@ -61,12 +61,11 @@ _KINDS = {number: kind for kind, number in BODY_KINDS.items()}
 _MAX_LISTED = 4
 
 
-class _Place(NamedTuple):
-    """Where a frame is in the bag: stamp, and log times of the first and last message, all in nanoseconds."""
+class _FramePlaces(NamedTuple):
+    """Where a frame is in the bag: stamp in nanoseconds, and the place of the message by topic."""
 
     stamp: int
-    first: int
-    last: int
+    places: Mapping[str, Place]
 
 
 @dataclass(frozen=True)
@@ -113,7 +112,7 @@ class BagSource:
         hash: Hash of the topics, sizes and times of the bag.
         custom: Texts in ``custom_data`` of the bag.
         needed: Topics that are read.
-        frames: Stamp and log times of each complete frame.
+        frames: Stamp and messages of each complete frame.
     """
 
     path: Path
@@ -123,7 +122,7 @@ class BagSource:
     hash: str
     custom: Mapping[str, str]
     needed: _Needed
-    frames: tuple[_Place, ...]
+    frames: tuple[_FramePlaces, ...]
     step = "reading"
 
     @classmethod
@@ -139,8 +138,8 @@ class BagSource:
             ExportError: The bag lacks a topic that a format needs, or no frame is complete.
             BagError: The bag cannot be read.
         """
-        with BagReader(path) as reader:
-            return _Survey(reader, tuple(formats), keypoints).source()
+        with RecordedMessages(path) as recorded:
+            return _Survey(recorded, tuple(formats), keypoints).source()
 
     @property
     def count(self) -> int:
@@ -182,12 +181,10 @@ def _parsed(text: str) -> Any:
 class _Survey:
     """Finds out what a bag contains for some formats. The arguments are those of :meth:`BagSource.read`."""
 
-    def __init__(self, reader: BagReader, formats: tuple[ExportFormat, ...], keypoints: str) -> None:
-        self._reader, self._formats, self._keypoints = reader, formats, keypoints
-        counts = reader.info.counts
+    def __init__(self, recorded: RecordedMessages, formats: tuple[ExportFormat, ...], keypoints: str) -> None:
+        self._recorded, self._formats, self._keypoints = recorded, formats, keypoints
         # in the order of the bag, which is the order of the scene if humansim has recorded it
-        names = (topic.name for index, topic in enumerate(reader.topics) if counts.get(index))
-        self._topics = dict.fromkeys(names)
+        self._topics = recorded.topics
         self._content = frozenset[str]().union(*(row.content for row in formats))
 
     def source(self) -> BagSource:
@@ -201,7 +198,7 @@ class _Survey:
         labels, objects, licenses, license = self._labels(cameras)
         parts = self._parts(cameras)
         scene = ExportScene(
-            title=self._reader.path.stem,
+            title=self._recorded.path.stem,
             rate=_rate([place.stamp for place in frames]),
             cameras={
                 name: self._camera(name, name in needed.extrinsics, needed, frames, pictured[name])
@@ -213,13 +210,13 @@ class _Survey:
             licenses=licenses,
             license=license,
         )
-        path, custom = self._reader.path, self._reader.info.custom
+        path, custom = self._recorded.path, self._recorded.reader.info.custom
         return BagSource(
             path, self._formats, self._keypoints, scene, self._hash(), dict(custom), needed, tuple(frames)
         )
 
     def _refuse(self, row: ExportFormat, text: str) -> None:
-        raise ExportError(f"the format {row.name} {text}", path=self._reader.path, key="--format")
+        raise ExportError(f"the format {row.name} {text}", path=self._recorded.path, key="--format")
 
     def _camera_names(self) -> list[str]:
         """Names of the cameras, found by topics that only cameras have, not scanners."""
@@ -293,10 +290,8 @@ class _Survey:
         return topic
 
     def _messages(self, topic: str, kind: type[Any]) -> Iterator[Any]:
-        for message in self._reader.messages([topic]):
-            with _reading(self._reader.path, topic):
-                found = _message(bytes(message.data), kind)
-            yield found
+        for _, _, message in self._recorded.each([topic], lambda data, _: _message(data, kind), ExportError):
+            yield message
 
     def _first(self, topic: str, kind: type[Any]) -> Any:
         return next(self._messages(topic, kind))
@@ -327,44 +322,48 @@ class _Survey:
         return ()
 
     def _legend(self, topic: str) -> dict[str, Any]:
-        with _reading(self._reader.path, topic):
+        with _reading(self._recorded.path, topic):
             return messages.read_legend(self._first(topic, String))
 
     def _camera(
-        self, name: str, moves: bool, needed: _Needed, frames: Sequence[_Place], pictured: Sequence[int]
+        self, name: str, moves: bool, needed: _Needed, frames: Sequence[_FramePlaces], pictured: Sequence[int]
     ) -> ExportCamera:
         """Calibration of the images of a camera, at its first pose. ``pictured``: numbers of the frames with
         images of this camera."""
         topic = f"/{name}/camera_info"
-        with _reading(self._reader.path, topic):
+        with _reading(self._recorded.path, topic):
             info = self._first(topic, CameraInfo)
             camera = messages.read_region(info).of(messages.read_camera_info(info))
         topic = f"/{name}/extrinsics"
-        with _reading(self._reader.path, topic):
+        with _reading(self._recorded.path, topic):
             pose = messages.read_extrinsics(self._first(topic, TransformStamped))
         encoding = "rgb8"
         image = needed.channels.get((name, "rgb"))
         if image is not None:
-            with _reading(self._reader.path, image):
+            with _reading(self._recorded.path, image):
                 encoding = messages.read_pixels(self._first(image, _image_type(image)))[1]
         rate = _rate([frames[index].stamp for index in pictured])
         return ExportCamera(
             _simple(replace(camera, R=pose.R, t=pose.t)), moves, encoding, rate, frozenset(pictured)
         )
 
-    def _frames(self, needed: _Needed, cameras: Sequence[str]) -> tuple[list[_Place], dict[str, list[int]]]:
+    def _frames(
+        self, needed: _Needed, cameras: Sequence[str]
+    ) -> tuple[list[_FramePlaces], dict[str, list[int]]]:
         """Find the complete frames: stamps at which every topic that is due has a message. Cameras may have
         their own rates. Returns the frames, and the numbers of the frames of each camera. Warns of incomplete
         stamps."""
         topics = needed.topics or [f"/{cameras[0]}/camera_info"]
-        names = [topic.name for topic in self._reader.topics]
-        found: Frames[int] = Frames(topics)
-        for message in self._reader.messages(topics):
-            name = names[message.topic]
-            with _reading(self._reader.path, name):
-                stamp = messages.serialised_stamp(bytes(message.data[:12]))
-            if name not in found.frame(stamp):
-                found.add(name, stamp, message.stamp)
+        found: Frames[Place] = Frames(topics)
+        scene_times: dict[int, Place] = {}
+        read = [*topics, _SCENE_TIME] if _SCENE_TIME in self._topics else topics
+        for name, place, data in self._recorded.places(read):
+            with _reading(self._recorded.path, name):
+                stamp = messages.serialised_stamp(data[:12])
+            if name == _SCENE_TIME:
+                scene_times.setdefault(stamp, place)
+            elif name not in found.frame(stamp):
+                found.add(name, stamp, place)
         due = {}
         for camera in cameras:
             own = [topic for topic, owner in needed.cameras.items() if owner == camera]
@@ -374,10 +373,12 @@ class _Survey:
             text = f"{len(found) - len(whole)} of {len(found)} frames lack a message on "
             text += some_of(found.lacking(), _MAX_LISTED)
             if not whole:
-                raise ExportError(f"no frame is whole: {text}", path=self._reader.path)
-            warn_about(self._reader.path, f"{text}: they are left out")
-        times = [found.frame(stamp).values() for stamp in whole]
-        places = [_Place(stamp, min(logs), max(logs)) for stamp, logs in zip(whole, times, strict=True)]
+                raise ExportError(f"no frame is whole: {text}", path=self._recorded.path)
+            warn_about(self._recorded.path, f"{text}: they are left out")
+        places = []
+        for stamp in whole:
+            scene_time = {_SCENE_TIME: scene_times[stamp]} if stamp in scene_times else {}
+            places.append(_FramePlaces(stamp, {**found.frame(stamp), **scene_time}))
         numbers = {
             camera: [index for index, stamp in enumerate(whole) if stamp in stamps]
             for camera, stamps in due.items()
@@ -386,9 +387,10 @@ class _Survey:
 
     def _hash(self) -> str:
         """Hash of the bag: topics, numbers of messages, sizes and times."""
-        info = self._reader.info
+        reader = self._recorded.reader
+        info = reader.info
         topics = sorted(
-            (topic.name, topic.type, info.counts.get(n, 0)) for n, topic in enumerate(self._reader.topics)
+            (topic.name, topic.type, info.counts.get(n, 0)) for n, topic in enumerate(reader.topics)
         )
         content = [topics, [path.stat().st_size for path in info.files], info.start, info.end]
         return hashlib.sha256(json.dumps([*content, dict(info.custom)]).encode()).hexdigest()
@@ -415,12 +417,11 @@ class BagFrames:
 
     def __init__(self, source: BagSource) -> None:
         self._source = source
-        self._reader = BagReader(source.path)
-        self._names = [topic.name for topic in self._reader.topics]
+        self._recorded = RecordedMessages(source.path)
 
     def close(self) -> None:
         """Close the bag."""
-        self._reader.close()
+        self._recorded.close()
 
     def frame(self, index: int) -> BagFrame:
         """Read a frame, with the data that the formats need.
@@ -430,7 +431,7 @@ class BagFrames:
         """
         source, place = self._source, self._source.frames[index]
         needed, scene = source.needed, source.scene
-        data = self._data(place, index)
+        data = self._data(place)
 
         def read(topic: str, kind: type[Any], reader: Callable[[Any], Any]) -> Any:
             with _reading(source.path, topic):
@@ -493,22 +494,10 @@ class BagFrames:
             recorded_positions=positions,
         )
 
-    def _data(self, place: _Place, index: int) -> dict[str, bytes]:
-        """Read the messages of a frame by topic. If a topic has several messages with its stamp, the first
-        one is taken. ``index``: number of the frame."""
-        needed, known = self._source.needed, self._source.scene.cameras
-        owners = needed.cameras
-        due = [each for each in needed.topics if each not in owners or index in known[owners[each]].frames]
-        wanted = list(due)
-        if _SCENE_TIME in self._names:
-            wanted.append(_SCENE_TIME)
-        found: dict[str, bytes] = {}
-        for message in self._reader.messages(wanted, start=place.first, end=place.last + 1):
-            name = self._names[message.topic]
-            head = bytes(message.data[:12])
-            if name not in found and messages.serialised_stamp(head) == place.stamp:
-                found[name] = bytes(message.data)
-        if lost := [topic for topic in due if topic not in found]:
+    def _data(self, frame: _FramePlaces) -> dict[str, bytes]:
+        """Read the messages of a frame by topic."""
+        found = self._recorded.read(frame.places)
+        if lost := [topic for topic in frame.places if topic not in found]:
             raise ExportError("the bag has changed, or is damaged", path=self._source.path, key=lost[0])
         return found
 
@@ -587,15 +576,9 @@ def _no_joints(name: str) -> Array:
     raise ExportError(f"the joints of {name} are not read")
 
 
-@contextmanager
-def _reading(path: Path, topic: str) -> Iterator[None]:
+def _reading(path: Path, topic: str) -> AbstractContextManager[None]:
     """Name the bag and the topic in errors about a message."""
-    try:
-        yield
-    except BagError:
-        raise
-    except HumansimError as error:
-        raise ExportError(error.message, path=path, key=topic) from None
+    return located(ExportError, path, key=topic)
 
 
 def _message(data: bytes, kind: type[Any]) -> Any:

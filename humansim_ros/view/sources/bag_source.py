@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections import OrderedDict
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -14,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.data import messages
-from humansim_ros.data.bags import BagReader
 from humansim_ros.data.evaluation import EstimateStream, LiveOptions, PoseSequence, SequenceBuilder
 from humansim_ros.data.messages import Frames, PoseFrame, Transforms, begins_with_stamp, readable_type
+from humansim_ros.data.recorded import Place, RecordedMessages
 from humansim_ros.errors import HumansimError, HumansimWarning
 from humansim_ros.people.humans import Human
 from humansim_ros.types import Indices
@@ -38,8 +37,6 @@ from humansim_ros.view.sources.tracks import (
     spans_of,
 )
 
-#: Messages are read with one request if their log times differ by less than this, nanoseconds.
-_TOGETHER = 250_000_000
 #: Largest size of the cache of messages, bytes: for the page, and for the reader of the tracks.
 _MAX_KEPT, _MAX_TRACKS = 256 << 20, 64 << 20
 #: Most and fewest frames in which visibility is read for the timeline, and most values in all of them.
@@ -76,20 +73,17 @@ class BagViewSource(TopicSource):
         super().__init__(TopicFrames(humans, options, image_width))
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", HumansimWarning)
-            self._reader = BagReader(path)
+            self._messages = RecordedMessages(path, _MAX_KEPT)
         try:
             self._note_warnings(caught)
-            names = self._reader.topics
-            counts = self._reader.info.counts
-            types = {topic.name: topic.type for n, topic in enumerate(names) if counts.get(n)}
+            types = {name: topic.type for name, topic in self._messages.topics.items()}
             self._topics = seen_topics(types, estimate, self._options.keypoints)
             if estimate is not None and not self._topics.estimate:
                 raise HumansimError(
                     f"the bag has no topic {estimate} with poses, and there is no file of that name",
                     path=path,
                 )
-            self._messages = _Messages(self._reader, _MAX_KEPT)
-            #: Log times of the messages.
+            #: Places of the messages.
             self._logs = self._survey()
             self._stamps = self._frame_stamps()
             self.start = int(self._stamps[0])
@@ -99,7 +93,7 @@ class BagViewSource(TopicSource):
                 self._shown.add_skin(name, self._samples(name))
             self._note_missing()
         except BaseException:
-            self._reader.close()
+            self._messages.close()
             raise
 
     def _note_warnings(self, caught: Iterable[warnings.WarningMessage]) -> None:
@@ -158,7 +152,7 @@ class BagViewSource(TopicSource):
         read = {*coarse_to_fine(self.frames, MOST_MOTION), *compared}
         read |= set(coarse_to_fine(self.frames, _most_views(topics)))
         estimate = list(self._topics.estimate)
-        estimates: list[Mapping[str, int]] = []
+        estimates: list[Mapping[str, Place]] = []
         if plan is not None and plan.estimate is None:
             estimates = [
                 logs.near(stamp, estimate, 0, 0) if stamp >= 0 else {} for stamp in plan.own.tolist()
@@ -204,31 +198,30 @@ class BagViewSource(TopicSource):
         return np.array(self._logs.stamps([topic]), np.int64)
 
     def close(self) -> None:
-        self._reader.close()
+        self._messages.close()
 
     # --- messages
 
-    def _survey(self) -> Frames[int]:
-        """Read the bag once, and return the log times of the messages of all topics that can be shown."""
-        found: Frames[int] = Frames()
+    def _survey(self) -> Frames[Place]:
+        """Read the bag once, and return the places of the messages of all topics that can be shown."""
+        found: Frames[Place] = Frames()
         lasting = self._topics.lasting
         stamped = {name: _has_stamp(self._topics.types[name]) for name in self._topics.topics}
-        for message in self._reader.messages(self._topics.topics):
-            name = self._messages.names[message.topic]
+        for name, place, content in self._messages.places(self._topics.topics):
             if name in self._topics.transforms:
                 try:
-                    self._shown.transforms.add(bytes(message.data), name)
+                    self._shown.transforms.add(content, name)
                 except HumansimError as error:
                     self._shown.note(f"{name}: {error.message}")
                 continue
-            stamp = message.stamp
+            stamp = place.log
             if stamped[name]:
                 try:
-                    stamp = messages.serialised_stamp(bytes(message.data[:12]))
+                    stamp = messages.serialised_stamp(content[:12])
                 except HumansimError as error:
                     self._shown.note(f"{name}: {error.message}")
                     continue
-            (found.keep if name in lasting else found.add)(name, stamp, message.stamp)
+            (found.keep if name in lasting else found.add)(name, stamp, place)
         return found
 
     def _frame_stamps(self) -> Indices:
@@ -267,54 +260,6 @@ class BagViewSource(TopicSource):
         return found
 
 
-class _Messages:
-    """Reads messages of a bag by topic and log time. The last messages are cached.
-
-    Attributes:
-        names: Names of the topics, by their number in the bag.
-        size: Size of the cached messages, bytes.
-    """
-
-    def __init__(self, reader: BagReader, most: int) -> None:
-        self.names = [topic.name for topic in reader.topics]
-        self._reader, self._most = reader, most
-        self.kept: OrderedDict[tuple[str, int], bytes] = OrderedDict()
-        self.size = 0
-
-    def read(self, places: Mapping[str, int]) -> dict[str, bytes]:
-        """Read the messages at the log times ``places``. Damaged messages are left out."""
-        found: dict[str, bytes] = {}
-        lacking: list[tuple[int, str]] = []
-        for topic, log in places.items():
-            content = self.kept.get((topic, log))
-            if content is None:
-                lacking.append((log, topic))
-            else:
-                self.kept.move_to_end((topic, log))
-                found[topic] = content
-        lacking.sort()
-        groups: list[list[tuple[int, str]]] = []
-        for each in lacking:
-            if groups and each[0] - groups[-1][-1][0] <= _TOGETHER:
-                groups[-1].append(each)
-            else:
-                groups.append([each])
-        for group in groups:
-            wanted = {topic: log for log, topic in group}
-            for message in self._reader.messages(list(wanted), start=group[0][0], end=group[-1][0] + 1):
-                topic = self.names[message.topic]
-                if message.stamp == wanted[topic] and topic not in found:
-                    found[topic] = bytes(message.data)
-                    self._keep((topic, message.stamp), found[topic])
-        return found
-
-    def _keep(self, key: tuple[str, int], content: bytes) -> None:
-        self.kept[key] = content
-        self.size += len(content)
-        while self.size > self._most and len(self.kept) > 1:
-            self.size -= len(self.kept.popitem(last=False)[1])
-
-
 def _has_stamp(kind: str) -> bool:
     try:
         return begins_with_stamp(readable_type(kind))
@@ -336,12 +281,12 @@ class BagTracks:
         period: Nanoseconds between frames.
         spans: First and last frame of each interval in which a person is there, by person.
         drops: Frames with a lost image, by camera. Cameras without lost images are absent.
-        first: Log times of the first messages by topic.
-        places: Log times of the messages of the frames that are read, by topic.
+        first: Places of the first messages by topic.
+        places: Places of the messages of the frames that are read, by topic.
         transforms: Transforms of tf.
         options: How an estimate is compared.
         plan: Frames in which an estimate is compared with the truth; None if there is no estimate.
-        estimates: Log times of the messages of the estimate by topic, for each compared frame.
+        estimates: Places of the messages of the estimate by topic, for each compared frame.
     """
 
     path: Path
@@ -350,12 +295,12 @@ class BagTracks:
     period: int
     spans: Mapping[str, Sequence[tuple[int, int]]]
     drops: Mapping[str, Sequence[int]]
-    first: Mapping[str, int]
-    places: Mapping[int, Mapping[str, int]]
+    first: Mapping[str, Place]
+    places: Mapping[int, Mapping[str, Place]]
     transforms: Transforms
     options: LiveOptions
     plan: ErrorPlan | None = None
-    estimates: Sequence[Mapping[str, int]] = ()
+    estimates: Sequence[Mapping[str, Place]] = ()
 
     def start(self) -> Tracker:
         """Open the bag, in the process that reads the tracks."""
@@ -369,8 +314,7 @@ class _BagTracks:
         self._shown.transforms = job.transforms
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", HumansimWarning)  # the page has already shown the warnings
-            self._reader = BagReader(job.path)
-        self._messages = _Messages(self._reader, _MAX_TRACKS)
+            self._messages = RecordedMessages(job.path, _MAX_TRACKS)
         self._shown.see(job.topics, self._read(job.first))
 
     def outline(self) -> TrackOutline:
@@ -411,7 +355,7 @@ class _BagTracks:
         return plan.compare(truth.build(), plan.estimate or self._estimate(plan))
 
     def close(self) -> None:
-        self._reader.close()
+        self._messages.close()
 
     def _estimate(self, plan: ErrorPlan) -> PoseSequence:
         """Read the estimate in the compared frames from its topics."""
@@ -425,7 +369,7 @@ class _BagTracks:
         job = self._job
         return TopicFrame(index, int(job.stamps[index]), int(job.stamps[0]), self._read(job.places[index]))
 
-    def _read(self, places: Mapping[str, int]) -> dict[str, bytes]:
+    def _read(self, places: Mapping[str, Place]) -> dict[str, bytes]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", HumansimWarning)
             return self._messages.read(places)

@@ -13,8 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.data.bags import is_bag
-from humansim_ros.data.bags.reader import BagReader
+from humansim_ros.data.bags import BagTopic, is_bag
 from humansim_ros.data.evaluation.images import KEYS, Detections2D
 from humansim_ros.data.evaluation.joint_names import set_with_names
 from humansim_ros.data.evaluation.readers.estimates import deserialised_message, split_topic
@@ -33,7 +32,8 @@ from humansim_ros.data.formats.aicity import COLUMNS
 from humansim_ros.data.formats.coco import encoded_mask, joined_keypoints
 from humansim_ros.data.messages.headers import to_nanoseconds
 from humansim_ros.data.messages.people import DETECTIONS_2D, read_boxes_2d
-from humansim_ros.errors import MAX_COORDINATE, EvaluationError, RosError, located, printable, warn_about
+from humansim_ros.data.recorded import RecordedMessages
+from humansim_ros.errors import MAX_COORDINATE, EvaluationError, located, printable, warn_about
 from humansim_ros.files.reading import (
     MAX_IMAGE_BYTES,
     declared_size,
@@ -137,8 +137,8 @@ def read_image_estimates(
 
 def has_boxes(path: Path, topic: str) -> bool:
     """Whether a topic of a bag has boxes of vision_msgs. Raises BagError if the bag cannot be read."""
-    with BagReader(path) as reader:
-        return any(each.name == topic and each.type == DETECTIONS_2D for each in reader.topics)
+    with RecordedMessages(path) as recorded:
+        return any(each.name == topic and each.type == DETECTIONS_2D for each in recorded.reader.topics)
 
 
 def read_boxes(path: Path, topic: str, images: ImageNumbers) -> Detections2D:
@@ -154,15 +154,14 @@ def read_boxes(path: Path, topic: str, images: ImageNumbers) -> Detections2D:
     results: list[_Record] = []
     numbers: set[int] = set()
     parts = [part for part in topic.split("/") if part in images.cameras]
-    with BagReader(path) as reader:
-        (kind,) = (each for each in reader.topics if each.name == topic)
-        for message in reader.messages([topic]):
-            try:
-                content = deserialised_message(message.data, kind)
-                stamp, frame_id = to_nanoseconds(content.header.stamp), str(content.header.frame_id)
-                boxes = read_boxes_2d(content)
-            except (EvaluationError, RosError) as error:
-                raise EvaluationError(error.message, path=path, key=topic) from None
+
+    def read(data: bytes, kind: BagTopic) -> tuple[int, str, Any]:
+        content = deserialised_message(data, kind)
+        stamp, frame_id = to_nanoseconds(content.header.stamp), str(content.header.frame_id)
+        return stamp, frame_id, read_boxes_2d(content)
+
+    with RecordedMessages(path) as recorded:
+        for _, _, (stamp, frame_id, boxes) in recorded.each([topic], read, EvaluationError):
             camera = parts[-1] if parts else frame_id.rpartition("/")[2].removesuffix("_optical_frame")
             frame = frame_at(stamp - FIRST_STAMP, images.rate)
             known = camera in images.cameras and frame < WALL_CLOCK_FRAME

@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from humansim_ros.data.bags import is_bag
-from humansim_ros.data.bags.reader import BagReader
-from humansim_ros.data.bags.topics import BagMessage, BagTopic, types_of
+from humansim_ros.data.bags.topics import BagTopic, types_of
 from humansim_ros.data.evaluation.alignment import axes_matrix
 from humansim_ros.data.evaluation.pose_sequence import PoseSequence, SequenceBuilder
 from humansim_ros.data.evaluation.readers.pose_files import (
@@ -29,6 +28,7 @@ from humansim_ros.data.evaluation.stream import EstimateStream
 from humansim_ros.data.messages.headers import WORLD_FRAME
 from humansim_ros.data.messages.people import MESSAGE_TYPES, PoseFrame, has_one_point, read_people
 from humansim_ros.data.messages.transforms import TF, Transforms, read_links
+from humansim_ros.data.recorded import RecordedMessages
 from humansim_ros.errors import EvaluationError, did_you_mean, located, printable, warn_about
 from humansim_ros.files.reading import missing_file
 
@@ -152,40 +152,36 @@ def read_bag_topic(path: str | os.PathLike[str], topic: str, options: ReadOption
     """
     pattern = topic_pattern(topic)
     source = f"{os.fspath(path)}:{topic}"
-    with BagReader(path) as reader:
+
+    def read(data: bytes, kind: BagTopic) -> PoseFrame:
+        return read_people(kind.type, deserialised_message(data, kind), options.names)
+
+    with RecordedMessages(path) as recorded:
+        topics = recorded.reader.topics
         people = {
-            index: topic_person(match)
-            for index, each in enumerate(reader.topics)
-            if (match := pattern.fullmatch(each.name))
+            each.name: topic_person(match) for each in topics if (match := pattern.fullmatch(each.name))
         }
-        names = [each.name for each in reader.topics]
         if not people:
-            listed = did_you_mean(topic, names) or f"; it has {_poses_of(reader.topics)}"
+            listed = did_you_mean(topic, [each.name for each in topics]) or f"; it has {_poses_of(topics)}"
             raise EvaluationError(f"the bag has no topic {topic}{listed}", path=path)
-        for index in people:
-            _check_type(reader.topics[index], path)
-        found: list[tuple[BagMessage, PoseFrame]] = []
-        for message in reader.messages([reader.topics[index].name for index in people]):
-            kind = reader.topics[message.topic]
-            with located(EvaluationError, path, key=kind.name):
-                content = read_people(kind.type, deserialised_message(message.data, kind), options.names)
-            found.append((message._replace(data=b""), content))
-        if not found:
-            listed = _poses_of([each for index, each in enumerate(reader.topics) if index not in people])
-            raise EvaluationError(f"there is no message on {topic}; the bag has {listed}", path=path)
-        if all(content.stamp is None for _, content in found):  # empty marker arrays have no header
-            found = [(message, replace(content, stamp=message.stamp)) for message, content in found]
-        transforms = bag_transforms(path, {content.frame_id for _, content in found} - {""})
-        stream = EstimateStream(source)
-        others = set[str]()
-        for message, content in found:
-            kind = reader.topics[message.topic]
-            with located(EvaluationError, path, key=kind.name):
-                if content.frame_id not in ("", WORLD_FRAME):
-                    content = in_world(content, transforms, is_needed=has_one_point(kind.type))
-                latency = _latency(content.stamp, message.stamp)
-                stream.add(content, kind.name, message.stamp, people[message.topic], latency)
-            others.add(content.frame_id)
+        for each in topics:
+            if each.name in people:
+                _check_type(each, path)
+        found = list(recorded.each(people, read, EvaluationError))
+    if not found:
+        listed = _poses_of([each for each in topics if each.name not in people])
+        raise EvaluationError(f"there is no message on {topic}; the bag has {listed}", path=path)
+    if all(content.stamp is None for *_, content in found):  # empty marker arrays have no header
+        found = [(kind, log, replace(content, stamp=log)) for kind, log, content in found]
+    transforms = bag_transforms(path, {content.frame_id for *_, content in found} - {""})
+    stream = EstimateStream(source)
+    others = set[str]()
+    for kind, log, content in found:
+        with located(EvaluationError, path, key=kind.name):
+            if content.frame_id not in ("", WORLD_FRAME):
+                content = in_world(content, transforms, is_needed=has_one_point(kind.type))
+            stream.add(content, kind.name, log, people[kind.name], _latency(content.stamp, log))
+        others.add(content.frame_id)
     if others := others - {"", WORLD_FRAME}:
         warn_about(source, f"frame_id is '{printable(min(others), 80)}', and is taken as {WORLD_FRAME}")
     return stream
@@ -230,13 +226,10 @@ def bag_transforms(path: str | os.PathLike[str], frames: Collection[str]) -> Tra
 
 def _for_transforms(path: str | os.PathLike[str], use: Callable[[bytes, BagTopic], None]) -> None:
     """Call ``use`` with each serialised message of a bag that has transforms."""
-    with BagReader(path) as reader:
-        for message in reader.messages(
-            [each.name for each in reader.topics if each.type in (TF, _EXTRINSICS)]
-        ):
-            topic = reader.topics[message.topic]
-            with located(EvaluationError, path, key=topic.name):
-                use(bytes(message.data), topic)
+    with RecordedMessages(path) as recorded:
+        names = [name for name, topic in recorded.topics.items() if topic.type in (TF, _EXTRINSICS)]
+        for _ in recorded.each(names, use, EvaluationError):
+            pass
 
 
 def in_world(frame: PoseFrame, transforms: Transforms, is_needed: bool) -> PoseFrame:

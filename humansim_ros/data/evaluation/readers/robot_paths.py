@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from humansim_ros.data.bags import is_bag
-from humansim_ros.data.bags.reader import BagReader
 from humansim_ros.data.bags.topics import BagTopic
 from humansim_ros.data.evaluation.nearby import RobotPath
 from humansim_ros.data.evaluation.readers.estimates import (
@@ -23,7 +22,8 @@ from humansim_ros.data.evaluation.truth import MAX_TRUTH_FRAMES
 from humansim_ros.data.messages.cameras import rigid_pose
 from humansim_ros.data.messages.headers import WORLD_FRAME, to_nanoseconds
 from humansim_ros.data.messages.transforms import TF, read_links
-from humansim_ros.errors import EvaluationError, located, printable, unknown
+from humansim_ros.data.recorded import RecordedMessages
+from humansim_ros.errors import EvaluationError, printable, unknown
 from humansim_ros.geometry import quaternion_to_matrix, transform
 from humansim_ros.scene.config import FIRST_STAMP
 from humansim_ros.scene.core import Scene
@@ -55,8 +55,8 @@ def is_robot_path(text: str) -> bool:
         return True
     if not is_bag(path):
         return False
-    with BagReader(path) as reader:
-        return any(each.name == topic and each.type in (*_POSES, TF) for each in reader.topics)
+    with RecordedMessages(path) as recorded:
+        return any(each.name == topic and each.type in (*_POSES, TF) for each in recorded.reader.topics)
 
 
 def read_robot_path(text: str, scene: Scene | None) -> RobotPath:
@@ -98,20 +98,21 @@ def _bag_path(path: Path, topic: str, scene: Scene | None) -> RobotPath:
     robot = scene.robot if scene is not None else None
     base = robot.config.base_frame if robot is not None else _BASE_FRAME
     samples: list[_Sample] = []
-    with BagReader(path) as reader:
-        kinds = {each.name: each.type for each in reader.topics}
+    with RecordedMessages(path) as recorded:
+        kinds = {each.name: each.type for each in recorded.reader.topics}
         if topic not in kinds:
             raise EvaluationError(unknown("topic", topic, kinds, "the bag", 8), path=path)
         is_tf = kinds[topic] == TF
         transforms = bag_transforms(path, [base] if is_tf else [])
         moving = transforms.moving(base)  # its times are those of the path
-        for message in reader.messages([topic]):
-            with located(EvaluationError, path, key=topic):
-                if is_tf:
-                    links = read_links(bytes(message.data))
-                    samples += [(stamp, base, np.eye(4)) for _, child, stamp, _ in links if child == moving]
-                else:
-                    samples.append(_sample(message.data, reader.topics[message.topic]))
+
+        def read(data: bytes, kind: BagTopic) -> list[_Sample]:
+            if not is_tf:
+                return [_sample(data, kind)]
+            return [(stamp, base, np.eye(4)) for _, child, stamp, _ in read_links(data) if child == moving]
+
+        for _, _, found in recorded.each([topic], read, EvaluationError):
+            samples += found
     if not samples:
         raise EvaluationError(f"there is no pose of {base} on it", path=path, key=topic)
     times = [time for time, *_ in samples]

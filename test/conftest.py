@@ -36,8 +36,9 @@ MARKED_BY_NAME = {
         "Simulation",
         "make_renderer",
         "moderngl",
+        "workshop",
     },
-    "process": {"NodeProcesses", "multiprocessing", "runpytest_subprocess", "subprocess"},
+    "process": {"NodeProcesses", "multiprocessing", "runpytest_subprocess", "subprocess", "workshop"},
     "real_files": {"needs_shared_data", "shared_data"},
 }
 #: Real motions, meshes and calibrations: the folder of HUMANSIM_SHARED_DATA, or one beside the repository.
@@ -274,6 +275,15 @@ def chromium() -> Iterator[Any]:
     from pages import browser
 
     with browser() as opened:
+        yield opened
+
+
+@pytest.fixture(scope="session")
+def workshop(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """Makes small recordings, exports and data sets, which the tests of the engine interrupt."""
+    from workshop import open_workshop
+
+    with open_workshop(tmp_path_factory.mktemp("workshop")) as opened:
         yield opened
 
 

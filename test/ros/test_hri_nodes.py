@@ -25,9 +25,10 @@ from waiting import PATIENCE
 from humansim_ros import Scene, Simulation
 from humansim_ros.data import messages
 from humansim_ros.data.bags.reader import BagReader
-from humansim_ros.data.messages import hri, types
+from humansim_ros.data.messages import types
 from humansim_ros.data.messages.camera_truth import boxes_message, joint_view_message
 from humansim_ros.data.messages.images import image_message
+from humansim_ros.data.messages.stacks import hri
 from humansim_ros.data.messages.stacks.adapters import adapter_topics
 from humansim_ros.errors import HumansimError, RosError, SceneError
 from humansim_ros.ros.graph.guarded_node import GuardedNode

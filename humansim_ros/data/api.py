@@ -251,6 +251,8 @@ def _run(
         on_progress(progress.done, progress.total)
         on_state(plan, progress)
 
+    if ray is not None and not is_url(os.fspath(output)):
+        output = Path(output).resolve()  # workers are in other folders
     show(run(plan, output, workers=jobs or cores(), ray=ray, resume=resume, on_progress=show))
 
 

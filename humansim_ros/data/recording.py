@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
 from humansim_ros.data.bags.metadata import NAME as METADATA
-from humansim_ros.data.bags.metadata import Content, Storage, metadata_text, read_metadata
+from humansim_ros.data.bags.metadata import Content, Storage, metadata_text, parse_metadata
 from humansim_ros.data.bags.topics import BagMessage, BagTopic, Qos, described
 from humansim_ros.data.bags.writer import SQLITE_DEPRECATED, Compression, McapFile
 from humansim_ros.data.engine import (
@@ -193,16 +193,11 @@ class SceneRecording(WorkPlan):
         return _rows(table, self.topics)
 
     @property
-    def cameras(self) -> Sequence[str]:
-        """Names of the cameras that have recorded topics."""
-        return list(dict.fromkeys(topic.camera for topic in self.table if topic.camera))
-
-    @property
     def views(self) -> int:
         """Number of camera-frames for each frame."""
         return len({topic.camera for topic in self.table if topic.camera and topic.per_frame})
 
-    @property
+    @cached_property
     def bag_topics(self) -> Sequence[BagTopic]:
         """The recorded topics as topics of a bag."""
         return [described(_bag_topic(topic)) for topic in self.table]
@@ -213,9 +208,9 @@ class SceneRecording(WorkPlan):
 
     def finished(self, folder: OutputFolder) -> tuple[Mapping[str, Any], Collection[int]] | None:
         """Key and shards of a finished bag. Raises BagError for a bag of another program or version."""
-        if folder.local is None or folder.size(METADATA) is None:
+        if folder.size(METADATA) is None:
             return None
-        custom = read_metadata(folder.local).get("custom_data") or {}
+        custom = parse_metadata(folder.read(METADATA), folder.url).get("custom_data") or {}
         try:
             key = parse_json(custom[PLAN], BagError)
             key["shard_frames"]
@@ -226,7 +221,7 @@ class SceneRecording(WorkPlan):
             ) from None
         return key, [shard.number for shard in self.shards]
 
-    def finish(self, done: Sequence[Done], folder: OutputFolder) -> None:
+    def finish(self, done: Collection[Done], folder: OutputFolder) -> None:
         """Write ``metadata.yaml``. With storage ``sqlite3``, convert the bag first."""
         files = [
             (name, Content(dict(counts), start, end))

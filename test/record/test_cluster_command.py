@@ -60,6 +60,18 @@ def test_several_scenes_get_a_bag_each(cluster: None, tmp_path: Path) -> None:
     assert again.count(f"all {FRAMES} frames are written already") == 2
 
 
+@pytest.mark.nightly
+def test_a_relative_output_is_in_the_folder_of_the_command(
+    cluster: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Workers of Ray are in other folders."""
+    scene = write_scene(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    done = humansim("record", scene, "-o", "bag", "--frames", 2, *RAY, "--topics", "*/joints")
+    assert done.returncode == 0, done.stderr
+    assert sorted(path.name for path in (tmp_path / "bag").iterdir()) == ["bag_0.mcap", "metadata.yaml"]
+
+
 def test_wrong_options_are_refused(tmp_path: Path) -> None:
     scene, bag = write_scene(tmp_path), tmp_path / "bag"
     few = ("--frames", FRAMES)

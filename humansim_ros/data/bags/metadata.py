@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -119,10 +120,13 @@ def read_metadata(folder: Path) -> dict[str, Any]:
         BagError: The file cannot be read, or has no metadata of rosbag2.
     """
     path = folder / NAME
-    if not path.exists():
-        return {}
+    return parse_metadata(read_bytes(path, BagError, "metadata", _MAX_BYTES), path) if path.exists() else {}
+
+
+def parse_metadata(text: bytes, path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Content of the text of ``metadata.yaml``. Raises BagError, which names ``path``, if it has none."""
     try:
-        data = yaml.load(read_bytes(path, BagError, "metadata", _MAX_BYTES), _Loader)
+        data = yaml.load(text, _Loader)
     except (yaml.YAMLError, ValueError, RecursionError):
         raise BagError("this file is damaged: it is not valid YAML", path=path) from None
     information = data.get("rosbag2_bagfile_information") if isinstance(data, dict) else None

@@ -50,7 +50,7 @@ class Numbers(WorkPlan):
             return None
         return self.key, [shard.number for shard in self.shards]
 
-    def finish(self, done: Sequence[Done], folder: OutputFolder) -> None:
+    def finish(self, done: Collection[Done], folder: OutputFolder) -> None:
         folder.write("index", f"{sum(each.rows for each in done)}\n")
 
 

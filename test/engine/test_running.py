@@ -294,7 +294,7 @@ def test_shards_that_always_fail_on_ray_are_named_and_resumed(
 
 
 def test_a_task_of_another_version_or_without_the_folder_is_refused(marks: Path, tmp_path: Path) -> None:
-    job = writing.ShardJob(Numbers(marks), running.OutputFolder(tmp_path / "out"))
+    job = writing.ShardJob.of(Numbers(marks), running.OutputFolder(tmp_path / "out"))
     with pytest.raises(BagError, match="does not have this folder: use one that all hosts share"):
         writing.write_shard(job, job.plan.shards[0])
     with pytest.raises(HumansimError, match=r"and the driver 0\.0\.1: install the same everywhere"):

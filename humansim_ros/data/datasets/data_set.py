@@ -140,7 +140,7 @@ class DataSet(WorkPlan):
         if there and there[-1] > f"scene_{count - 1:06d}":
             raise ExportError(f"this folder has {there[-1]}, and {count} scenes are fewer", path=root)
 
-    def finish(self, done: Sequence[Done], folder: OutputFolder) -> None:
+    def finish(self, done: Collection[Done], folder: OutputFolder) -> None:
         """Write the files of the whole data set. Raises ExportError if no scene is written."""
         failures = {each.number: each.failure for each in done if each.failure}
         if len(failures) == len(self.shards):
@@ -149,7 +149,7 @@ class DataSet(WorkPlan):
         self._check_number(folder.local)
         _finish(replace(self, root=folder.local), failures)
 
-    def failure(self, done: Sequence[Done]) -> str:
+    def failure(self, done: Collection[Done]) -> str:
         """Why scenes failed. While scenes are written, too many failures end the work."""
         failures = {each.number: each.failure for each in done if each.failure}
         count, tried = len(failures), len(done)

@@ -21,9 +21,9 @@ from types import ModuleType
 from typing import Any, Protocol
 from urllib.parse import urlsplit
 
-from humansim_ros.data.engine.work import Done, RetryError, WorkShard
+from humansim_ros.data.engine.work import Done, RetryError, WorkShard, count_items
 from humansim_ros.data.engine.writing import CONTINUES, ShardJob, write_shard
-from humansim_ros.errors import BagError, HumansimError, RenderError, some_of
+from humansim_ros.errors import BagError, HumansimError, some_of
 from humansim_ros.files.reading import thread_limits
 
 #: Seconds between looks at the progress, and longest wait for a worker to end.
@@ -35,7 +35,7 @@ _TERMINAL = (signal.SIGINT, signal.SIGHUP, signal.SIGQUIT)
 #: Number of further attempts of Ray after a worker has died, or after an error that may not occur on another
 #: machine.
 _RETRIES = 3
-_RETRIED = [OSError, HumansimError, RenderError, MemoryError]
+_RETRIED = [OSError, HumansimError, MemoryError]
 #: Longest wait for the answer of a host, seconds.
 _CONNECT_LIMIT = 5.0
 #: Size of the object store, bytes, of a Ray that is started here. The store holds the scenes.
@@ -105,16 +105,12 @@ def write_in_pool(
         for is_last in (False, True):
             pool = _Processes(job, min(workers, len(left)))
             try:
-                _run(pool, left, show, take, count + _items(todo) - _items(left))
+                _run(pool, left, show, take, count + count_items(todo) - count_items(left))
                 return
             except BrokenProcessPool as death:
                 if is_last:
                     text = f"{pool.death(death)}; finished shards stay, and {CONTINUES}"
                     raise RetryError(text) from None
-
-
-def _items(shards: Iterable[WorkShard]) -> int:
-    return sum(len(shard.items) for shard in shards)
 
 
 def _run(

@@ -13,7 +13,7 @@ import os
 import re
 import shutil
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import suppress
 
 from humansim_ros.data.engine.folder import PARTIAL, WORK, OutputFolder
@@ -24,6 +24,7 @@ from humansim_ros.data.engine.work import (
     WorkProgress,
     WorkShard,
     check_key,
+    count_items,
     key_text,
 )
 from humansim_ros.data.engine.writing import (
@@ -81,24 +82,21 @@ def run(
         try:
             with full_disk():
                 todo = work.begin(resume)
-            progress = WorkProgress.of(_items(plan.shards), _items(todo))
+            progress = WorkProgress.of(count_items(plan.shards), count_items(todo))
             if work.is_finished:
                 return progress
             if todo:
                 _write_all(work, todo, workers, ray, progress, on_progress)
             with full_disk():
-                plan.finish(done := work.done(), work.output)
+                plan.finish(done := FinishedShards(work), work.output)
+            failure = plan.failure(done)
         except BaseException:
             work.give_up()
             raise
         work.end()
-    if failure := plan.failure(done):
+    if failure:
         raise plan.error(failure)
     return progress
-
-
-def _items(shards: Iterable[WorkShard]) -> int:
-    return sum(len(shard.items) for shard in shards)
 
 
 def _write_all(
@@ -111,8 +109,8 @@ def _write_all(
 ) -> None:
     """Write the shards ``todo``, and follow the progress."""
     tried = list[Done]()
-    job, start = ShardJob(work.plan, work.output), time.monotonic()
-    left = _items(todo)
+    job, start = ShardJob.of(work.plan, work.output), time.monotonic()
+    left = count_items(todo)
 
     def show(done: int) -> None:
         progress.done, progress.seconds = done, time.monotonic() - start
@@ -236,7 +234,7 @@ class WorkFolder:
         finished = set[int]()
         for name in sorted(self.output.names(WORK)):
             if name.endswith(".json") and name != "plan.json":
-                done = self._read(name)
+                done = self.read(name)
                 if done is not None and all(
                     self.output.size(file) == size for file, size in done.files.items()
                 ):
@@ -246,7 +244,7 @@ class WorkFolder:
         self.is_begun = bool(finished)
         return [shard for shard in self.plan.shards if shard.number not in finished]
 
-    def _read(self, name: str) -> Done | None:
+    def read(self, name: str) -> Done | None:
         """Read the file of a finished shard. None if the file is damaged, as after a power cut."""
         text = self.output.read(f"{WORK}/{name}").decode(errors="replace")
         try:
@@ -256,13 +254,6 @@ class WorkFolder:
             return done if is_whole else None
         except (HumansimError, LookupError, TypeError, ValueError):
             return None
-
-    def done(self) -> list[Done]:
-        """All shards of the finished work, in order."""
-        found = [self._read(f"{shard.name}.json") for shard in self.plan.shards]
-        if None in found:
-            raise self.plan.error("a file of a finished shard is damaged; begin again", path=self.output.url)
-        return [done for done in found if done is not None]
 
     def check_space(self, each: float, left: int) -> None:
         """Warn once if the remaining items may not fit on the disk.
@@ -317,3 +308,28 @@ class WorkFolder:
         """Remove the state of the work."""
         self.output.remove(PLAN_FILE)
         self.output.delete(WORK)
+
+
+class FinishedShards(Collection[Done]):
+    """All shards of finished work, in order.
+
+    Each iteration reads them from the disk, since the rows of a long export may not fit into the memory. It
+    raises the error of the plan if a file is damaged.
+    """
+
+    def __init__(self, work: WorkFolder) -> None:
+        self._work = work
+
+    def __len__(self) -> int:
+        return len(self._work.plan.shards)
+
+    def __iter__(self) -> Iterator[Done]:
+        plan = self._work.plan
+        for shard in plan.shards:
+            if (done := self._work.read(f"{shard.name}.json")) is None:
+                where = self._work.output.url
+                raise plan.error("a file of a finished shard is damaged; begin again", path=where)
+            yield done
+
+    def __contains__(self, done: object) -> bool:
+        return any(each == done for each in self)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Protocol
@@ -59,6 +59,11 @@ def shards_of(items: range, size: int | None = None) -> list[WorkShard]:
         WorkShard(number, items[first : first + size])
         for number, first in enumerate(range(0, len(items), size))
     ]
+
+
+def count_items(shards: Iterable[WorkShard]) -> int:
+    """Number of items of some shards."""
+    return sum(len(shard.items) for shard in shards)
 
 
 class Costs(dict[str, float]):
@@ -143,12 +148,14 @@ class WorkPlan(ABC):
         items: What a shard consists of, such as ``frames``, for messages.
         saving: What to do if the disk is too small, for the end of a message.
         error: Class of the errors about the folder of the product.
+        device: Device that renders. Empty if nothing is rendered.
     """
 
     what: ClassVar[str]
     items: ClassVar[str] = "frames"
     saving: ClassVar[str] = ""
     error: ClassVar[type[HumansimError]] = HumansimError
+    device: str
 
     @property
     def views(self) -> int:
@@ -158,7 +165,7 @@ class WorkPlan(ABC):
     @property
     @abstractmethod
     def key(self) -> Mapping[str, Any]:
-        """JSON values that are equal for plans with the same product. ``device``: device that renders."""
+        """JSON values that are equal for plans with the same product."""
 
     @property
     @abstractmethod
@@ -181,18 +188,18 @@ class WorkPlan(ABC):
         """
 
     @abstractmethod
-    def finish(self, done: Sequence[Done], folder: OutputFolder) -> None:
+    def finish(self, done: Collection[Done], folder: OutputFolder) -> None:
         """Write the files of the whole product, the index last. If this is interrupted, it is repeated.
 
         Args:
-            done: All shards, in order.
+            done: All shards, in order. Each iteration reads them from the disk.
             folder: Folder of the product.
 
         Raises:
             HumansimError: A file cannot be written.
         """
 
-    def failure(self, done: Sequence[Done]) -> str:
+    def failure(self, done: Collection[Done]) -> str:
         """Why the work is given up, or is incomplete at its end. Empty if it is neither.
 
         ``done``: the shards that are finished.

@@ -21,7 +21,7 @@ from humansim_ros.data.engine.work import Done, PartialError, Worker, WorkPlan, 
 from humansim_ros.errors import HumansimError, RenderError
 from humansim_ros.files.reading import package_version, temporary_folder
 
-#: The plan, in that folder.
+#: The plan, in the folder of the work.
 PLAN_FILE = f"{WORK}/plan.json"
 #: Folder there for files of the product that only :meth:`WorkPlan.finish` needs.
 TEMPORARY = f"{WORK}/files"
@@ -42,23 +42,20 @@ class ShardJob:
     Attributes:
         plan: The plan.
         output: Folder of the product.
+        key: Key that is equal for jobs that can use the same worker. It is made once, since the key of a plan
+            may be a hash of files, which other hosts do not have.
         version: Version of this package.
     """
 
-    plan: WorkPlan
-    output: OutputFolder
+    plan: WorkPlan = field(compare=False)
+    output: OutputFolder = field(compare=False)
+    key: str
     version: str = field(default_factory=package_version)
 
-    @property
-    def key(self) -> str:
-        """Key that is equal for jobs that can use the same worker."""
-        return f"{self.output.url} {key_text(self.plan)}"
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, ShardJob) and self.key == other.key
-
-    def __hash__(self) -> int:
-        return hash(self.key)
+    @classmethod
+    def of(cls, plan: WorkPlan, output: OutputFolder) -> ShardJob:
+        """The work of a plan in a folder."""
+        return cls(plan, output, f"{output.url} {key_text(plan)}")
 
 
 def digest(done: Done) -> str:
@@ -79,7 +76,7 @@ def open_worker(job: ShardJob) -> Worker:
         HumansimError: This machine cannot do the work; or renders on another device than that of the plan,
             so that pixels would differ.
     """
-    worker, device = job.plan.open(), job.plan.key.get("device", "")
+    worker, device = job.plan.open(), job.plan.device
     if device in worker.device:
         return worker
     worker.close()

@@ -79,6 +79,11 @@ class Export(WorkPlan):
         return len(self.source.scene.cameras) if needed_channels(self.formats) else 0
 
     @property
+    def device(self) -> str:  # type: ignore[override]
+        """Device that renders. Empty if nothing is rendered."""
+        return self.plan.device
+
+    @property
     def key(self) -> Mapping[str, Any]:
         """JSON values that are equal for exports with the same files."""
         return asdict(self.plan)
@@ -102,7 +107,7 @@ class Export(WorkPlan):
             raise ExportError(text, path=folder.url)
         return index["plan"], [shard.number for shard in self.shards]
 
-    def finish(self, done: Sequence[Done], folder: OutputFolder) -> None:
+    def finish(self, done: Collection[Done], folder: OutputFolder) -> None:
         """Write the files of the whole export, then the index."""
         assert folder.local is not None
         root, scene = ExportFolder(folder.local), self.source.scene
@@ -134,7 +139,7 @@ class Export(WorkPlan):
 class FrameRecords:
     """Pairs of frame number and record of the frame for one format."""
 
-    done: Sequence[Done]
+    done: Collection[Done]
     name: str
 
     def __iter__(self) -> Iterator[tuple[int, Record]]:

@@ -24,7 +24,7 @@ from humansim_ros.cli.main import main
 from humansim_ros.data.engine import WorkProgress
 from humansim_ros.data.formats.formats import EXPORT_FORMATS
 from humansim_ros.data.formats.plan import parse_range
-from humansim_ros.errors import ExportError
+from humansim_ros.errors import ExportError, RenderError
 
 FORMATS = "images,depth-png,labels"
 
@@ -37,6 +37,17 @@ def scene() -> Scene:
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory, scene: Scene) -> Path:
     return exported(tmp_path_factory.mktemp("whole") / "out", FORMATS, scene, frames="2:6")
+
+
+def test_motions_are_exported_without_opengl(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing(_: Scene) -> None:
+        raise RenderError("no OpenGL")
+
+    monkeypatch.setattr(Scene, "make_renderer", missing)
+    files = content(exported(tmp_path / "motions", "bvh,panoptic", frames="0:2"))
+    assert {"bvh/anna.bvh", "bvh/bert.bvh"} <= files.keys()
+    with pytest.raises(RenderError, match=r"^no OpenGL$"):
+        exported(tmp_path / "images", "bvh,coco", frames="0:2")
 
 
 @pytest.mark.nightly

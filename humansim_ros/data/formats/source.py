@@ -17,6 +17,7 @@ from humansim_ros.data.formats.writer import ExportScene
 from humansim_ros.errors import ExportError, SceneError
 from humansim_ros.files.reading import package_version, read_blocks
 from humansim_ros.render.device import rendering_device
+from humansim_ros.render.interface import NoRenderer
 from humansim_ros.scene.config import map_files
 from humansim_ros.scene.core import Frame, Needs, Scene, SceneCamera, Simulation
 
@@ -113,7 +114,12 @@ class SimulatedSource:
         return rendering_device()
 
     def open(self) -> FrameReader:
-        """Load the renderer. Raises ExportError if a format needs a laser scanner but the scene has none."""
+        """Load the renderer if a format has images.
+
+        Raises:
+            ExportError: A format needs a laser scanner, and the scene has none.
+            RenderError: OpenGL is missing.
+        """
         sweeping = [row.name for row in self.formats if SWEEPS in row.content]
         if sweeping and not self.simulated.scanners:
             raise ExportError(f"{sweeping[0]} needs a laser scanner, and the scene has none", key="--format")
@@ -151,8 +157,8 @@ class _SimulatedFrames:
 
     def __init__(self, scene: Scene, needs: Needs) -> None:
         self._needs = needs
-        self._simulation = Simulation(scene)
-        self.device = self._simulation.renderer.device if needs.channels else ""
+        self._simulation = Simulation(scene, renderer=None if needs.channels else NoRenderer())
+        self.device = self._simulation.renderer.device
 
     def frame(self, index: int) -> Frame:
         """Render a frame."""

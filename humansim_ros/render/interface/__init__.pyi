@@ -15,6 +15,7 @@ from humansim_ros.render.interface.renderer import AdjacentFrame as AdjacentFram
 from humansim_ros.render.interface.renderer import Backdrop as Backdrop
 from humansim_ros.render.interface.renderer import Body as Body
 from humansim_ros.render.interface.renderer import Kind as Kind
+from humansim_ros.render.interface.renderer import NoRenderer as NoRenderer
 from humansim_ros.render.interface.renderer import Renderer as Renderer
 from humansim_ros.render.interface.renderer import RenderRequest as RenderRequest
 from humansim_ros.render.interface.renderer import check_bodies as check_bodies

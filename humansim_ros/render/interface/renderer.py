@@ -179,6 +179,20 @@ class Renderer(ABC):
         """Free the OpenGL context and all resources."""
 
 
+class NoRenderer(Renderer):
+    """Stands in for a renderer where nothing is rendered. It needs no OpenGL."""
+
+    channels = ()
+    name = "no renderer"
+
+    def render_request(self, request: RenderRequest) -> View:
+        """Raise RenderError."""
+        raise RenderError("nothing is rendered here")
+
+    def close(self) -> None:
+        """Do nothing."""
+
+
 def check_bodies(bodies: Sequence[Body]) -> None:
     """Raise RenderError if a body cannot be rendered, or if two bodies cannot be in one frame."""
     labels = Counter(body.instance for body in bodies if body.instance)

@@ -59,7 +59,12 @@ def export(
     """
     from humansim_ros.data import api
     from humansim_ros.data.bags import is_bag
+    from humansim_ros.data.engine import prepare_processes
     from humansim_ros.data.formats import parse_range
+
+    chosen = parse_range(range_) if range_ is not None else frames
+    if ray is None:
+        prepare_processes(api.EXPORT_MODULES, jobs, chosen)
     from humansim_ros.files.yaml import has_key
     from humansim_ros.scene.config import RECIPE
     from humansim_ros.scene.core import Scene
@@ -76,7 +81,7 @@ def export(
             output,
             formats or (),
             scenes=scenes,
-            frames=parse_range(range_) if range_ is not None else frames,
+            frames=chosen,
             keypoints=keypoints,
             images=images.value,
             shard_size=shard_size,

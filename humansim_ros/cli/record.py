@@ -55,6 +55,10 @@ def record(
 ) -> None:
     """Record a scene into a bag of rosbag2, frame by frame, without nodes: no frame is lost."""
     from humansim_ros.data import api
+    from humansim_ros.data.engine import prepare_processes
+
+    if ray is None:
+        prepare_processes(api.RECORD_MODULES, jobs, frames)
     from humansim_ros.scene.core import Scene
 
     if (frames is None) == (seconds is None):

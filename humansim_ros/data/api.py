@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from humansim_ros.data.engine import WorkPlan, WorkProgress, ignore, is_url, run
+from humansim_ros.data.engine import WorkPlan, WorkProgress, ignore, is_url, prepare_processes, run
 from humansim_ros.errors import BagError, ExportError
 from humansim_ros.files.reading import cores
 
@@ -16,6 +16,10 @@ if TYPE_CHECKING:
     from humansim_ros.data.formats.formats import ExportFormat
     from humansim_ros.data.formats.source import ExportSource
     from humansim_ros.scene.core import Scene
+
+#: Modules that the worker processes of a recording, and of an export, import.
+RECORD_MODULES = ("humansim_ros.data.recording", "humansim_ros.render.frame.gl", "rosbags.typesys")
+EXPORT_MODULES = ("humansim_ros.data.formats.exporting", "humansim_ros.render.frame.gl")
 
 
 def evaluate(
@@ -134,6 +138,8 @@ def record(
         >>> record("scene.yaml", "walk", frames=90, topics=["/camera_*/image_raw"])  # doctest: +SKIP
         PosixPath('walk')
     """
+    if ray is None:
+        prepare_processes(RECORD_MODULES, jobs, frames)
     from humansim_ros.data.recording import SceneRecording
 
     if (frames is None) == (seconds is None):
@@ -214,6 +220,8 @@ def export(
         >>> export("scene.yaml", "walk", ["coco", "depth-png"], frames=range(100, 200))  # doctest: +SKIP
         PosixPath('walk')
     """
+    if ray is None:
+        prepare_processes(EXPORT_MODULES, jobs, frames)
     from humansim_ros.data.formats.exporting import Export
     from humansim_ros.data.formats.formats import chosen_formats
     from humansim_ros.data.formats.plan import ExportPlan

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 import time
 from dataclasses import dataclass
+from pathlib import Path
 
 import pytest
+from waiting import PATIENCE
 
 from humansim_ros.data.engine import JobProcesses, ProcessDiedError
 from humansim_ros.data.engine.processes import answers
@@ -61,3 +65,47 @@ def test_another_job_is_used_from_the_next_request_on_and_a_death_is_told() -> N
         with pytest.raises(ProcessDiedError):
             list(processes.arrived())
     assert not any(process.is_alive() for process in processes.processes)
+
+
+_PROGRAM = """
+import os
+from humansim_ros.data.engine import answers, prepare_processes
+from test_job_processes import Environment
+prepare_processes(["humansim_ros.data.recording"], 2)
+os.environ["LATER"] = "1"
+print(*answers(Environment(), [1, 2], 2))
+"""
+
+
+@dataclass(frozen=True)
+class Environment:
+    """Tells what a process has imported and which environment it has."""
+
+    def start(self) -> Environment:
+        return self
+
+    def work(self, _: int) -> tuple[bool, str | None, str | None]:
+        imported = "humansim_ros.data.recording" in sys.modules
+        return imported, os.environ.get("LATER"), os.environ.get("PYTHONSAFEPATH")
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.mark.skipif(sys.version_info < (3, 11), reason="Python 3.10 always imports from the current folder")
+def test_processes_have_modules_but_none_of_the_folder_and_the_present_environment(tmp_path: Path) -> None:
+    (tmp_path / "here").mkdir()
+    (tmp_path / "here" / "yaml.py").write_text("raise SystemExit('a file of the user')")
+    program = tmp_path / "program.py"
+    program.write_text(_PROGRAM)
+    places = os.pathsep.join([*os.environ.get("PYTHONPATH", "").split(os.pathsep), *sys.path])
+    done = subprocess.run(
+        [sys.executable, str(program)],
+        cwd=tmp_path / "here",
+        env={**os.environ, "PYTHONPATH": places},
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE,
+    )
+    assert done.stderr == ""
+    assert done.stdout == "(True, '1', None) (True, '1', None)\n"

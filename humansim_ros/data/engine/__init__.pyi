@@ -1,6 +1,7 @@
 from humansim_ros.data.engine.folder import WORK as WORK
 from humansim_ros.data.engine.folder import OutputFolder as OutputFolder
 from humansim_ros.data.engine.folder import is_url as is_url
+from humansim_ros.data.engine.pool import prepare_processes as prepare_processes
 from humansim_ros.data.engine.processes import JobProcesses as JobProcesses
 from humansim_ros.data.engine.processes import ProcessDiedError as ProcessDiedError
 from humansim_ros.data.engine.processes import ProcessJob as ProcessJob

@@ -15,16 +15,18 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager
 from functools import lru_cache
+from multiprocessing import forkserver
+from multiprocessing.context import BaseContext
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Protocol
 from urllib.parse import urlsplit
 
-from humansim_ros.data.engine.work import Done, RetryError, WorkShard, count_items
+from humansim_ros.data.engine.work import LEAST, Done, RetryError, WorkShard, count_items
 from humansim_ros.data.engine.writing import CONTINUES, ShardJob, write_shard
 from humansim_ros.errors import BagError, HumansimError, some_of
-from humansim_ros.files.reading import thread_limits
+from humansim_ros.files.reading import cores, thread_limits
 
 #: Seconds between looks at the progress, and longest wait for a worker to end.
 _LOOK, _ENDING = 0.1, 10.0
@@ -162,11 +164,11 @@ class _Processes:
 
     def __init__(self, job: ShardJob, workers: int) -> None:
         self.workers = workers
-        context = multiprocessing.get_context("spawn")  # a fork after threads of OpenCV would wait for ever
+        context = process_context()
         #: Number of finished items by shard. The last number tells the workers to give up. (Without a lock,
         #: which a killed process could hold for ever.)
         self._ticks = context.RawArray("q", max(shard.number for shard in job.plan.shards) + 2)
-        arguments = pickle.dumps(job), self._ticks, thread_limits(workers)
+        arguments = pickle.dumps(job), self._ticks, process_environment(workers)
         self._pool = ProcessPoolExecutor(workers, context, _begin, arguments)
         self._processes: list[BaseProcess] = []
 
@@ -203,6 +205,60 @@ class _Processes:
 
 
 _STARTING = threading.Lock()
+#: Environment variable of Python 3.11 and later: do not search the current folder for modules.
+_SAFE_PATH = "PYTHONSAFEPATH"
+
+
+def prepare_processes(modules: Sequence[str], workers: int | None, items: int | range | None = None) -> None:
+    """Let another process import modules while this process prepares a plan. Worker processes are forked from
+    that process, so that their start takes less time.
+
+    Args:
+        modules: Names of modules of this package.
+        workers: Number of worker processes. If None, one for each core.
+        items: Items of the plan, or their number. If None, they are not known.
+    """
+    count = len(items) if isinstance(items, range) else items
+    if (workers or cores()) > 1 and (count is None or count > LEAST):
+        with _STARTING, _terminal_signals_blocked(), _safe_path() as is_safe:
+            if is_safe:
+                forkserver.set_forkserver_preload(list(modules))
+                forkserver.ensure_running()
+
+
+def process_context() -> BaseContext:
+    """Context of :mod:`multiprocessing` for worker processes. They are not forked from this process, since a
+    fork after threads of OpenCV would wait for ever."""
+    return multiprocessing.get_context("forkserver")
+
+
+def process_environment(workers: int) -> dict[str, str]:
+    """Environment variables of worker processes. ``workers``: their number."""
+    return {**os.environ, **thread_limits(workers)}
+
+
+@contextmanager
+def _terminal_signals_blocked() -> Iterator[None]:
+    """Context for the start of processes, which ignore the signals of a terminal."""
+    signals = signal.pthread_sigmask(signal.SIG_BLOCK, _TERMINAL)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, signals)
+
+
+@contextmanager
+def _safe_path() -> Iterator[bool]:
+    """Context for the start of a process that does not import files of the current folder, which a user may
+    have named like a module. Gives whether this version of Python can do so."""
+    before = os.environ.get(_SAFE_PATH)
+    os.environ[_SAFE_PATH] = "1"
+    try:
+        yield sys.version_info >= (3, 11)
+    finally:
+        del os.environ[_SAFE_PATH]
+        if before is not None:
+            os.environ[_SAFE_PATH] = before
 
 
 @contextmanager
@@ -212,15 +268,13 @@ def starting(processes: list[BaseProcess]) -> Iterator[None]:
 
     ``processes``: list that gets the new processes.
     """
-    with _STARTING:
+    with _STARTING, _terminal_signals_blocked():
         others = set(multiprocessing.active_children())
-        signals = signal.pthread_sigmask(signal.SIG_BLOCK, _TERMINAL)
         main, sys.modules["__main__"] = sys.modules["__main__"], ModuleType("__main__")
         try:
             yield
         finally:
             sys.modules["__main__"] = main
-            signal.pthread_sigmask(signal.SIG_SETMASK, signals)
             processes += [each for each in multiprocessing.active_children() if each not in others]
 
 
@@ -263,9 +317,11 @@ def _begin(job: bytes, ticks: Any, environment: dict[str, str]) -> None:
 def begin_process(environment: dict[str, str]) -> None:
     """Prepare a worker process: limit its threads, and end it if the process that has started it is killed.
 
-    ``environment``: environment variables of :func:`thread_limits`.
+    ``environment``: environment variables, see :func:`process_environment`.
     """
+    os.environ.clear()  # it may be that of an earlier time
     os.environ.update(environment)
+    signal.pthread_sigmask(signal.SIG_BLOCK, _TERMINAL)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)  # a forked process has the handler of the other process
     threading.Thread(target=_end_with_parent, daemon=True).start()
     if threads := environment.get("OPENCV_FOR_THREADS_NUM"):

@@ -16,9 +16,15 @@ from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.process import BaseProcess
 from typing import Any, Protocol
 
-from humansim_ros.data.engine.pool import begin_process, end, starting
+from humansim_ros.data.engine.pool import (
+    begin_process,
+    end,
+    process_context,
+    process_environment,
+    starting,
+)
 from humansim_ros.errors import HumansimError
-from humansim_ros.files.reading import cores, thread_limits
+from humansim_ros.files.reading import cores
 
 #: Fewer requests than this are answered in this process, since another one needs seconds for its start.
 _FEW = 60
@@ -60,9 +66,9 @@ class JobProcesses:
     """
 
     def __init__(self, job: ProcessJob, count: int, nice: int = 0, copies: bool = False) -> None:
-        context = multiprocessing.get_context("fork" if copies else "spawn")
+        context = multiprocessing.get_context("fork") if copies else process_context()
         self.use(job)
-        arguments = nice, thread_limits(count), job if copies else None
+        arguments = nice, process_environment(count), job if copies else None
         # a pool of one process each, since a process keeps the static images of its cameras
         self._pools = [ProcessPoolExecutor(1, context, _begin, arguments) for _ in range(count)]
         self.processes: list[BaseProcess] = []

@@ -19,7 +19,7 @@ from humansim_ros.data.engine.folder import OutputFolder
 from humansim_ros.errors import HumansimError
 
 #: Number of shards that a long plan is divided into, and the limits of the number of frames of a shard.
-_SHARDS, _LEAST, _MOST = 32, 5, 100
+_SHARDS, LEAST, _MOST = 32, 5, 100
 #: Most entries that an error about different lists names.
 _MAX_LISTED = 6
 
@@ -54,7 +54,7 @@ def shards_of(items: range, size: int | None = None) -> list[WorkShard]:
         size: Number of items of a shard. If None, a 32nd of all items, but at least 5 and at most 100.
     """
     if size is None:
-        size = min(max(-(-len(items) // _SHARDS), _LEAST), _MOST)
+        size = min(max(-(-len(items) // _SHARDS), LEAST), _MOST)
     return [
         WorkShard(number, items[first : first + size])
         for number, first in enumerate(range(0, len(items), size))

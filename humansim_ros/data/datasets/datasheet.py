@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 import yaml
 
-from humansim_ros.data.datasets.recipe import RecipeConfig
+from humansim_ros.data.datasets.recipe_config import RecipeConfig
 from humansim_ros.data.formats.croissant import card_header
 from humansim_ros.data.formats.markup import Markup, page, picture
 from humansim_ros.data.formats.statistics import ANGLES, HISTOGRAMS, Histogram, Totals

@@ -8,21 +8,21 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import os
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pydantic import Field, StringConstraints, field_validator
 
-from humansim_ros.data.datasets.draws import DRAWS, MAX_OPTIONS, ChoiceDraw, Keys, draw_at, values_at_ends
+from humansim_ros.data.datasets.draws import DRAWS, Keys, draw_at, values_at_ends
+from humansim_ros.data.datasets.recipe_config import RecipeConfig
+from humansim_ros.data.datasets.scene_draws import SceneDraws, as_mapping, with_seeds
 from humansim_ros.data.formats.formats import ExportFormat, chosen_formats
 from humansim_ros.errors import (
     CameraError,
@@ -37,7 +37,7 @@ from humansim_ros.errors import (
     located,
 )
 from humansim_ros.files.reading import built_in_names
-from humansim_ros.files.yaml import Expected, Section, Share, line_of, read_yaml, show_value, validated
+from humansim_ros.files.yaml import line_of, read_yaml, validated
 from humansim_ros.motion.files import find_motion
 from humansim_ros.people.keypoints import keypoint_set
 from humansim_ros.people.loading import find_human
@@ -45,12 +45,8 @@ from humansim_ros.people.makehuman import PeopleConfig, is_person, person_name
 from humansim_ros.scene.checks import check_scene
 from humansim_ros.scene.config import (
     LIVE,
-    AboutConfig,
-    RoomConfig,
     SceneConfig,
-    Vector3,
     check_config,
-    checked_license,
     file_keys,
 )
 from humansim_ros.scene.core import Needs, RandomNumbers, Scene, SceneSource, Simulation, random_numbers
@@ -59,112 +55,14 @@ from humansim_ros.scene.truth import REQUIRED_CHANNELS, BodyBox
 if TYPE_CHECKING:
     import yaml
 
-#: Most scenes of a data set, and frames of a scene.
-MAX_SCENES, MAX_SCENE_FRAMES = 1_000_000, 100_000
-#: Seeds of scenes are below this number: JSON can hold such whole numbers exactly, and two scenes hardly ever
-#: get the same seed.
-_SEEDS = 2**53
 #: In this number of frames of a scene, the conditions of ``require`` are checked.
 _CHECKED_FRAMES = 10
 #: Most people of the pool that one scene can choose from.
 _MAX_BODIES = 200
-#: Smallest distance of the cameras of a ring from walls and ceiling, metres.
-_FROM_WALLS = 0.3
 #: Formats that are always written for each scene.
 ALWAYS = ("images", "statistics", "huggingface")
 #: Errors that drawn values can cause. After such an error, the scene is drawn again.
 _DRAW_ERRORS = (SceneError, MotionError, MeshError, CameraError)
-
-_Name = Annotated[
-    str,
-    StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$", max_length=60),
-    Expected("a name of letters, digits, - and _ that begins with a letter"),
-]
-_Split = Annotated[
-    str,
-    StringConstraints(pattern=r"^[a-z][a-z0-9_]*$", max_length=40),
-    Expected("a name of small letters, digits and _"),
-]
-
-
-class DataSetAbout(AboutConfig):
-    """What a data card says about a data set of many scenes."""
-
-    license: str | None = Field(default=None, description="licence, such as CC-BY-4.0, or its address")
-
-    _license_is_a_line = field_validator("license")(checked_license)
-
-
-class RingConfig(Section):
-    """Cameras around the people. All values may be distributions. The names are ``camera_1`` and so on."""
-
-    count: Any = Field(default=4, description="number of cameras")
-    radius: Any = Field(description="metres from the point that they look at; drawn for each camera")
-    height: Any = Field(description="metres above the floor; drawn for each camera")
-    look_at: Any = Field(default=[0, 0, 0.9], description="a point in map; drawn for each camera")
-    scatter_deg: Any = Field(default=0, description="most degrees from even places on the ring")
-    camera: dict[str, Any] = Field(default_factory=dict, description="keys of all cameras, drawn once")
-    each: dict[str, Any] = Field(default_factory=dict, description="keys drawn for each camera")
-
-
-class _Ring(Section):
-    """Drawn values of all cameras of a ring."""
-
-    count: int = Field(ge=1, le=100)
-    scatter_deg: float = Field(ge=0, le=180)
-
-
-class _Place(Section):
-    """Drawn values of one camera of a ring."""
-
-    radius: float = Field(gt=0, le=1000)
-    height: float = Field(ge=-100, le=1000)
-    look_at: Vector3
-
-
-class RequireConfig(Section):
-    """Conditions that each scene must fulfil. A scene that does not is drawn again."""
-
-    cameras: int = Field(default=0, ge=0, le=100, description="cameras that see each person in each frame")
-    visible: Share = Field(default=0.1, description="visible share of a person from which a camera sees it")
-    pixels: float = Field(default=0, ge=0, le=1e5, description="height in the image from which it does")
-    clean: bool = Field(default=False, description="neither warnings nor findings of humansim check")
-
-
-class RecipeConfig(Section):
-    """Content of a recipe file."""
-
-    recipe: _Name = Field(description="name of the data set")
-    seed: int = Field(default=1, ge=0, description="the same seed gives the same data set")
-    scenes: int = Field(ge=1, le=MAX_SCENES, description="number of scenes")
-    frames: int = Field(ge=1, le=MAX_SCENE_FRAMES, description="frames of each scene, from its start")
-    splits: dict[_Split, Annotated[float, Field(ge=0, le=1e9)]] = Field(
-        default_factory=lambda: {"train": 1.0},
-        min_length=1,
-        max_length=20,
-        description="shares of the scenes",
-    )
-    formats: tuple[str, ...] = Field(default=(), description="formats beside images (docs/export.md)")
-    keypoints: str = Field(default="coco17", description="keypoint set")
-    images: Literal["png", "jpg"] = Field(default="png", description="format of the images")
-    pool: int | None = Field(
-        default=None,
-        ge=1,
-        le=MAX_OPTIONS,
-        description="number of different people whom variety.people draws; new ones in each scene if absent",
-    )
-    attempts: int = Field(default=20, ge=1, le=10_000, description="draws of a scene before it is given up")
-    about: DataSetAbout = DataSetAbout()
-    require: RequireConfig = RequireConfig()
-    ring: RingConfig | None = Field(default=None, description="cameras around the people")
-    scene: dict[str, Any] = Field(description="keys of a scene; each value may be a distribution")
-
-    @field_validator("splits")
-    @classmethod
-    def _has_splits(cls, splits: dict[str, float]) -> dict[str, float]:
-        if not sum(splits.values()) > 0:
-            raise ValueError("the shares sum to 0: no scene has a split")
-        return splits
 
 
 @dataclass(frozen=True)
@@ -314,17 +212,21 @@ class Recipe:
         Raises:
             HumansimError: A drawn value is wrong. A SceneError names the key in the scene.
         """
-        draws = _Draws(self, number, attempt, given or {})
-        scene = _mapping(draws.value(self.config.scene, ("scene",)), "")
+
+        def random(keys: Keys) -> RandomNumbers:
+            return random_numbers(self.config.seed, f"scene {number}.{attempt} {'.'.join(map(str, keys))}")
+
+        draws = SceneDraws(random, lambda body: self.is_of_split(body, number), given or {})
+        scene = as_mapping(draws.value(self.config.scene, ("scene",)), "")
         if self.config.ring is not None:
-            cameras = _mapping(scene.get("cameras") or {}, "cameras")
+            cameras = as_mapping(scene.get("cameras") or {}, "cameras")
             scene["cameras"] = {**draws.ring(self.config.ring, scene), **cameras}
         self._share_pool(scene.get("variety"), number)
         for section in ("variety", "crowd"):
             self._share_bodies(scene.get(section), section, number)
         config = check_config(scene)
         self._check_fixed_bodies(config, number)
-        seeded = _with_seeds(config, ("scene",), draws.seed)
+        seeded = with_seeds(config, ("scene",), draws.seed)
         assert isinstance(seeded, SceneConfig)
         return seeded
 
@@ -572,105 +474,6 @@ class Recipe:
         return ".".join(known)
 
 
-class _Draws:
-    """Draws the values of one draw of a scene.
-
-    Args:
-        recipe: The recipe.
-        number: Number of the scene.
-        attempt: Number of the draw.
-        given: Values in place of drawn ones, by key.
-    """
-
-    def __init__(self, recipe: Recipe, number: int, attempt: int, given: Mapping[Keys, Any]) -> None:
-        self._recipe, self._number, self._given = recipe, number, given
-        self._place = f"scene {number}.{attempt}"
-
-    def _random(self, keys: Keys) -> RandomNumbers:
-        return random_numbers(self._recipe.config.seed, f"{self._place} {'.'.join(map(str, keys))}")
-
-    def seed(self, keys: Keys) -> int:
-        """A random seed for a key ``seed`` that the recipe leaves out."""
-        return int(_SEEDS * self._random(keys)())
-
-    def value(self, value: Any, keys: Keys, purpose: Keys | None = None) -> Any:
-        """Draw the distributions in a value.
-
-        Args:
-            value: The value, or the distribution in its place.
-            keys: Key of the value in the recipe.
-            purpose: Key that the random numbers depend on, if the same distribution is drawn more than once.
-                If None, ``keys``.
-        """
-        purpose = purpose or keys
-        if keys in self._given:
-            return self.value(self._given[keys], (*keys, "given"), purpose)
-        draw = draw_at(value)
-        if isinstance(draw, ChoiceDraw) and keys[-1] == "body":
-            draw = draw.among(lambda body: self._recipe.is_of_split(str(body), self._number)) or draw
-        if draw is not None:
-            return self.value(draw.value(self._random(purpose)), (*keys, "drawn"), (*purpose, "drawn"))
-        if isinstance(value, dict):
-            return {key: self.value(part, (*keys, key), (*purpose, key)) for key, part in value.items()}
-        if isinstance(value, (list, tuple)):
-            return [self.value(part, (*keys, n), (*purpose, n)) for n, part in enumerate(value)]
-        return value
-
-    def ring(self, ring: RingConfig, scene: Mapping[str, Any]) -> dict[str, Any]:
-        """Cameras of a ring, by name. Raises SceneError, which names the key."""
-        whole = {key: self.value(getattr(ring, key), ("ring", key)) for key in _Ring.model_fields}
-        checked = _of_ring(_Ring, whole)
-        shared = self.value(ring.camera, ("ring", "camera"))
-        turn = 2 * math.pi * self._random(("ring", "turn"))()
-        cameras = {}
-        for index in range(checked.count):
-            own = (f"camera {index}",)
-
-            def drawn(key: str, own: tuple[str] = own) -> Any:
-                return self.value(getattr(ring, key), ("ring", key), ("ring", key, *own))
-
-            place = _of_ring(_Place, {key: drawn(key) for key in _Place.model_fields})
-            scatter = math.radians(checked.scatter_deg) * (2 * self._random(("ring", "scatter", *own))() - 1)
-            angle = turn + 2 * math.pi * index / checked.count + scatter
-            x, y, _ = place.look_at
-            point = (x + place.radius * math.cos(angle), y + place.radius * math.sin(angle), place.height)
-            cameras[f"camera_{index + 1}"] = {
-                "position": _inside_room(point, scene),
-                "look_at": list(place.look_at),
-                **_mapping(shared, "ring.camera"),
-                **_mapping(drawn("each"), "ring.each"),
-            }
-        return cameras
-
-
-def _mapping(value: Any, key: str) -> dict[str, Any]:
-    """Return a drawn value that must be a mapping. Raises SceneError, which names ``key``, if it is not."""
-    if not isinstance(value, dict):
-        raise SceneError(f"give a mapping of keys to values; found {show_value(value)}", key=key)
-    return value
-
-
-def _of_ring(model: type[Any], values: Mapping[str, Any]) -> Any:
-    """Check the values of a ring. Returns them as an instance of ``model``."""
-    try:
-        return validated(model, values, SceneError)
-    except SceneError as error:
-        raise error.within("ring") from None
-
-
-def _inside_room(point: Sequence[float], scene: Mapping[str, Any]) -> list[float]:
-    """A point, moved away from walls and ceiling if the scene has a room. It is rounded to millimetres."""
-    room = scene.get("room", {})
-    if isinstance(room, dict):
-        size = room.get("size", RoomConfig.model_fields["size"].default)
-        try:
-            most = np.array(size, dtype=float) / (2, 2, 1) - _FROM_WALLS
-        except (TypeError, ValueError):
-            return list(point)  # an error of the scene
-        point = np.clip(point, (-most[0], -most[1], -np.inf), most).tolist()
-    return [round(value, 3) for value in point]
-
-
 def _shared(shares: Mapping[str, float], count: int) -> Iterator[str]:
     """Yield names in proportion to their shares. The name that lacks most of its share is next."""
     whole = sum(shares.values())
@@ -711,24 +514,3 @@ def _without_options(keys: Keys) -> Keys:
         at = words.index("choice")
         del words[at : at + 2]
     return tuple(words)
-
-
-def _with_seeds(section: Section, keys: Keys, seed: Callable[[Keys], int]) -> Section:
-    """Return a copy of a section, with a value of ``seed`` for each key ``seed`` that is left out."""
-    changes: dict[str, Any] = {}
-    for name in type(section).model_fields:
-        value = getattr(section, name)
-        if name == "seed" and name not in section.model_fields_set:
-            changes[name] = seed((*keys, name))
-        elif (changed := _seeded(value, (*keys, name), seed)) is not value:
-            changes[name] = changed
-    return section.model_copy(update=changes) if changes else section
-
-
-def _seeded(value: Any, keys: Keys, seed: Callable[[Keys], int]) -> Any:
-    if isinstance(value, Section):
-        return _with_seeds(value, keys, seed)
-    if isinstance(value, dict):
-        changed = {name: _seeded(part, (*keys, name), seed) for name, part in value.items()}
-        return changed if any(changed[name] is not value[name] for name in value) else value
-    return value

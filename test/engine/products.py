@@ -76,3 +76,5 @@ PRODUCTS = {
     "export": EXPORT,
     "recipe": RECIPE,
 }
+#: Products of several shards, which several workers write.
+PARALLEL = [name for name in PRODUCTS if name != "record-one-file"]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from interruptions import differences, is_sentence, tree
-from products import PRODUCTS
+from products import PARALLEL, PRODUCTS
 from stop_hook import Stop
 from workshop import Workshop
 
@@ -73,7 +73,7 @@ def test_the_content_of_a_file_may_not_fit(workshop: Workshop, name: str, limit:
 
 @pytest.mark.nightly
 @pytest.mark.slow
-@pytest.mark.parametrize("name", PRODUCTS)
+@pytest.mark.parametrize("name", PARALLEL)
 def test_a_worker_without_space_ends_the_command(workshop: Workshop, name: str, tmp_path: Path) -> None:
     product = PRODUCTS[name]
     stop = Stop(8, "full", counted="workers")

@@ -145,8 +145,7 @@ def full_disk() -> Iterator[None]:
     try:
         yield
     except HumansimError as error:
-        reason = error.__cause__
-        if isinstance(reason, OSError) and reason.errno in _FULL:
+        if not isinstance(error, PartialError) and _is_full(error):
             raise PartialError(f"{error}; finished shards stay, and {CONTINUES}") from None
         raise
     except OSError as reason:
@@ -154,6 +153,14 @@ def full_disk() -> Iterator[None]:
         if reason.errno in _FULL:
             raise PartialError(f"{text}; finished shards stay, and {CONTINUES}", path=path) from None
         raise HumansimError(text, path=path) from None
+
+
+def _is_full(error: BaseException) -> bool:
+    """Whether the error of a full disk has led to an error."""
+    reason: BaseException | None = error
+    while reason is not None and not isinstance(reason, OSError):
+        reason = reason.__cause__ or reason.__context__
+    return reason is not None and reason.errno in _FULL
 
 
 @contextmanager

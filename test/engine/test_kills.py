@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from interruptions import differences, is_sentence, tree
-from products import PRODUCTS
+from products import PARALLEL, PRODUCTS
 from stop_hook import Stop
 from workshop import Workshop
 
@@ -60,9 +60,12 @@ def test_a_kill_before_some_operations_loses_nothing(
 
 @pytest.mark.nightly
 @pytest.mark.slow
+@pytest.mark.parametrize("part", range(4))  # together they need more than a quarter of an hour
 @pytest.mark.parametrize("name", PRODUCTS)
-def test_a_kill_before_any_operation_loses_nothing(workshop: Workshop, name: str, tmp_path: Path) -> None:
-    numbers = list(range(1, workshop.whole(PRODUCTS[name]).operations + 1))
+def test_a_kill_before_any_operation_loses_nothing(
+    workshop: Workshop, name: str, part: int, tmp_path: Path
+) -> None:
+    numbers = list(range(1, workshop.whole(PRODUCTS[name]).operations + 1))[part::4]
     assert not (text := killed_before(workshop, name, tmp_path, numbers, "--jobs", 1)), text
 
 
@@ -80,7 +83,7 @@ def test_a_kill_of_a_command_with_its_workers_loses_nothing(
 @pytest.mark.slow
 @pytest.mark.daily("export-self")
 @pytest.mark.parametrize("what", ["self", "main"])
-@pytest.mark.parametrize("name", PRODUCTS)
+@pytest.mark.parametrize("name", PARALLEL)
 def test_a_kill_of_a_worker_or_of_its_parent_loses_nothing(
     workshop: Workshop, name: str, what: str, tmp_path: Path
 ) -> None:
@@ -91,7 +94,7 @@ def test_a_kill_of_a_worker_or_of_its_parent_loses_nothing(
 
 @pytest.mark.slow
 @pytest.mark.nightly
-@pytest.mark.parametrize("name", PRODUCTS)
+@pytest.mark.parametrize("name", PARALLEL)
 def test_workers_that_die_again_and_again_end_the_command(
     workshop: Workshop, name: str, tmp_path: Path
 ) -> None:

@@ -319,8 +319,8 @@ def begin_process(environment: dict[str, str]) -> None:
 
     ``environment``: environment variables, see :func:`process_environment`.
     """
-    os.environ.clear()  # it may be that of an earlier time
-    os.environ.update(environment)
+    os.environ.pop(_SAFE_PATH, None)
+    os.environ.update(environment)  # the present one may be that of an earlier time
     signal.pthread_sigmask(signal.SIG_BLOCK, _TERMINAL)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)  # a forked process has the handler of the other process
     threading.Thread(target=_end_with_parent, daemon=True).start()

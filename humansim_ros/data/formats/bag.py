@@ -10,8 +10,7 @@ import hashlib
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, replace
 from itertools import compress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -38,14 +37,14 @@ from humansim_ros.data.messages.types import (
     TimeReference,
     TransformStamped,
 )
-from humansim_ros.data.recorded import Place, RecordedMessages
+from humansim_ros.data.recorded import BagFrame, BagTruth, Place, RecordedMessages
 from humansim_ros.errors import ExportError, located, printable, some_of, warn_about
 from humansim_ros.files.reading import parse_json
 from humansim_ros.people.keypoints import keypoint_set
 from humansim_ros.render.interface import CHANNEL_TABLE, View
 from humansim_ros.scene.config import MAX_LICENSE
-from humansim_ros.scene.core import CameraPose, Frame
-from humansim_ros.scene.truth import BodyBox, CameraTruth, KeypointView
+from humansim_ros.scene.core import CameraPose
+from humansim_ros.scene.truth import BodyBox, KeypointView
 from humansim_ros.types import Array
 
 #: Largest message that is read, bytes.
@@ -266,16 +265,9 @@ class _Survey:
             if not cameras and (row.content != {POSITIONS} or row.keypoints):
                 self._require(row, "/<camera>/camera_info")
         for camera in cameras:
-            if (
-                len(
-                    {
-                        _pose_key(message)
-                        for message in self._messages(f"/{camera}/extrinsics", TransformStamped)
-                    }
-                )
-                > 1
-            ):
-                extrinsics[camera] = f"/{camera}/extrinsics"
+            topic = f"/{camera}/extrinsics"
+            if len({_pose_key(each) for each in self._messages(topic, TransformStamped)}) > 1:
+                extrinsics[camera] = topic
         return _Needed(channels, boxes, keypoints, positions, extrinsics)
 
     def _require(self, row: ExportFormat, topic: str) -> str:
@@ -437,29 +429,26 @@ class BagFrames:
             with _reading(source.path, topic):
                 return reader(_message(data[topic], kind))
 
-        cameras = {name: known.camera for name, known in scene.cameras.items()}
-        absent = {name for name, known in scene.cameras.items() if index not in known.frames}
-        cameras = {name: camera for name, camera in cameras.items() if name not in absent}
+        cameras = {name: known.camera for name, known in scene.cameras.items() if index in known.frames}
         for name, topic in needed.extrinsics.items():
-            if name in absent:
-                continue
-            pose: CameraPose = read(topic, TransformStamped, messages.read_extrinsics)
-            cameras[name] = replace(cameras[name], R=pose.R, t=pose.t)
+            if name in cameras:
+                pose: CameraPose = read(topic, TransformStamped, messages.read_extrinsics)
+                cameras[name] = replace(cameras[name], R=pose.R, t=pose.t)
         images: dict[str, dict[str, NDArray[Any]]] = {}
         for (camera, channel), topic in needed.channels.items():
-            if camera in absent:
-                continue
-            images.setdefault(camera, {})[channel] = read(topic, _image_type(topic), _reader_of(channel))
+            if camera in cameras:
+                pixels = read(topic, _image_type(topic), _reader_of(channel))
+                images.setdefault(camera, {})[channel] = pixels
         views = {camera: View(**channels) for camera, channels in images.items()}
         boxes = {
             camera: self._boxes(read(topic, PointCloud2, messages.read_boxes))
             for camera, topic in needed.boxes.items()
-            if camera not in absent
+            if camera in cameras
         }
         keypoints = {
             camera: self._keypoints(read(topic, PointCloud2, _read_points), cameras[camera])
             for camera, topic in needed.keypoints.items()
-            if camera not in absent
+            if camera in cameras
         }
         positions: dict[str, dict[str, Array]] = {}
         for (chosen, person), topic in needed.positions.items():
@@ -476,15 +465,7 @@ class BagFrames:
             humans={},
             views=views,
             truth={
-                name: BagCameraTruth(
-                    camera,
-                    views.get(name, View()),
-                    (),
-                    scene.labels,
-                    {},
-                    _no_joints,
-                    recorded=boxes.get(name, {}),
-                )
+                name: BagTruth.of(camera, views.get(name, View()), scene.labels, boxes.get(name, {}))
                 for name, camera in cameras.items()
             },
             cameras=cameras,
@@ -534,46 +515,6 @@ class BagFrames:
                 certain=np.zeros(count, dtype=bool),  # no topic says it
             )
         return found
-
-
-@dataclass(frozen=True, repr=False)
-class BagFrame(Frame):
-    """A frame of a bag.
-
-    Attributes:
-        recorded_keypoints: Keypoints by set, camera and person.
-        recorded_positions: Keypoints (K, 3) in ``map``, metres, by set and person.
-    """
-
-    recorded_keypoints: Mapping[str, dict[str, dict[str, KeypointView]]] = field(default_factory=dict)
-    recorded_positions: Mapping[str, dict[str, Array]] = field(default_factory=dict)
-
-    @cached_property
-    def keypoints(self) -> Mapping[str, dict[str, dict[str, KeypointView]]]:
-        """Keypoints by set, camera and person."""
-        return self.recorded_keypoints
-
-    @cached_property
-    def keypoint_positions(self) -> Mapping[str, dict[str, Array]]:
-        """Keypoints (K, 3) in ``map``, metres, by set and person."""
-        return self.recorded_positions
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class BagCameraTruth(CameraTruth):
-    """Truth of a camera of a bag. ``recorded``: boxes by name of a human or object."""
-
-    recorded: Mapping[str, BodyBox] = field(default_factory=dict)
-
-    @cached_property
-    def boxes(self) -> dict[str, BodyBox]:
-        """Boxes by name of a human or object."""
-        return dict(self.recorded)
-
-
-def _no_joints(name: str) -> Array:
-    """Used in place of the joints of a person, which are not read from bags. Always raises ExportError."""
-    raise ExportError(f"the joints of {name} are not read")
 
 
 def _reading(path: Path, topic: str) -> AbstractContextManager[None]:

@@ -67,7 +67,7 @@ def evaluate(
     return compare(
         Path(truth),
         [os.fspath(each) for each in several],
-        min_score,
+        min_score=min_score,
         keypoints=keypoints,
         names=names,
         scale=scale,

@@ -15,6 +15,7 @@ from humansim_ros.cameras.camera.rigs import Trajectory
 from humansim_ros.data.bags.topics import BagMessage, BagTopic, message_types
 from humansim_ros.data.bags.writer import BagWriter
 from humansim_ros.data.evaluation.evaluation import evaluate_poses
+from humansim_ros.data.evaluation.export_truth import open_truth
 from humansim_ros.data.evaluation.joint_names import set_of_names
 from humansim_ros.data.evaluation.pose_sequence import PoseSequence
 from humansim_ros.data.evaluation.readers.estimates import read_bag_topic
@@ -22,7 +23,6 @@ from humansim_ros.data.evaluation.readers.pose_files import ReadOptions
 from humansim_ros.data.evaluation.truth import (
     bag_truth,
     camera_counts,
-    open_truth,
     scene_truth,
     with_camera_counts,
 )

@@ -318,7 +318,7 @@ def test_options_and_truths_that_do_not_fit(run: Run, root: Path) -> None:
         (("set", "set/trc", "--min-score", "0.5"), "--min-score: is for detections in images"),
         (("set", "results.json", "--estimate", "set/trc"), "these are no detections in images"),
         (("scene.yaml", "far.json"), "more than 108000: do the numbers of the images come from an export"),
-        (("set/coco", "results.json"), "--truth: the truth of detections in images is a scene, or a folder"),
+        (("set/coco", "results.json"), "--truth: neither a scene file nor a bag"),
     ]:
         code, _, text = run(*words)
         assert code == 2 and message in text, text

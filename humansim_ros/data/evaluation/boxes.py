@@ -43,6 +43,11 @@ class BoxTracks:
     names: Mapping[int, str] = field(default_factory=dict)
     lines: Mapping[int, int] = field(default_factory=dict)
 
+    @property
+    def span(self) -> range:
+        """All frames from the first to the last one; frame 0 if there is none."""
+        return range(min(self.frames, default=0), max(self.frames, default=0) + 1)
+
     def at(self, frame: int) -> tuple[Indices, Array]:
         """Identities (N,) and boxes (N, 7) of a frame. Both are empty if the frame is missing."""
         return self.frames.get(frame, (np.zeros(0, np.intp), np.zeros((0, 7))))

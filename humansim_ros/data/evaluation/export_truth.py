@@ -15,13 +15,13 @@ import numpy as np
 from humansim_ros.cameras.camera import Camera
 from humansim_ros.data.bags import is_bag
 from humansim_ros.data.engine import answers
-from humansim_ros.data.evaluation.boxes import BoxTracks, scene_boxes
+from humansim_ros.data.evaluation.boxes import BoxTracks
 from humansim_ros.data.evaluation.images import ImageTruth
-from humansim_ros.data.evaluation.pictures import ScenePictures
 from humansim_ros.data.evaluation.pose_sequence import PoseSequence
 from humansim_ros.data.evaluation.readers.box_files import read_box_file
 from humansim_ros.data.evaluation.readers.estimates import read_estimates
 from humansim_ros.data.evaluation.readers.pose_files import ReadOptions
+from humansim_ros.data.evaluation.truth import RecordedTruth, SceneTruth
 from humansim_ros.data.formats.aicity import TRUTH_FILE
 from humansim_ros.data.formats.coco import coco_document, coco_images, scene_categories
 from humansim_ros.data.formats.formats import EXPORT_FORMATS
@@ -41,11 +41,6 @@ _COCO = "coco/instances.json"
 _MAX_BYTES = 1 << 32
 #: Most frames of a scene that are rendered for ground truth: an hour at 30 Hz.
 MAX_RENDERED_FRAMES = 108_000
-
-
-def is_export(path: Path) -> bool:
-    """Whether a folder is an export."""
-    return (path / INDEX).is_file()
 
 
 class ExportTruth:
@@ -278,10 +273,6 @@ class SceneImages:
         document = coco_document(records, *scene_categories(described, judged), first=self._first(frames[0]))
         return ImageTruth.of(document, judged, str(self.scene.path or "the scene"))
 
-    def pictures(self) -> ScenePictures:
-        """Colour images of the scene, for reports."""
-        return ScenePictures(self.scene)
-
 
 @dataclass(frozen=True)
 class _ImageJob:
@@ -309,35 +300,21 @@ class _ImageWorker:
         self._simulation.close()
 
 
-def open_image_truth(path: Path, keypoints: str | None) -> ExportTruth | SceneImages:
-    """Open the truth for detections in images: an export, or a scene that will be rendered.
-
-    ``keypoints``: name of the keypoint set, used for a scene only. If None, coco17.
-
-    Raises:
-        HumansimError: The scene or export is wrong, or the path is a bag.
-    """
-    found = _scene_or_export(path, "detections in images is a scene, or a folder of humansim export")
-    return SceneImages(found, keypoint_set(keypoints or "coco17")) if isinstance(found, Scene) else found
+#: Truth of any kind.
+AnyTruth = SceneTruth | RecordedTruth | ExportTruth
 
 
-def open_box_truth(path: Path, estimate: BoxTracks) -> BoxTracks:
-    """Open the true 3D boxes: those of an export with the format ``aicity``, or those of a scene in the
-    frames of the estimate.
+def open_truth(path: Path) -> AnyTruth:
+    """Open a scene file, a bag, or the folder of an export as truth.
 
     Raises:
-        HumansimError: The scene or export is wrong or has no boxes, or the path is a bag.
+        HumansimError: The scene, bag or export is wrong, or a bag has no people.
     """
-    text = "boxes is a scene, or a folder of humansim export with the format aicity"
-    found = _scene_or_export(path, text)
-    first, last = min(estimate.frames, default=0), max(estimate.frames, default=0)
-    return scene_boxes(found, range(first, last + 1)) if isinstance(found, Scene) else found.boxes()
-
-
-def _scene_or_export(path: Path, known: str) -> Scene | ExportTruth:
-    """Open a truth that is no bag. ``known``: end of the sentence "the truth of …", for the error."""
-    if is_export(path):
+    if (path / INDEX).is_file():
         return ExportTruth(path)
-    if is_bag(path) or path.is_dir():
-        raise EvaluationError(f"the truth of {known}", path=path, key="--truth")
-    return Scene.load(path)
+    if is_bag(path):
+        return RecordedTruth(path)
+    if path.is_dir():
+        text = "neither a scene file nor a bag, nor the folder of an export"
+        raise EvaluationError(text, path=path, key="--truth")
+    return SceneTruth(Scene.load(path))

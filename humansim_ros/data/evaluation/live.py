@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -48,8 +49,15 @@ class LiveOptions:
     gate: float = DEFAULT_GATE
 
     @classmethod
-    def of(cls, keypoints: str, names: str, scale: float, axes: str, gate: float) -> LiveOptions:
-        """Options from texts and numbers. An empty text stands for the default.
+    def of(
+        cls,
+        keypoints: str | None,
+        names: str | os.PathLike[str] | None,
+        scale: float,
+        axes: str | None,
+        gate: float,
+    ) -> LiveOptions:
+        """Options from texts and numbers. An empty text and None stand for the default.
 
         Args:
             keypoints: Name of a keypoint set.

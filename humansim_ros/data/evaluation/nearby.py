@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.data.bags import BagTopic
 from humansim_ros.data.evaluation.readers.estimates import deserialised_message, topic_pattern, topic_person
-from humansim_ros.data.evaluation.truth import bag_truth, check_motions, frames_of
+from humansim_ros.data.evaluation.truth import RecordedTruth, check_motions, frames_of
 from humansim_ros.data.messages.headers import to_nanoseconds
 from humansim_ros.data.messages.humans import read_vertices
 from humansim_ros.data.recorded import RecordedMessages
@@ -122,14 +122,13 @@ def scene_nearby(scene: Scene, path: RobotPath) -> PeopleNearby:
     )
 
 
-def bag_nearby(bag: Path, path: RobotPath) -> PeopleNearby:
+def bag_nearby(source: RecordedTruth, path: RobotPath) -> PeopleNearby:
     """Read the people of a bag for the time in which a robot drives; with bodies, if the bag has vertices.
 
     Raises:
-        EvaluationError: The bag has no people, or a message cannot be read.
-        BagError: The bag cannot be read.
+        EvaluationError: The robot drives at another time, or a message cannot be read.
     """
-    joints = bag_truth(bag)
+    bag, joints = source.path, source.joints
     inside = (joints.times >= path.times[0]) & (joints.times <= path.times[-1])
     times = joints.times[inside]
     if not len(times):

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.data.bags import is_bag
 from humansim_ros.data.evaluation.evaluation import CameraCountScore, Evaluation
 from humansim_ros.data.evaluation.metrics import mean_error
 from humansim_ros.data.evaluation.pose_sequence import PoseSequence
@@ -55,19 +54,6 @@ class RecordedTruth:
     def poses(self, span: tuple[int, int], around: float, keypoints: KeypointSet | None) -> PoseSequence:
         """Joints or keypoints in all frames of the bag. ``span`` and ``around`` are ignored."""
         return self.joints if keypoints is None else bag_truth(self.path, keypoints)
-
-
-def open_truth(path: Path) -> SceneTruth | RecordedTruth:
-    """Open a scene file or a bag as truth.
-
-    Raises:
-        HumansimError: The scene or bag is wrong, or has no people.
-    """
-    if is_bag(path):
-        return RecordedTruth(path)
-    if path.is_dir():
-        raise EvaluationError("neither a scene file nor a bag", path=path, key="--truth")
-    return SceneTruth(Scene.load(path))
 
 
 def scene_truth(

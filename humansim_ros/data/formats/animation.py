@@ -6,8 +6,6 @@ import hashlib
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
@@ -344,30 +342,3 @@ def obj_text(mesh: Mesh) -> str:
         pairs = zip(corners, (mesh.uv_triangles + 1).tolist(), strict=True)
         lines += ["f " + " ".join(f"{v}/{t}" for v, t in zip(*pair, strict=True)) for pair in pairs]
     return "\n".join([*lines, ""])
-
-
-def add_tag(
-    parent: ElementTree.Element, path: str, text: str | None = None, **attributes: str
-) -> ElementTree.Element:
-    """Add nested XML elements. ``path``: their tags from the outermost to the innermost, such as
-    ``link/sensor``. Returns the innermost element, which gets text and attributes.
-    """
-    *above, last = path.split("/")
-    for tag in above:
-        parent = ElementTree.SubElement(parent, tag)
-    element = ElementTree.SubElement(parent, last, attributes)
-    element.text = text
-    return element
-
-
-def add_texts(parent: ElementTree.Element, path: str, **texts: str) -> None:
-    """Add nested elements like :func:`add_tag`. In the innermost one, add an element for each text."""
-    element = add_tag(parent, path)
-    for tag, text in texts.items():
-        add_tag(element, tag, text)
-
-
-def joined(values: NDArray[Any]) -> str:
-    """Text of numbers, separated by spaces. Numbers that are no integers are rounded to nine digits."""
-    form = "d" if np.issubdtype(values.dtype, np.integer) else ".9g"
-    return " ".join(f"{value:{form}}" for value in np.ravel(values).tolist())

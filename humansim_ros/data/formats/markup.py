@@ -1,4 +1,4 @@
-"""HTML and SVG for reports that consist of one file, from the jinja2 templates of ``config/pages``.
+"""HTML and SVG for reports that consist of one file, and XML, from the jinja2 templates of ``config/pages``.
 
 The templates escape all texts, unless they are :class:`~markupsafe.Markup` already.
 """
@@ -30,12 +30,24 @@ def _templates() -> Environment:
         undefined=StrictUndefined,
     )
     templates.filters["px"] = lambda value: f"{round(value, 2) + 0.0:.10g}"
+    templates.filters["numbers"] = joined
     return templates
+
+
+def joined(values: NDArray[Any]) -> str:
+    """Text of numbers, separated by spaces. Numbers that are no integers are rounded to nine digits."""
+    form = "d" if np.issubdtype(values.dtype, np.integer) else ".9g"
+    return " ".join(f"{value:{form}}" for value in np.ravel(values).tolist())
 
 
 def page(name: str, **values: Any) -> str:
     """Text of the HTML page of a template. Its style sheet in ``config/styles`` has the same name."""
     return _templates().get_template(f"pages/{name}.html").render(style=name, **values)
+
+
+def document(name: str, **values: Any) -> str:
+    """Text of an XML file of a template. The filter ``numbers`` writes arrays."""
+    return _templates().get_template(f"pages/{name}").render(**values) + "\n"
 
 
 def drawing(name: str, **values: Any) -> Markup:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,13 +20,12 @@ from humansim_ros.data.formats.animation import (
     AnimationWriter,
     PoseTrack,
     TextureFiles,
-    add_tag,
     identifiers,
-    joined,
     obj_text,
     painted,
     warn_of_curved_skinning,
 )
+from humansim_ros.data.formats.markup import joined
 from humansim_ros.data.formats.writer import ExportFolder, Record, warn_of_lenses
 from humansim_ros.errors import warn_about
 from humansim_ros.files.mesh import Mesh, split_seams
@@ -48,7 +47,6 @@ _FLAT = 1e-4
 _MOST_PARTS = 500
 #: Most corners of the convex hull of the skin of a bone.
 _CORNERS = "48"
-_Element = ElementTree.Element
 
 
 class MujocoWriter(AnimationWriter):
@@ -77,16 +75,16 @@ class MujocoModel:
         self._materials: dict[str, str] = {}
         self._tracks: dict[str, PoseTrack] = {}
         self._times = np.array(scene.frames) / scene.rate
-        self._root = ElementTree.Element("mujoco", model="humansim")
-        add_tag(self._root, "compiler", angle="radian", meshdir=_ASSETS, texturedir=_ASSETS)
-        self._visual = visual = add_tag(self._root, "visual")
+        self._root = Element("mujoco", model="humansim")
+        SubElement(self._root, "compiler", angle="radian", meshdir=_ASSETS, texturedir=_ASSETS)
+        self._visual = visual = SubElement(self._root, "visual")
         sizes = np.array([camera.size for camera, _ in scene.cameras.values()] or [(640, 480)])
-        add_tag(visual, "global", offwidth=str(sizes[:, 0].max()), offheight=str(sizes[:, 1].max()))
-        add_tag(visual, "map", znear="0.001", zfar="50")  # of its extent
-        self._asset = add_tag(self._root, "asset")
-        self._deformable = add_tag(self._root, "deformable")
-        self.world = add_tag(self._root, "worldbody")
-        add_tag(self.world, "geom", name="ground", type="plane", size="0 0 0.05", group=_TOUCHED)
+        SubElement(visual, "global", offwidth=str(sizes[:, 0].max()), offheight=str(sizes[:, 1].max()))
+        SubElement(visual, "map", znear="0.001", zfar="50")  # of its extent
+        self._asset = SubElement(self._root, "asset")
+        self._deformable = SubElement(self._root, "deformable")
+        self.world = SubElement(self._root, "worldbody")
+        SubElement(self.world, "geom", name="ground", type="plane", size="0 0 0.05", group=_TOUCHED)
         warn_of_curved_skinning(scene.people, "MuJoCo")
         warn_of_lenses("MuJoCo", {name: camera for name, (camera, _) in scene.cameras.items()})
         bones = [f"{name}.{bone}" for name, p in scene.people.items() for bone in p.human.skeleton.names]
@@ -115,15 +113,17 @@ class MujocoModel:
 
     def encoded(self) -> str:
         """Text of the XML file of the model."""
-        ElementTree.indent(self._root)
-        return ElementTree.tostring(self._root, encoding="unicode") + "\n"
+        indent(self._root)
+        return tostring(self._root, encoding="unicode") + "\n"
 
     def add_light(self, lighting: Lighting) -> None:
         """Add the sun. The light of the sky becomes the ambient part of MuJoCo's headlight."""
         factor = lighting.strength * 2.0**lighting.exposure
         mean = (np.array(lighting.sky_color) + np.array(lighting.ground_color)) / 2
-        add_tag(self._visual, "headlight", ambient=joined(factor * mean), diffuse="0 0 0", specular="0 0 0")
-        add_tag(
+        SubElement(
+            self._visual, "headlight", ambient=joined(factor * mean), diffuse="0 0 0", specular="0 0 0"
+        )
+        SubElement(
             self.world,
             "light",
             type="directional",
@@ -134,7 +134,7 @@ class MujocoModel:
             castshadow="false",  # the ceiling of a room would keep the sun out
         )
 
-    def add_geoms(self, body: _Element, name: str, mesh: Mesh) -> None:
+    def add_geoms(self, body: Element, name: str, mesh: Mesh) -> None:
         """Add a mesh for drawing, and the convex hulls of its parts for contacts.
 
         Args:
@@ -144,25 +144,25 @@ class MujocoModel:
         """
         mesh = painted(mesh)
         self._assets.write(f"{name}.obj", obj_text(mesh))
-        add_tag(self._asset, "mesh", name=name, file=f"{name}.obj", inertia="shell")
+        SubElement(self._asset, "mesh", name=name, file=f"{name}.obj", inertia="shell")
         look = self._look(mesh)
         seen = {"contype": "0", "conaffinity": "0", "group": _DRAWN, "mass": "0"}
-        add_tag(body, "geom", type="mesh", mesh=name, **look, **seen)
+        SubElement(body, "geom", type="mesh", mesh=name, **look, **seen)
         parts = sorted(_parts(mesh), key=lambda points: -float(np.ptp(points, axis=0).max()))
         for number, points in enumerate(parts[:_MOST_PARTS]):
             center, axes, half = _fitted_box(points)
             corners = _hull(points) if half.min() > _FLAT else None
             if corners is not None:
-                add_tag(
+                SubElement(
                     self._asset, "mesh", name=f"{name}.{number}", vertex=joined(corners), maxhullvert="64"
                 )
-                add_tag(body, "geom", type="mesh", mesh=f"{name}.{number}", group=_TOUCHED, mass="0")
+                SubElement(body, "geom", type="mesh", mesh=f"{name}.{number}", group=_TOUCHED, mass="0")
                 continue
             center = center - axes[:, 2] * _HALF_THICKNESS * _facing(mesh, points, axes[:, 2])
             half = np.maximum(half, _FLAT)
             half[2] = _HALF_THICKNESS
             place = {"pos": joined(center), "quat": joined(_wxyz(matrix_to_quaternion(axes)))}
-            add_tag(body, "geom", type="box", size=joined(half), **place, group=_TOUCHED, mass="0")
+            SubElement(body, "geom", type="box", size=joined(half), **place, group=_TOUCHED, mass="0")
 
     def _add_person(self, name: str, person: AnimatedHuman) -> None:
         """Add a mocap body for each bone, with the convex hull of its skin; and the skin of the person."""
@@ -179,11 +179,11 @@ class MujocoModel:
             body = self._body(body_name, track, always=True)
             corners = _hull(points[owner == bone])
             if corners is not None:
-                add_tag(self._asset, "mesh", name=body_name, vertex=joined(corners), maxhullvert=_CORNERS)
-                add_tag(body, "geom", name=body_name, type="mesh", mesh=body_name, group=_TOUCHED)
+                SubElement(self._asset, "mesh", name=body_name, vertex=joined(corners), maxhullvert=_CORNERS)
+                SubElement(body, "geom", name=body_name, type="mesh", mesh=body_name, group=_TOUCHED)
         mesh = painted(human.mesh)
         self._assets.write(f"{name}.skn", skin_bytes(mesh, person, names))
-        add_tag(self._deformable, "skin", name=name, file=f"{name}.skn", **self._look(mesh))
+        SubElement(self._deformable, "skin", name=name, file=f"{name}.skn", **self._look(mesh))
 
     def _add_camera(self, name: str, camera: Camera, track: PoseTrack) -> None:
         """Add a camera with the focal lengths and principal point of its calibration."""
@@ -192,7 +192,7 @@ class MujocoModel:
         parent, place = self.world, _pose(track)
         if track.moves:
             parent, place = self._body(self._names[f"camera_{name}"], track), {}
-        add_tag(
+        SubElement(
             parent,
             "camera",
             name=name,
@@ -203,12 +203,12 @@ class MujocoModel:
             **place,
         )
 
-    def _body(self, name: str, track: PoseTrack, always: bool = False) -> _Element:
+    def _body(self, name: str, track: PoseTrack, always: bool = False) -> Element:
         """Add a body at the first pose of a track. If it moves, or if ``always``, it is a mocap body."""
         if always or track.moves:
             self._tracks[name] = track
-            return add_tag(self.world, "body", name=name, mocap="true", **_pose(track))
-        return add_tag(self.world, "body", name=name, **_pose(track))
+            return SubElement(self.world, "body", name=name, mocap="true", **_pose(track))
+        return SubElement(self.world, "body", name=name, **_pose(track))
 
     def _look(self, mesh: Mesh) -> dict[str, str]:
         """Attributes of a geom or skin: the material, with the texture of the mesh."""
@@ -217,8 +217,8 @@ class MujocoModel:
             return {}
         if texture not in self._materials:
             name = self._materials[texture] = texture.split(".")[0]
-            add_tag(self._asset, "texture", name=name, type="2d", file=texture)
-            add_tag(self._asset, "material", name=name, texture=name, specular="0", shininess="0")
+            SubElement(self._asset, "texture", name=name, type="2d", file=texture)
+            SubElement(self._asset, "material", name=name, texture=name, specular="0", shininess="0")
         return {"material": self._materials[texture]}
 
 

@@ -12,7 +12,7 @@ from commands import humansim
 
 from humansim_ros import Scene, evaluate
 from humansim_ros.cli import main as cli
-from humansim_ros.data.evaluation.truth import scene_truth
+from humansim_ros.data.evaluation.truth import SceneTruth
 from humansim_ros.people import keypoint_set
 
 SCENE = """\
@@ -31,7 +31,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A scene, and estimates of it that are 10 mm too high: in metres, and in millimetres with y up."""
     folder = tmp_path_factory.mktemp("evaluate")
     (folder / "scene.yaml").write_text(SCENE)
-    truth = scene_truth(Scene.load(folder / "scene.yaml"), (1, 1_200_000_000))
+    truth = SceneTruth(Scene.load(folder / "scene.yaml")).poses((1, 1_200_000_000))
     for name, matrix in (("good", np.eye(3)), ("swapped", 1000 * np.eye(3)[[1, 2, 0]])):
         rows = ["time,person,joint,x,y,z"]
         for time, people in zip(truth.times.tolist(), truth.people, strict=True):
@@ -95,7 +95,7 @@ def test_keypoints_are_chosen_by_the_names_of_the_estimate(
     files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     coco = keypoint_set("coco17")
-    truth = scene_truth(Scene.load(files / "scene.yaml"), (1, 100_000_000), keypoints=coco)
+    truth = SceneTruth(Scene.load(files / "scene.yaml")).poses((1, 100_000_000), keypoints=coco)
     table = ["frame,person," + ",".join(f"{name}_{axis}" for name in coco.names for axis in "xyz")]
     for frame, people in enumerate(truth.people):
         for person, points in people.items():

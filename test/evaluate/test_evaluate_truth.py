@@ -21,9 +21,9 @@ from humansim_ros.data.evaluation.pose_sequence import PoseSequence
 from humansim_ros.data.evaluation.readers.estimates import read_bag_topic
 from humansim_ros.data.evaluation.readers.pose_files import ReadOptions
 from humansim_ros.data.evaluation.truth import (
+    SceneTruth,
     bag_truth,
     camera_counts,
-    scene_truth,
     with_camera_counts,
 )
 from humansim_ros.errors import BagError, EvaluationError, HumansimWarning
@@ -47,7 +47,7 @@ def scene() -> Scene:
 
 
 def test_truth_of_a_scene_is_that_of_its_frames(scene: Scene) -> None:
-    truth = scene_truth(scene, (FIRST_STAMP + 10 * PERIOD, FIRST_STAMP + 14 * PERIOD))
+    truth = SceneTruth(scene).poses((FIRST_STAMP + 10 * PERIOD, FIRST_STAMP + 14 * PERIOD))
     assert truth.times.tolist() == [FIRST_STAMP + k * PERIOD for k in range(9, 15)]
     for time, people in zip(truth.times.tolist(), truth.people, strict=True):
         for name, actor in scene.actors.items():
@@ -57,16 +57,16 @@ def test_truth_of_a_scene_is_that_of_its_frames(scene: Scene) -> None:
 
 def test_truth_of_many_frames_is_computed_in_blocks(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     span = (FIRST_STAMP, FIRST_STAMP + 20 * PERIOD)
-    whole = scene_truth(scene, span)
+    whole = SceneTruth(scene).poses(span)
     monkeypatch.setattr("humansim_ros.data.evaluation.truth._BLOCK", 7)
-    parts = scene_truth(scene, span)
+    parts = SceneTruth(scene).poses(span)
     for one, other in zip(whole.people, parts.people, strict=True):
         np.testing.assert_allclose(one["anna"], other["anna"], atol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["coco17"])
 def test_keypoints_of_a_scene_are_those_of_its_frames(scene: Scene, name: str) -> None:
-    truth = scene_truth(scene, (FIRST_STAMP, FIRST_STAMP + PERIOD), keypoints=keypoint_set(name))
+    truth = SceneTruth(scene).poses((FIRST_STAMP, FIRST_STAMP + PERIOD), keypoints=keypoint_set(name))
     assert truth.names == keypoint_set(name).names
     for person, actor in scene.actors.items():
         state = actor.at(PERIOD * 1e-9)
@@ -88,7 +88,7 @@ def test_errors_by_the_number_of_cameras(tmp_path: Path) -> None:
         "drone": {"size": [60, 40], "fov_deg": 60, "trajectory": str(tmp_path / "way.txt")},
     }
     scene = Scene.from_dict(SCENE | {"cameras": cameras})
-    truth = scene_truth(scene, (FIRST_STAMP, FIRST_STAMP + 4 * PERIOD))
+    truth = SceneTruth(scene).poses((FIRST_STAMP, FIRST_STAMP + 4 * PERIOD))
     truth = changed(truth, lambda frame, person, joints: joints if person == "bert" else None)
     worse = changed(truth, lambda frame, person, joints: joints + np.array([0, 0, 0.01 * (1 + frame)]))
     result = with_camera_counts(evaluate_poses(truth, worse), scene)
@@ -120,7 +120,7 @@ def test_errors_by_the_number_of_cameras(tmp_path: Path) -> None:
 
 
 def test_a_comparison_that_matches_nobody_has_no_errors_by_cameras(scene: Scene) -> None:
-    truth = scene_truth(scene, (FIRST_STAMP, FIRST_STAMP + 3 * PERIOD))
+    truth = SceneTruth(scene).poses((FIRST_STAMP, FIRST_STAMP + 3 * PERIOD))
     far = changed(truth, lambda frame, person, joints: joints + 100.0)
     result = with_camera_counts(evaluate_poses(truth, far, offset=0.0), scene)
     assert result.by_cameras == {} and not len(result.errors)
@@ -136,17 +136,17 @@ def test_the_set_of_an_estimate_is_found_by_its_names() -> None:
 def test_times_of_a_wall_clock_are_not_those_of_a_scene(scene: Scene) -> None:
     now = 1_790_000_000_000_000_000
     with pytest.raises(EvaluationError, match=r"--truth: the times .* stamped with a wall clock\? Record"):
-        scene_truth(scene, (now, now + PERIOD))
+        SceneTruth(scene).poses((now, now + PERIOD))
     with pytest.raises(EvaluationError, match="stamped with a wall clock"):
-        scene_truth(scene, (FIRST_STAMP, now))
+        SceneTruth(scene).poses((FIRST_STAMP, now))
 
 
 def test_a_scene_without_people_or_with_live_ones_has_no_truth() -> None:
     with pytest.raises(EvaluationError, match="there are no people in it: record a bag"):
-        scene_truth(Scene.from_dict(SCENE | {"humans": {}}), (1, 2))
+        SceneTruth(Scene.from_dict(SCENE | {"humans": {}})).poses((1, 2))
     live = Scene.from_dict(SCENE | {"humans": {"anna": {"motion": "live"}}})
     with pytest.raises(EvaluationError, match="anna is moved live: record a bag"):
-        scene_truth(live, (1, 2))
+        SceneTruth(live).poses((1, 2))
 
 
 def test_a_folder_is_no_truth(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from humansim_ros.data.evaluation.alignment import match_people
-from humansim_ros.data.evaluation.evaluation import PeopleCounts, share
+from humansim_ros.data.evaluation.evaluation import PeopleCounts
 from humansim_ros.data.evaluation.tracking import (
     TrackedFrame,
     TrackingScores,
@@ -139,13 +139,12 @@ def evaluate_boxes(truth: BoxTracks, estimate: BoxTracks, gate: float = DEFAULT_
             pair = _errors(boxes[row], guesses[column], float(overlaps[row, column]))
             found[int(people[row])].append(float(pair[0]))
             pairs.append(pair)
-    hits, total = len(pairs), sum(present.values())
     return BoxEvaluation(
         truth=truth.source,
         estimate=estimate.source,
         frames=len(truth.frames),
         gate=gate,
-        people=PeopleCounts(total, hits, total - hits, false, share(hits, total), share(hits, hits + false)),
+        people=PeopleCounts.of(sum(present.values()), len(pairs), false),
         errors=_mean_errors(pairs),
         tracking={name: tracking_scores(frames) for name, frames in tracked.items()},
         by_person={

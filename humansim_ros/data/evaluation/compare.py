@@ -130,8 +130,7 @@ def _poses(
     late = None if offset == "auto" else offset
     options = LiveOptions.of(keypoints, names, scale, axes, DEFAULT_GATE if gate is None else gate)
     source = open_truth(truth)
-    reading = replace(options.reading, period=source.period, start=source.start)
-    estimated = read_estimates(estimate, reading)
+    estimated = read_estimates(estimate, replace(options, period=source.period, start=source.start))
     shift = round((late or 0.0) * 1e9)
     points = options.keypoints
     if points is None and isinstance(source, SceneTruth):

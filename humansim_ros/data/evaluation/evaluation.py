@@ -82,6 +82,12 @@ class PeopleCounts:
     recall: float | None
     precision: float | None
 
+    @classmethod
+    def of(cls, present: int, found: int, false: int) -> PeopleCounts:
+        """Counts with the shares that follow from them."""
+        shares = share(found, present), share(found, found + false)
+        return cls(present, found, present - found, false, *shares)
+
 
 @dataclass(frozen=True)
 class PositionErrors:
@@ -414,10 +420,10 @@ class _Comparison:
 
     def evaluation(self, offset: TimeOffset) -> Evaluation:
         """All metrics."""
-        times = self.truth.times[self.pairs.truth]
+        times, found = self.truth.times[self.pairs.truth], len(self.matches.frame)
         if not self.estimate.count:
             warn_about(self.estimate.source, "nobody is in the estimate: everybody is missed")
-        elif not len(self.matches.frame):
+        elif not found:
             warn_about(
                 self.estimate.source,
                 f"no person of the estimate is within {self.gate:g} m of the truth; are both in map?",
@@ -435,7 +441,7 @@ class _Comparison:
                 int(times[-1]),
             ),
             offset=offset,
-            people=self._people_counts(),
+            people=PeopleCounts.of(found + sum(self.missed.values()), found, self.false),
             position=self._position(),
             motion=self._motion(None),
             pcp=self._parts(),
@@ -451,18 +457,6 @@ class _Comparison:
             errors=self.errors,
             counted_errors=self._counted_errors(),
             missed_joints=int(self.missed_joints.sum()),
-        )
-
-    def _people_counts(self) -> PeopleCounts:
-        found, missed = len(self.matches.frame), sum(self.missed.values())
-        estimated = found + self.false
-        return PeopleCounts(
-            found + missed,
-            found,
-            missed,
-            self.false,
-            share(found, found + missed),
-            share(found, estimated),
         )
 
     def _counted_errors(self) -> Array:

@@ -17,9 +17,11 @@ from humansim_ros.data.bags import is_bag
 from humansim_ros.data.engine import answers
 from humansim_ros.data.evaluation.boxes import BoxTracks
 from humansim_ros.data.evaluation.images import ImageTruth
+from humansim_ros.data.evaluation.pictures import Pictures
 from humansim_ros.data.evaluation.pose_sequence import PoseSequence
 from humansim_ros.data.evaluation.readers.box_files import read_box_file
 from humansim_ros.data.evaluation.readers.estimates import read_estimates
+from humansim_ros.data.evaluation.readers.image_files import ImageNumbers
 from humansim_ros.data.evaluation.readers.pose_files import ReadOptions
 from humansim_ros.data.evaluation.truth import RecordedTruth, SceneTruth
 from humansim_ros.data.formats.aicity import TRUTH_FILE
@@ -43,7 +45,7 @@ _MAX_BYTES = 1 << 32
 MAX_RENDERED_FRAMES = 108_000
 
 
-class ExportTruth:
+class ExportTruth(ImageNumbers):
     """Ground truth of a finished export: 3D poses from TRC, C3D or Panoptic files, and images from its COCO
     file.
 
@@ -63,10 +65,11 @@ class ExportTruth:
         try:
             plan = self._index["plan"]
             self.formats: tuple[str, ...] = tuple(plan["formats"])
-            self.keypoints: KeypointSet = keypoint_set(plan["keypoints"])
+            self.keypoints = keypoint_set(plan["keypoints"])
             self.rate = float(self._index["rate"])
             self.period, self.start = round(1e9 / self.rate), FIRST_STAMP
             self._frames = range(plan["first"], plan["end"])
+            self.first = self._frames.start
             self._files: dict[str, dict[str, Any]] = dict(self._index["files"])
         except (KeyError, TypeError, ValueError, ZeroDivisionError) as reason:
             raise EvaluationError(f"the index is damaged: {reason}", path=folder / INDEX) from None
@@ -87,21 +90,13 @@ class ExportTruth:
 
     @property
     def cameras(self) -> Sequence[str]:
-        """Names of the cameras."""
         return list(dict.fromkeys(row["camera"] for row in self._document["images"]))
 
     def number(self, camera: str, frame: int) -> int | None:
-        """Number of the image of a camera in a frame, in the COCO file; None if there is no image."""
         return self._numbers.get((camera, frame))
 
     def size(self, number: int) -> tuple[int, int] | None:
-        """Width and height of an image; None if there is no image with this number."""
         return self._sizes.get(number)
-
-    @property
-    def first(self) -> int:
-        """Number of the first frame."""
-        return self._frames.start
 
     def images(self, numbers: Collection[int], keypoints: KeypointSet | None = None) -> ImageTruth:
         """Truth of all images of the COCO file. The parameters are ignored, since only scenes need them."""
@@ -150,7 +145,7 @@ class ExportTruth:
             )
 
 
-class ExportPictures:
+class ExportPictures(Pictures):
     """Colour images of an export.
 
     Stamps in files of 3D poses are rounded. So a stamp gets the image with the nearest stamp.
@@ -172,7 +167,6 @@ class ExportPictures:
         return self._rows.get(nearest, {}) if abs(nearest - stamp) <= self._period // 2 else {}
 
     def cameras(self, stamp: int) -> dict[str, Camera]:
-        """Cameras with an image at a stamp, by name, as the COCO file describes them."""
         return {
             name: Camera(
                 (row["width"], row["height"]),
@@ -186,8 +180,6 @@ class ExportPictures:
         }
 
     def image(self, stamp: int, camera: str) -> Image | None:
-        """Image of a camera at a stamp; None if there is no image. Raises HumansimError for a damaged
-        file."""
         row = self._at(stamp).get(camera)
         if row is None:
             return None
@@ -195,11 +187,8 @@ class ExportPictures:
         with located(EvaluationError, path):
             return decode_image(read_bytes(path, EvaluationError, "image", MAX_IMAGE_BYTES), "image")
 
-    def close(self) -> None:
-        """Do nothing, since no file is open."""
 
-
-class SceneImages:
+class SceneImages(ImageNumbers):
     """Ground truth of the images of a scene. The scene is rendered without colours.
 
     Images are numbered in the same way as in an export that begins at frame 0: from 1 on, frame by frame, and
@@ -214,16 +203,13 @@ class SceneImages:
 
     @property
     def cameras(self) -> Sequence[str]:
-        """Names of the cameras."""
         return list(self.scene.scene_cameras)
 
     def number(self, camera: str, frame: int) -> int | None:
-        """Number of the image of a camera in a frame; None if there is no image."""
         pictured = self._pictured(frame)
         return self._first(frame) + pictured.index(camera) if camera in pictured else None
 
     def size(self, number: int) -> tuple[int, int] | None:
-        """Width and height of an image; None for numbers below 1."""
         if number < 1:
             return None
         frame = self._frame_of(number)

@@ -29,23 +29,17 @@ _MAX_AHEAD = 5 * 10**9
 
 
 @dataclass(frozen=True)
-class LiveOptions:
+class LiveOptions(ReadOptions):
     """How an estimate is read and compared. The options are those of ``humansim evaluate``.
 
     Attributes:
         keypoints: Keypoint set of the estimate and of the truth. If None, both have joints of the skeleton.
-        names: Names for points without names, in their order.
         table: Name of a joint in the truth by its name in the estimate.
-        scale: Length of a unit of the estimate, metres.
-        axes: Axes of the estimate, the same as in ``axes_matrix``.
         gate: Largest mean joint distance at which a person counts as found, metres.
     """
 
     keypoints: KeypointSet | None = None
-    names: tuple[str, ...] | None = None
     table: Mapping[str, str] | None = None
-    scale: float = 1.0
-    axes: str | None = None
     gate: float = DEFAULT_GATE
 
     @classmethod
@@ -74,12 +68,8 @@ class LiveOptions:
         if axes:
             axes_matrix(axes)
         listed = tuple(given) if isinstance(given, list) else points.names if points is not None else None
-        return cls(points, listed, given if isinstance(given, dict) else None, scale, axes or None, gate)
-
-    @property
-    def reading(self) -> ReadOptions:
-        """The options in the form that readers of files take."""
-        return ReadOptions(self.names, axes=self.axes, scale=self.scale)
+        table = given if isinstance(given, dict) else None
+        return cls(listed, axes=axes or None, scale=scale, keypoints=points, table=table, gate=gate)
 
 
 def check_world(frame: PoseFrame) -> None:
@@ -166,7 +156,7 @@ class LiveEvaluation:
         return {**data, "live": live}
 
     def _evaluated(self, since: int) -> Evaluation:
-        estimate = in_map(self.estimate.sequence(since), "z-up", self._options.reading)
+        estimate = in_map(self.estimate.sequence(since), "z-up", self._options)
         if self._scene is not None:
             self._compute_truth(self._scene, int(estimate.times[-1]))
         elif not len(self.truth):

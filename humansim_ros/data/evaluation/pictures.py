@@ -30,16 +30,19 @@ class Pictures(Protocol):
     """Images of the cameras of a truth."""
 
     def cameras(self, stamp: int) -> Mapping[str, Camera]:
-        """Cameras that have an image at a stamp in nanoseconds."""
+        """Cameras that have an image at a stamp in nanoseconds, by name."""
 
     def image(self, stamp: int, camera: str) -> Image | None:
-        """Image (H, W, 3) RGB or (H, W) of a camera at a stamp; None if there is no image."""
+        """Image (H, W, 3) RGB or (H, W) of a camera at a stamp; None if there is no image.
+
+        Raises HumansimError if it cannot be rendered or read.
+        """
 
     def close(self) -> None:
         """Free files and renderer."""
 
 
-class ScenePictures:
+class ScenePictures(Pictures):
     """Images of a scene, rendered on demand."""
 
     def __init__(self, scene: Scene) -> None:
@@ -47,7 +50,6 @@ class ScenePictures:
         self._simulation: Simulation | None = None
 
     def cameras(self, stamp: int) -> dict[str, Camera]:
-        """Cameras at the frame of a stamp."""
         frame = self._frame(stamp, ())
         return {
             name: camera.camera_at(frame.camera_poses[name]) if camera.moves else camera.camera
@@ -56,12 +58,10 @@ class ScenePictures:
         }
 
     def image(self, stamp: int, camera: str) -> Image | None:
-        """Image of a camera at the frame of a stamp. Raises RenderError if OpenGL is missing."""
         view = self._frame(stamp, (camera,)).views.get(camera)
         return None if view is None else view.rgb
 
     def close(self) -> None:
-        """Free the renderer."""
         if self._simulation is not None:
             self._simulation.close()
             self._simulation = None

@@ -37,10 +37,23 @@ class SceneTruth:
         self.scene = scene
         self.period, self.start = scene.frame_time(1), FIRST_STAMP
 
-    def poses(self, span: tuple[int, int], around: float, keypoints: KeypointSet | None) -> PoseSequence:
-        """Joints (keypoints, if a set is given) from stamp ``span[0]`` to ``span[1]`` (nanoseconds), and
-        ``around`` seconds before and after."""
-        return scene_truth(self.scene, span, around, keypoints)
+    def poses(
+        self, span: tuple[int, int], around: float = 0.0, keypoints: KeypointSet | None = None
+    ) -> PoseSequence:
+        """Joints or keypoints of all humans, with the stamps of ``Simulation`` and lockstep.
+
+        Args:
+            span: First and last time that are needed, nanoseconds.
+            around: Seconds before and after the span.
+            keypoints: Set of keypoints in place of the joints.
+
+        Raises:
+            EvaluationError: The scene has no people or a live human (moved by another node), or the times are
+                too late for a scene, such as those of a wall clock.
+        """
+        first, last = frames_of(self.scene, span, around)
+        times = np.array([self.scene.frame_time(index) for index in range(first, last + 1)], np.int64)
+        return truth_at(self.scene, times, FIRST_STAMP + times, keypoints)
 
 
 class RecordedTruth:
@@ -54,26 +67,6 @@ class RecordedTruth:
     def poses(self, span: tuple[int, int], around: float, keypoints: KeypointSet | None) -> PoseSequence:
         """Joints or keypoints in all frames of the bag. ``span`` and ``around`` are ignored."""
         return self.joints if keypoints is None else bag_truth(self.path, keypoints)
-
-
-def scene_truth(
-    scene: Scene, span: tuple[int, int], around: float = 0.0, keypoints: KeypointSet | None = None
-) -> PoseSequence:
-    """Joints or keypoints of all humans of a scene, with the stamps of ``Simulation`` and lockstep.
-
-    Args:
-        scene: The scene.
-        span: First and last time that are needed, nanoseconds.
-        around: Seconds before and after the span.
-        keypoints: Set of keypoints in place of the joints.
-
-    Raises:
-        EvaluationError: The scene has no people or a live human (moved by another node), or the times are too
-            late for a scene, such as those of a wall clock.
-    """
-    first, last = frames_of(scene, span, around)
-    times = np.array([scene.frame_time(index) for index in range(first, last + 1)], np.int64)
-    return truth_at(scene, times, FIRST_STAMP + times, keypoints)
 
 
 def check_motions(scene: Scene) -> None:

@@ -87,7 +87,7 @@ class EvaluatorNode(SuiteNode):
         self.create_subscription(TimeReference, SCENE_TIME, self._on_scene_time, subscription_profile([]))
         truth_topic = f"humans/*/{f'keypoints/{keypoints}' if keypoints else 'joints'}"
         self._truth = None if computed else PoseTopics(self, truth_topic, ReadOptions(), self._on_truth)
-        self._estimate = PoseTopics(self, topic, live_options.reading, self._on_estimate)
+        self._estimate = PoseTopics(self, topic, live_options, self._on_estimate)
         self._new_evaluation = lambda: LiveEvaluation(self._estimate.topic, live_options, computed)
         self.evaluation = self._new_evaluation()
         self._publisher = self.create_publisher(DiagnosticArray, "evaluation", DATA)

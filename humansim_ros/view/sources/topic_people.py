@@ -392,7 +392,7 @@ class Estimate:
                 "is detections in images, and the page compares 3D poses: give it to humansim evaluate",
                 path=found,
             )
-        return cls(read_estimates(texts, replace(options.reading, period=period, start=start)), options)
+        return cls(read_estimates(texts, replace(options, period=period, start=start)), options)
 
     def at(self, stamp: int, half: int) -> list[Pose]:
         """People in the frame nearest to a stamp; empty if it is more than ``half`` nanoseconds away."""

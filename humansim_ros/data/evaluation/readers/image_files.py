@@ -36,23 +36,21 @@ _Rows = Mapping[int, list[float]]
 
 
 class ImageNumbers(Protocol):
-    """What readers must know about the images of a truth: cameras, numbers, sizes, rate, and keypoint set."""
+    """What readers must know about the images of a truth.
+
+    Attributes:
+        keypoints: Set of the keypoints.
+        rate: Frames per second.
+        first: Number of the first frame.
+    """
+
+    keypoints: KeypointSet
+    rate: float
+    first: int
 
     @property
     def cameras(self) -> Sequence[str]:
         """Names of the cameras."""
-
-    @property
-    def keypoints(self) -> KeypointSet:
-        """Set of the keypoints."""
-
-    @property
-    def rate(self) -> float:
-        """Frames per second."""
-
-    @property
-    def first(self) -> int:
-        """Number of the first frame."""
 
     def number(self, camera: str, frame: int) -> int | None:
         """Number of the image of a camera in a frame; None if there is no image."""

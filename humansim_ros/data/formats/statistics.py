@@ -16,6 +16,7 @@ import numpy as np
 
 from humansim_ros.cameras.camera import Camera
 from humansim_ros.data.formats.writer import ExportFolder, ExportFrame, FormatWriter, Record
+from humansim_ros.files.reading import read_table
 from humansim_ros.geometry import matrix_to_quaternion
 from humansim_ros.motion.pose import JointLimits, load_limits
 from humansim_ros.people.humans import Human
@@ -25,19 +26,9 @@ from humansim_ros.scene.truth import BodyBox, HumanState
 
 #: Name of the file, in the root of the export.
 STATISTICS = "statistics.json"
+_TABLE = read_table("statistics")
 #: Joint angles that are counted, with their titles. Angles of left and right are counted together.
-ANGLES = {
-    "vt3.flexion": "neck flexion",
-    "vl5.flexion": "spine flexion",
-    "shoulder.flexion": "shoulder flexion",
-    "shoulder.abduction": "shoulder abduction",
-    "elbow.flexion": "elbow flexion",
-    "wrist.flexion": "wrist flexion",
-    "hip.flexion": "hip flexion",
-    "hip.abduction": "hip abduction",
-    "knee.flexion": "knee flexion",
-    "ankle.dorsiflexion": "ankle dorsiflexion",
-}
+ANGLES: dict[str, str] = _TABLE["angles"]
 
 
 @dataclass(frozen=True)
@@ -74,20 +65,8 @@ class Histogram:
 
 
 #: All quantities by their keys in the file.
-HISTOGRAMS = {
-    "people": Histogram("People with visible pixels", "", "images", 0, 1, 31),
-    "visible": Histogram("Visible share of a person", "", "people in images", 0, 0.05, 20),
-    "truncation": Histogram("Share of the box outside the image", "", "people in images", 0, 0.05, 20),
-    "height": Histogram("Height of a person in the image", "px", "people in images", 0, 25, 40),
-    "distance": Histogram("Distance of a person from the camera", "m", "people in images", 0, 0.5, 40),
-    "elevation": Histogram("Elevation of the camera from the hips", "°", "people in images", -90, 5, 36),
-    "heading": Histogram("Side that is seen: 0 front, 180 back", "°", "people in images", -180, 30, 12),
-    "brightness": Histogram("Mean brightness of an image", "", "images", 0, 0.05, 20),
-    "cameras": Histogram("Cameras of a scene", "", "scenes", 0, 1, 33),
-    "camera_height": Histogram("Height of a camera", "m", "cameras", 0, 0.25, 24),
-    "fov": Histogram("Horizontal field of view", "°", "cameras", 0, 10, 18),
-    "sun": Histogram("Elevation of the sun", "°", "scenes", -90, 10, 18),
-    **{name: Histogram(title, "°", "joints", -180, 5, 72) for name, title in ANGLES.items()},
+HISTOGRAMS = {name: Histogram(**row) for name, row in _TABLE["histograms"].items()} | {
+    name: Histogram(title, "°", "joints", -180, 5, 72) for name, title in ANGLES.items()
 }
 
 

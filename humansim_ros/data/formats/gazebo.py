@@ -86,7 +86,7 @@ class GazeboWriter(AnimationWriter):
         if camera.distorted and camera.lens.model != "plumb_bob":
             text = f"SDF has no {camera.lens.model} lens: it is without distortion"
             warn_about(f"Gazebo camera {name}", text)
-        return name, _pose(track, _SDF_IN_OPTICAL), camera, self.settings.scene.cameras[name].rate
+        return name, _pose(track, _SDF_IN_OPTICAL), camera, self.settings.scene.cameras[name].rate or 0.0
 
 
 @dataclass(frozen=True)
@@ -162,8 +162,9 @@ def collada_text(puppet: Puppet, texture: str | None, times: Array) -> str:
     ``texture``: name of the texture file. ``times``: (F,) seconds.
     """
     mesh, weights = puppet.mesh, puppet.weights
-    uv = mesh.uv if mesh.uv_triangles is not None else None
-    corners = [mesh.triangles, mesh.triangles, *([] if uv is None else [mesh.uv_triangles])]
+    corners, uv = [mesh.triangles, mesh.triangles], None
+    if mesh.uv is not None and mesh.uv_triangles is not None:
+        corners, uv = [*corners, mesh.uv_triangles], mesh.uv
     nodes: list[tuple[str, Array, list[Any]]] = [
         (name, pose, []) for name, pose in zip(puppet.joints, puppet.poses[0], strict=True)
     ]

@@ -76,15 +76,15 @@ class MujocoModel:
         self._tracks: dict[str, PoseTrack] = {}
         self._times = np.array(scene.frames) / scene.rate
         self._root = Element("mujoco", model="humansim")
-        SubElement(self._root, "compiler", angle="radian", meshdir=_ASSETS, texturedir=_ASSETS)
-        self._visual = visual = SubElement(self._root, "visual")
+        _add(self._root, "compiler", angle="radian", meshdir=_ASSETS, texturedir=_ASSETS)
+        self._visual = visual = _add(self._root, "visual")
         sizes = np.array([camera.size for camera, _ in scene.cameras.values()] or [(640, 480)])
-        SubElement(visual, "global", offwidth=str(sizes[:, 0].max()), offheight=str(sizes[:, 1].max()))
-        SubElement(visual, "map", znear="0.001", zfar="50")  # of its extent
-        self._asset = SubElement(self._root, "asset")
-        self._deformable = SubElement(self._root, "deformable")
-        self.world = SubElement(self._root, "worldbody")
-        SubElement(self.world, "geom", name="ground", type="plane", size="0 0 0.05", group=_TOUCHED)
+        _add(visual, "global", offwidth=str(sizes[:, 0].max()), offheight=str(sizes[:, 1].max()))
+        _add(visual, "map", znear="0.001", zfar="50")  # of its extent
+        self._asset = _add(self._root, "asset")
+        self._deformable = _add(self._root, "deformable")
+        self.world = _add(self._root, "worldbody")
+        _add(self.world, "geom", name="ground", type="plane", size="0 0 0.05", group=_TOUCHED)
         warn_of_curved_skinning(scene.people, "MuJoCo")
         warn_of_lenses("MuJoCo", {name: camera for name, (camera, _) in scene.cameras.items()})
         bones = [f"{name}.{bone}" for name, p in scene.people.items() for bone in p.human.skeleton.names]
@@ -120,10 +120,8 @@ class MujocoModel:
         """Add the sun. The light of the sky becomes the ambient part of MuJoCo's headlight."""
         factor = lighting.strength * 2.0**lighting.exposure
         mean = (np.array(lighting.sky_color) + np.array(lighting.ground_color)) / 2
-        SubElement(
-            self._visual, "headlight", ambient=joined(factor * mean), diffuse="0 0 0", specular="0 0 0"
-        )
-        SubElement(
+        _add(self._visual, "headlight", ambient=joined(factor * mean), diffuse="0 0 0", specular="0 0 0")
+        _add(
             self.world,
             "light",
             type="directional",
@@ -144,25 +142,23 @@ class MujocoModel:
         """
         mesh = painted(mesh)
         self._assets.write(f"{name}.obj", obj_text(mesh))
-        SubElement(self._asset, "mesh", name=name, file=f"{name}.obj", inertia="shell")
+        _add(self._asset, "mesh", name=name, file=f"{name}.obj", inertia="shell")
         look = self._look(mesh)
         seen = {"contype": "0", "conaffinity": "0", "group": _DRAWN, "mass": "0"}
-        SubElement(body, "geom", type="mesh", mesh=name, **look, **seen)
+        _add(body, "geom", type="mesh", mesh=name, **look, **seen)
         parts = sorted(_parts(mesh), key=lambda points: -float(np.ptp(points, axis=0).max()))
         for number, points in enumerate(parts[:_MOST_PARTS]):
             center, axes, half = _fitted_box(points)
             corners = _hull(points) if half.min() > _FLAT else None
             if corners is not None:
-                SubElement(
-                    self._asset, "mesh", name=f"{name}.{number}", vertex=joined(corners), maxhullvert="64"
-                )
-                SubElement(body, "geom", type="mesh", mesh=f"{name}.{number}", group=_TOUCHED, mass="0")
+                _add(self._asset, "mesh", name=f"{name}.{number}", vertex=joined(corners), maxhullvert="64")
+                _add(body, "geom", type="mesh", mesh=f"{name}.{number}", group=_TOUCHED, mass="0")
                 continue
             center = center - axes[:, 2] * _HALF_THICKNESS * _facing(mesh, points, axes[:, 2])
             half = np.maximum(half, _FLAT)
             half[2] = _HALF_THICKNESS
             place = {"pos": joined(center), "quat": joined(_wxyz(matrix_to_quaternion(axes)))}
-            SubElement(body, "geom", type="box", size=joined(half), **place, group=_TOUCHED, mass="0")
+            _add(body, "geom", type="box", size=joined(half), **place, group=_TOUCHED, mass="0")
 
     def _add_person(self, name: str, person: AnimatedHuman) -> None:
         """Add a mocap body for each bone, with the convex hull of its skin; and the skin of the person."""
@@ -179,11 +175,11 @@ class MujocoModel:
             body = self._body(body_name, track, always=True)
             corners = _hull(points[owner == bone])
             if corners is not None:
-                SubElement(self._asset, "mesh", name=body_name, vertex=joined(corners), maxhullvert=_CORNERS)
-                SubElement(body, "geom", name=body_name, type="mesh", mesh=body_name, group=_TOUCHED)
+                _add(self._asset, "mesh", name=body_name, vertex=joined(corners), maxhullvert=_CORNERS)
+                _add(body, "geom", name=body_name, type="mesh", mesh=body_name, group=_TOUCHED)
         mesh = painted(human.mesh)
         self._assets.write(f"{name}.skn", skin_bytes(mesh, person, names))
-        SubElement(self._deformable, "skin", name=name, file=f"{name}.skn", **self._look(mesh))
+        _add(self._deformable, "skin", name=name, file=f"{name}.skn", **self._look(mesh))
 
     def _add_camera(self, name: str, camera: Camera, track: PoseTrack) -> None:
         """Add a camera with the focal lengths and principal point of its calibration."""
@@ -192,7 +188,7 @@ class MujocoModel:
         parent, place = self.world, _pose(track)
         if track.moves:
             parent, place = self._body(self._names[f"camera_{name}"], track), {}
-        SubElement(
+        _add(
             parent,
             "camera",
             name=name,
@@ -207,8 +203,8 @@ class MujocoModel:
         """Add a body at the first pose of a track. If it moves, or if ``always``, it is a mocap body."""
         if always or track.moves:
             self._tracks[name] = track
-            return SubElement(self.world, "body", name=name, mocap="true", **_pose(track))
-        return SubElement(self.world, "body", name=name, **_pose(track))
+            return _add(self.world, "body", name=name, mocap="true", **_pose(track))
+        return _add(self.world, "body", name=name, **_pose(track))
 
     def _look(self, mesh: Mesh) -> dict[str, str]:
         """Attributes of a geom or skin: the material, with the texture of the mesh."""
@@ -217,9 +213,13 @@ class MujocoModel:
             return {}
         if texture not in self._materials:
             name = self._materials[texture] = texture.split(".")[0]
-            SubElement(self._asset, "texture", name=name, type="2d", file=texture)
-            SubElement(self._asset, "material", name=name, texture=name, specular="0", shininess="0")
+            _add(self._asset, "texture", name=name, type="2d", file=texture)
+            _add(self._asset, "material", name=name, texture=name, specular="0", shininess="0")
         return {"material": self._materials[texture]}
+
+
+def _add(parent: Element, tag: str, **attributes: str) -> Element:
+    return SubElement(parent, tag, attributes)
 
 
 def skin_bytes(mesh: Mesh, person: AnimatedHuman, bodies: list[str]) -> bytes:

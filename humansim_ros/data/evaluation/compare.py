@@ -57,7 +57,7 @@ class Comparison:
         def page() -> str:
             if isinstance(source, RecordedTruth) or source is None:
                 return html_report(result)
-            opened = source.pictures() if isinstance(source, ExportTruth) else ScenePictures(source.scene)
+            opened = source if isinstance(source, ExportTruth) else ScenePictures(source.scene)
             try:
                 with closing(opened) as pictures:
                     return html_report(result, pictures)

@@ -45,9 +45,9 @@ _MAX_BYTES = 1 << 32
 MAX_RENDERED_FRAMES = 108_000
 
 
-class ExportTruth(ImageNumbers):
-    """Ground truth of a finished export: 3D poses from TRC, C3D or Panoptic files, and images from its COCO
-    file.
+class ExportTruth(ImageNumbers, Pictures):
+    """Ground truth of a finished export: 3D poses from TRC, C3D or Panoptic files, what images show from its
+    COCO file, and colour images.
 
     Each file is compared with its hash in the index.
 
@@ -89,7 +89,7 @@ class ExportTruth(ImageNumbers):
         return read_estimates([str(self.folder / chosen[0])], options)
 
     @property
-    def cameras(self) -> Sequence[str]:
+    def camera_names(self) -> Sequence[str]:
         return list(dict.fromkeys(row["camera"] for row in self._document["images"]))
 
     def number(self, camera: str, frame: int) -> int | None:
@@ -112,10 +112,42 @@ class ExportTruth(ImageNumbers):
         names = dict(enumerate(self._index.get("humans", ()), 1))
         return BoxTracks(frames, str(self.folder), names)
 
-    def pictures(self) -> ExportPictures:
-        """Colour images of the export, for reports."""
-        rows = self._document["images"] if _COCO in self._files else ()
-        return ExportPictures(self.folder, rows, self.period)
+    @cached_property
+    def _rows(self) -> dict[int, dict[str, dict[str, Any]]]:
+        """Images of the COCO file, if there is one, by stamp and camera."""
+        rows: dict[int, dict[str, dict[str, Any]]] = {}
+        for row in self._document["images"] if _COCO in self._files else ():
+            rows.setdefault(row["stamp"], {})[row["camera"]] = row
+        return rows
+
+    def _at(self, stamp: int) -> dict[str, dict[str, Any]]:
+        """Images with the nearest stamp, since stamps in files of 3D poses are rounded."""
+        nearest = min(self._rows, key=lambda each: abs(each - stamp), default=stamp)
+        return self._rows.get(nearest, {}) if abs(nearest - stamp) <= self.period // 2 else {}
+
+    def cameras(self, stamp: int) -> dict[str, Camera]:
+        return {
+            name: Camera(
+                (row["width"], row["height"]),
+                np.array(row["K"]),
+                np.array(row["R"]),
+                np.array(row["t"]),
+                tuple(row["distortion"]),
+                row["distortion_model"],
+            )
+            for name, row in self._at(stamp).items()
+        }
+
+    def image(self, stamp: int, camera: str) -> Image | None:
+        row = self._at(stamp).get(camera)
+        if row is None:
+            return None
+        path = self.folder / "images" / row["file_name"]
+        with located(EvaluationError, path):
+            return decode_image(read_bytes(path, EvaluationError, "image", MAX_IMAGE_BYTES), "image")
+
+    def close(self) -> None:
+        pass  # no file is open
 
     @cached_property
     def _document(self) -> dict[str, Any]:
@@ -145,49 +177,6 @@ class ExportTruth(ImageNumbers):
             )
 
 
-class ExportPictures(Pictures):
-    """Colour images of an export.
-
-    Stamps in files of 3D poses are rounded. So a stamp gets the image with the nearest stamp.
-
-    Args:
-        folder: Folder of the export.
-        rows: List of the images in the COCO file of the export. May be empty.
-        period: Nanoseconds between frames.
-    """
-
-    def __init__(self, folder: Path, rows: Sequence[dict[str, Any]], period: int) -> None:
-        self._folder, self._period = folder, period
-        self._rows: dict[int, dict[str, dict[str, Any]]] = {}
-        for row in rows:
-            self._rows.setdefault(row["stamp"], {})[row["camera"]] = row
-
-    def _at(self, stamp: int) -> dict[str, dict[str, Any]]:
-        nearest = min(self._rows, key=lambda each: abs(each - stamp), default=stamp)
-        return self._rows.get(nearest, {}) if abs(nearest - stamp) <= self._period // 2 else {}
-
-    def cameras(self, stamp: int) -> dict[str, Camera]:
-        return {
-            name: Camera(
-                (row["width"], row["height"]),
-                np.array(row["K"]),
-                np.array(row["R"]),
-                np.array(row["t"]),
-                tuple(row["distortion"]),
-                row["distortion_model"],
-            )
-            for name, row in self._at(stamp).items()
-        }
-
-    def image(self, stamp: int, camera: str) -> Image | None:
-        row = self._at(stamp).get(camera)
-        if row is None:
-            return None
-        path = self._folder / "images" / row["file_name"]
-        with located(EvaluationError, path):
-            return decode_image(read_bytes(path, EvaluationError, "image", MAX_IMAGE_BYTES), "image")
-
-
 class SceneImages(ImageNumbers):
     """Ground truth of the images of a scene. The scene is rendered without colours.
 
@@ -202,7 +191,7 @@ class SceneImages(ImageNumbers):
         self.rate, self.first = scene.config.rate, 0
 
     @property
-    def cameras(self) -> Sequence[str]:
+    def camera_names(self) -> Sequence[str]:
         return list(self.scene.scene_cameras)
 
     def number(self, camera: str, frame: int) -> int | None:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from humansim_ros.data.bags import BagTopic, is_bag
 from humansim_ros.data.evaluation.images import KEYS, Detections2D
 from humansim_ros.data.evaluation.joint_names import set_with_names
-from humansim_ros.data.evaluation.readers.estimates import deserialised_message, split_topic
+from humansim_ros.data.evaluation.readers.estimates import deserialised_message, has_topic, split_topic
 from humansim_ros.data.evaluation.readers.image_files import (
     LAYOUTS,
     PERSON,
@@ -63,7 +63,7 @@ def is_of_images(text: str) -> bool:
     name, topic = split_topic(text)
     path = Path(name)
     if topic is not None:
-        return path.exists() and has_boxes(path, topic)
+        return path.exists() and has_topic(path, topic, [DETECTIONS_2D])
     if is_bag(path) or not path.exists():
         return False
     if path.is_dir():
@@ -135,12 +135,6 @@ def read_image_estimates(
     )
 
 
-def has_boxes(path: Path, topic: str) -> bool:
-    """Whether a topic of a bag has boxes of vision_msgs. Raises BagError if the bag cannot be read."""
-    with RecordedMessages(path) as recorded:
-        return any(each.name == topic and each.type == DETECTIONS_2D for each in recorded.reader.topics)
-
-
 def read_boxes(path: Path, topic: str, images: ImageNumbers) -> Detections2D:
     """Read the messages vision_msgs/Detection2DArray of a topic in a bag.
 
@@ -153,7 +147,7 @@ def read_boxes(path: Path, topic: str, images: ImageNumbers) -> Detections2D:
     """
     results: list[_Record] = []
     numbers: set[int] = set()
-    parts = [part for part in topic.split("/") if part in images.cameras]
+    parts = [part for part in topic.split("/") if part in images.camera_names]
 
     def read(data: bytes, kind: BagTopic) -> tuple[int, str, Any]:
         content = deserialised_message(data, kind)
@@ -164,10 +158,10 @@ def read_boxes(path: Path, topic: str, images: ImageNumbers) -> Detections2D:
         for _, _, (stamp, frame_id, boxes) in recorded.each([topic], read, EvaluationError):
             camera = parts[-1] if parts else frame_id.rpartition("/")[2].removesuffix("_optical_frame")
             frame = frame_at(stamp - FIRST_STAMP, images.rate)
-            known = camera in images.cameras and frame < WALL_CLOCK_FRAME
+            known = camera in images.camera_names and frame < WALL_CLOCK_FRAME
             number = images.number(camera, frame) if known else None
             if number is None:
-                what = f"frame {frame} (stamp {stamp} ns)" if camera in images.cameras else "camera"
+                what = f"frame {frame} (stamp {stamp} ns)" if camera in images.camera_names else "camera"
                 text = f"the truth has no {what} of frame_id '{printable(frame_id, 80)}' on this topic"
                 raise EvaluationError(text, path=path, key=topic)
             numbers.add(number)
@@ -182,7 +176,7 @@ def read_boxes(path: Path, topic: str, images: ImageNumbers) -> Detections2D:
 def _read(text: str, images: ImageNumbers, keypoints: KeypointSet | None) -> Detections2D:
     name, topic = split_topic(text)
     path = Path(text if topic is None else name)
-    if topic is not None and has_boxes(path, topic):
+    if topic is not None and has_topic(path, topic, [DETECTIONS_2D]):
         return read_boxes(path, topic, images)
     if topic is not None or not (is_of_images(text) or path.suffix == ".txt"):  # it may be empty
         raise EvaluationError(

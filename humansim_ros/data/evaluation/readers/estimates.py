@@ -187,6 +187,12 @@ def read_bag_topic(path: str | os.PathLike[str], topic: str, options: ReadOption
     return stream
 
 
+def has_topic(path: Path, topic: str, types: Collection[str]) -> bool:
+    """Whether a bag has a topic of one of these types. Raises BagError if the bag cannot be read."""
+    with RecordedMessages(path) as recorded:
+        return any(each.name == topic and each.type in types for each in recorded.reader.topics)
+
+
 def deserialised_message(data: Any, topic: BagTopic) -> Any:
     """Read a message of a bag. Raises EvaluationError if it is damaged."""
     try:

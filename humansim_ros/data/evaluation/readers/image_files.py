@@ -49,7 +49,7 @@ class ImageNumbers(Protocol):
     first: int
 
     @property
-    def cameras(self) -> Sequence[str]:
+    def camera_names(self) -> Sequence[str]:
         """Names of the cameras."""
 
     def number(self, camera: str, frame: int) -> int | None:
@@ -83,7 +83,7 @@ class ImageFile:
         if isinstance(image, str):
             camera = camera_in(image, self.images) or camera
         if camera is None:
-            listed = some_of(self.images.cameras, 6)
+            listed = some_of(self.images.camera_names, 6)
             shown = printable(name, 80)
             raise EvaluationError(f"no camera of the truth ({listed}) is in the name {shown!r}")
         digits = _digits(name, camera)
@@ -102,12 +102,13 @@ class ImageFile:
 def camera_in(text: str, images: ImageNumbers, default: bool = True) -> str | None:
     """Last camera name of the truth that occurs in a text. If none occurs: with ``default``, the name of the
     only camera; otherwise None."""
-    found = _camera_names(tuple(images.cameras)).findall(text)
-    return found[-1] if found else images.cameras[0] if default and len(images.cameras) == 1 else None
+    names = images.camera_names
+    found = _camera_pattern(tuple(names)).findall(text)
+    return found[-1] if found else names[0] if default and len(names) == 1 else None
 
 
 @lru_cache
-def _camera_names(cameras: tuple[str, ...]) -> re.Pattern[str]:
+def _camera_pattern(cameras: tuple[str, ...]) -> re.Pattern[str]:
     names = "|".join(map(re.escape, sorted(cameras, key=len, reverse=True)))
     return re.compile(rf"(?<![A-Za-z0-9])({names})(?=DLC|[^A-Za-z0-9]|$)")
 
@@ -132,7 +133,7 @@ def camera_files(path: Path, suffixes: Sequence[str], images: ImageNumbers) -> l
                 file for file in sorted(root.glob(pattern + suffix)) if camera_in(str(file), images)
             ]:
                 return found
-    names, known = ", ".join(list(images.cameras)[:6]), " or ".join(suffixes)
+    names, known = ", ".join(list(images.camera_names)[:6]), " or ".join(suffixes)
     text = f"no {known} file of a camera: a folder for each is needed, or files, with its name ({names})"
     raise EvaluationError(text, path=path)
 
@@ -249,7 +250,7 @@ def _mot(rows: _Rows, file: ImageFile) -> Iterator[_Record]:
 
 
 def _ai_city(rows: _Rows, file: ImageFile) -> Iterator[_Record]:
-    names = {int(found[0]): name for name in file.images.cameras if (found := re.search(r"\d+$", name))}
+    names = {int(found[0]): name for name in file.images.camera_names if (found := re.search(r"\d+$", name))}
     for line, (camera, _, frame, *box, _, _) in rows.items():
         file.where = {"line": line}
         yield from _records(file.number(f"{names.get(round(camera), camera)}/{frame:.0f}"), None, box)

@@ -4,7 +4,6 @@ robot."""
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ from humansim_ros.data.evaluation.nearby import RobotPath
 from humansim_ros.data.evaluation.readers.estimates import (
     bag_transforms,
     deserialised_message,
+    has_topic,
     split_topic,
 )
 from humansim_ros.data.evaluation.truth import MAX_TRUTH_FRAMES
@@ -53,10 +53,7 @@ def is_robot_path(text: str) -> bool:
         return False
     if path.suffix.lower() in _SCENE_SUFFIXES:
         return True
-    if not is_bag(path):
-        return False
-    with RecordedMessages(path) as recorded:
-        return any(each.name == topic and each.type in (*_POSES, TF) for each in recorded.reader.topics)
+    return is_bag(path) and has_topic(path, topic, [*_POSES, TF])
 
 
 def read_robot_path(text: str, scene: Scene | None) -> RobotPath:
@@ -115,8 +112,11 @@ def _bag_path(path: Path, topic: str, scene: Scene | None) -> RobotPath:
             samples += found
     if not samples:
         raise EvaluationError(f"there is no pose of {base} on it", path=path, key=topic)
-    times = [time for time, *_ in samples]
-    _check_order(times, path, topic)
+    times = np.array([time for time, *_ in samples], np.int64)
+    for number in np.flatnonzero(np.diff(times) < 0).tolist():
+        before, after = (times[number : number + 2] * 1e-9).tolist()
+        text = f"the robot's clock goes back from {before:.3f} s to {after:.3f} s at pose {number + 2}"
+        raise EvaluationError(f"{text}: give a bag of one run", path=path, key=topic)
     if not is_tf:
         transforms = bag_transforms(path, {frame for _, frame, _ in samples})
     for child, parents in transforms.ambiguous():
@@ -136,7 +136,7 @@ def _bag_path(path: Path, topic: str, scene: Scene | None) -> RobotPath:
             start = robot.start
             matrix = transform(quaternion_to_matrix(start.rotation), start.position) @ matrix
         matrices.append(matrix @ pose)
-    return RobotPath.of(np.array(times, np.int64), np.array(matrices), f"{path}:{topic}")
+    return RobotPath.of(times, np.array(matrices), f"{path}:{topic}")
 
 
 def _sample(data: Any, topic: BagTopic) -> _Sample:
@@ -144,15 +144,3 @@ def _sample(data: Any, topic: BagTopic) -> _Sample:
     position, rotation = rigid_pose(_POSES[topic.type](message), "a pose of the robot")
     pose = transform(quaternion_to_matrix(rotation), position)
     return to_nanoseconds(message.header.stamp), message.header.frame_id.strip("/"), pose
-
-
-def _check_order(times: list[int], path: Path, topic: str) -> None:
-    """Raise EvaluationError if the clock of a robot went back."""
-    for number, (before, time) in enumerate(pairwise(times), 2):
-        if time < before:
-            raise EvaluationError(
-                f"the robot's clock goes back from {before * 1e-9:.3f} s to {time * 1e-9:.3f} s at pose "
-                f"{number}: give a bag of one run",
-                path=path,
-                key=topic,
-            )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -374,20 +375,16 @@ class _Comparison:
         self._detections: list[tuple[float, float, int]] = []
         self._people = 0
         self._numbers: tuple[dict[str, int], dict[str, int]] = ({}, {})
-        rows: list[tuple[int, int, str, str]] = []
-        poses: list[tuple[Array, Array]] = []
+        rows: list[tuple[int, int, str, str, Array, Array]] = []
         for frame, (t, e) in enumerate(zip(pairs.truth.tolist(), pairs.estimate.tolist(), strict=True)):
             for person, own in self._match(frame, t, e):
-                rows.append((frame, int(truth.times[t]), person, own))
-                poses.append((truth.people[t][person], estimate.people[e][own]))
-        shape = (0, len(truth.names), 3)
+                poses = truth.people[t][person], estimate.people[e][own]
+                rows.append((frame, int(truth.times[t]), person, own, *poses))
+        columns: Sequence[Sequence[Any]] = list(zip(*rows, strict=True)) or [()] * 6
+        frames, stamps, people, names = columns[:4]
+        true, found = (np.reshape(np.array(each, float), (-1, len(truth.names), 3)) for each in columns[4:])
         self.matches = Matches(
-            np.array([row[0] for row in rows], np.intp),
-            np.array([row[1] for row in rows], np.int64),
-            [row[2] for row in rows],
-            [row[3] for row in rows],
-            np.stack([pose for pose, _ in poses]) if poses else np.zeros(shape),
-            np.stack([pose for _, pose in poses]) if poses else np.zeros(shape),
+            np.array(frames, np.intp), np.array(stamps, np.int64), people, names, true, found
         )
         self.errors = joint_errors(self.matches.truth, self.matches.estimate)
         aligned = procrustes_aligned(self.matches.truth, self.matches.estimate)
@@ -493,18 +490,15 @@ class _Comparison:
         for index, key in enumerate(zip(matches.person, matches.estimate_person, strict=True)):
             if person in (None, key[0]):
                 groups[key].append(index)
-        most = (
-            1.5 * float(np.median(np.diff(self.truth.times[self.pairs.truth])))
-            if len(self.tracked) > 1
-            else 0
-        )
+        times = self.truth.times[self.pairs.truth]
+        most = 1.5 * float(np.median(np.diff(times))) if len(times) > 1 else 0.0
         for indices in groups.values():
             for run in runs(matches.stamp[indices], most):
                 rows = indices[run]
-                times = (matches.stamp[rows] - matches.stamp[rows[0]]) * 1e-9
+                seconds = (matches.stamp[rows] - matches.stamp[rows[0]]) * 1e-9
                 truth, estimate = matches.truth[rows], matches.estimate[rows]
-                velocity.append(velocity_errors(times, truth, estimate).ravel())
-                acceleration.append(acceleration_errors(times, truth, estimate).ravel())
+                velocity.append(velocity_errors(seconds, truth, estimate).ravel())
+                acceleration.append(acceleration_errors(seconds, truth, estimate).ravel())
         return MotionErrors(mean_error(np.concatenate(velocity)), mean_error(np.concatenate(acceleration)))
 
     def _parts(self) -> PartScores:

@@ -17,7 +17,7 @@ import json
 import tarfile
 from collections.abc import Iterable, Iterator
 from io import BytesIO
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 
@@ -75,7 +75,7 @@ class WebDatasetWriter(FormatWriter):
         for number, frames in enumerate(shards(records, self.settings.shard_size)):
             with folder.path(f"shard-{number:06d}.tar") as path, path.open("wb") as shard:
                 for name in frames:
-                    _copy(folder, name, shard)
+                    shard.writelines(read_blocks(folder.temporary(name), ExportError, "sample"))
                 shard.write(_END)
 
 
@@ -98,11 +98,6 @@ def shards(records: Iterable[tuple[int, Record]], size: int) -> Iterator[list[st
 def _samples(frame: str) -> str:
     """Name of the temporary file with the samples of a frame."""
     return f"{frame}.tar"
-
-
-def _copy(folder: ExportFolder, name: str, shard: BinaryIO) -> None:
-    for block in read_blocks(folder.temporary(name), ExportError, "sample"):
-        shard.write(block)
 
 
 def tar_entry(name: str, data: bytes) -> bytes:

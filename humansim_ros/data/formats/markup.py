@@ -1,6 +1,6 @@
-"""HTML and SVG for reports that consist of one file, and XML, from the jinja2 templates of ``config/pages``.
+"""Reports of one file, as HTML and SVG, and files of other programs, from the templates of ``config/pages``.
 
-The templates escape all texts, unless they are :class:`~markupsafe.Markup` already.
+The templates are those of jinja2. They escape all texts, unless they are :class:`~markupsafe.Markup` already.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def page(name: str, **values: Any) -> str:
 
 
 def document(name: str, **values: Any) -> str:
-    """Text of an XML file of a template. The filter ``numbers`` writes arrays."""
+    """Text of the file of a template. The filter ``numbers`` writes arrays."""
     return _templates().get_template(f"pages/{name}").render(**values) + "\n"
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.cameras.formats import write_calibration
+from humansim_ros.data.formats.markup import document
 from humansim_ros.data.formats.writer import ExportFolder, ExportFrame, ExportSettings, FormatWriter, Record
 from humansim_ros.errors import ExportError, HumansimError, HumansimWarning
 from humansim_ros.files.reading import ANY_SIZE, read_text
@@ -145,36 +146,14 @@ class OpenPoseWriter(FormatWriter):
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
         """Write the calibration and the configuration."""
         folder.write("calibration/Calib.toml", self._calibration)
-        folder.write("Config.toml", self._config())
-
-    def _config(self) -> str:
-        settings = self.settings
-        distorted = any(camera.camera.distorted for camera in settings.scene.cameras.values())
-        people = len(settings.scene.people) > 1
-        lines = [
-            "[project]",
-            f"multi_person = {str(people).lower()}",
-            f"frame_rate = {round(settings.rate)}",
-            f"frame_range = [{settings.frames.start}, {settings.frames.stop}]",
-            "",
-            "[pose]",
-            *_pose_model(settings.keypoints),
-            "",
-            "[triangulation]",
-            "reproj_error_threshold_triangulation = 15",
-            "likelihood_threshold_triangulation = 0.3",
-            "min_cameras_for_triangulation = 2",
-            f"undistort_points = {str(distorted).lower()}",
-        ]
-        return "\n".join(lines) + "\n"
-
-
-def _pose_model(keypoints: str) -> list[str]:
-    """Lines of section ``pose`` of the configuration: a skeleton of Pose2Sim, or a new one: a root with all
-    points as children."""
-    if keypoints in POSE2SIM_MODELS:
-        return [f'pose_model = "{POSE2SIM_MODELS[keypoints]}"']
-    lines = ['pose_model = "CUSTOM"', "[pose.CUSTOM]", 'name = "root"', 'id = "None"']
-    for number, name in enumerate(keypoint_set(keypoints).names):
-        lines += ["[[pose.CUSTOM.children]]", f'name = "{name}"', f"id = {number}"]
-    return lines
+        settings, cameras = self.settings, self.settings.scene.cameras.values()
+        text = document(
+            "pose2sim.toml",
+            several=len(settings.scene.people) > 1,
+            rate=round(settings.rate),
+            frames=settings.frames,
+            model=POSE2SIM_MODELS.get(settings.keypoints),
+            names=keypoint_set(settings.keypoints).names,
+            distorted=any(camera.camera.distorted for camera in cameras),
+        )
+        folder.write("Config.toml", text)

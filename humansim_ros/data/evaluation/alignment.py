@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment, minimize_scalar
 
 from humansim_ros.data.evaluation.pose_sequence import People, PoseSequence
@@ -181,9 +180,11 @@ def check_axes(truth: PoseSequence, estimate: PoseSequence, pairs: FramePairs, g
     Raises:
         EvaluationError: People match only after a swap of axes. The message names the right axes.
     """
-    both = _paired(pairs)
+    both = np.stack([pairs.truth, pairs.estimate], axis=1)[pairs.estimate >= 0]
     samples = [
-        (truth.people[t], estimate.people[e]) for t, e in both if truth.people[t] and estimate.people[e]
+        (truth.people[t], estimate.people[e])
+        for t, e in both[_spread(len(both))]
+        if truth.people[t] and estimate.people[e]
     ]
 
     def matches(matrix: Array) -> int:
@@ -218,12 +219,6 @@ def _all_axes() -> list[str]:
         for signs in itertools.product(("", "-"), repeat=3)
     ]
     return sorted(texts, key=lambda text: (np.linalg.det(axes_matrix(text)) < 0, text.count("-")))
-
-
-def _paired(pairs: FramePairs) -> NDArray[np.intp]:
-    """At most :data:`_CHECKED_FRAMES` pairs (N, 2) of frames of truth and estimate, at even distances."""
-    both = np.stack([pairs.truth, pairs.estimate], axis=1)[pairs.estimate >= 0]
-    return both[_spread(len(both))]
 
 
 def _frames(sequence: PoseSequence, frames: Indices) -> list[People]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
@@ -247,32 +246,28 @@ def _worst_images(
         error = "" if worst.error is None else f", {quantity(worst.error, 'px')}"
         image, content = pictures.image(worst.stamp, worst.camera), Markup()
         if image is not None:
-            shapes = _shapes(evaluation, kind, worst)
-            content = picture(draw_over(image, shapes), f"{worst.name} in {worst.camera}")
+            drawn = draw_over(image, list(_shapes(evaluation, kind, worst)))
+            content = picture(drawn, f"{worst.name} in {worst.camera}")
         sections.append((heading + error, content))
     return sections
 
 
-def _shapes(evaluation: ImageEvaluation, kind: str, worst: WorstImage) -> list[Shape]:
-    """Shapes of the annotation and, if it is not missed, of the detection."""
-    rows = evaluation.matches[kind, worst.image, worst.name]
-    colors = (TRUTH_COLOR, ESTIMATE_COLOR)
-    return [_shape(evaluation, kind, row, color) for row, color in zip(rows, colors, strict=True) if row]
+def _shapes(evaluation: ImageEvaluation, kind: str, worst: WorstImage) -> Iterator[Shape]:
+    """Yield the shapes of the annotation and, if it is not missed, of the detection."""
+    for row, color in zip(
+        evaluation.matches[kind, worst.image, worst.name], (TRUTH_COLOR, ESTIMATE_COLOR), strict=True
+    ):
+        if row is None:
+            continue
+        if kind == "keypoints":
+            points = np.reshape(np.asarray(row["keypoints"], float), (-1, 3))
+            absent = ~points.any(axis=1) | (points[:, 2] <= 0)
+            known, scores = keypoint_set(evaluation.keypoint_set), evaluation.keypoints
+            edges = known.subset([known.index(name) for name in scores.by_keypoint]).edges if scores else ()
+            yield Shape(color, np.where(absent[:, None], np.nan, points[:, :2]), edges)
+        elif kind == "boxes":
+            yield Shape(color, box=np.asarray(row["bbox"], float))
+        else:
+            from pycocotools.mask import decode
 
-
-def _shape(
-    evaluation: ImageEvaluation, kind: str, row: Mapping[str, Any], color: tuple[int, int, int]
-) -> Shape:
-    """Shape to draw for an annotation or a detection ``row`` of COCO."""
-    nothing = np.zeros((0, 2))
-    if kind == "keypoints":
-        points = np.reshape(np.asarray(row["keypoints"], float), (-1, 3))
-        absent = ~points.any(axis=1) | (points[:, 2] <= 0)
-        known, scores = keypoint_set(evaluation.keypoint_set), evaluation.keypoints
-        edges = known.subset([known.index(name) for name in scores.by_keypoint]).edges if scores else ()
-        return Shape(color, np.where(absent[:, None], np.nan, points[:, :2]), edges)
-    if kind == "boxes":
-        return Shape(color, nothing, box=np.asarray(row["bbox"], float))
-    from pycocotools.mask import decode
-
-    return Shape(color, nothing, mask=decode(row["segmentation"]).astype(bool))
+            yield Shape(color, mask=decode(row["segmentation"]).astype(bool))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import cv2
@@ -86,7 +86,7 @@ class Shape:
     """
 
     color: tuple[int, int, int]
-    points: Array
+    points: Array = field(default_factory=lambda: np.zeros((0, 2)))
     edges: Sequence[tuple[int, int]] = ()
     box: Array | None = None
     mask: NDArray[np.bool_] | None = None

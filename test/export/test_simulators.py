@@ -25,7 +25,6 @@ from humansim_ros.data.formats.animation import (
 )
 from humansim_ros.data.formats.formats import EXPORT_FORMATS, chosen_formats
 from humansim_ros.data.formats.mjcf import MujocoModel
-from humansim_ros.data.formats.usd import UsdStage
 from humansim_ros.data.formats.writer import ExportFolder, ExportFrame, ExportScene, ExportSettings
 from humansim_ros.errors import HumansimError, HumansimWarning
 from humansim_ros.scene import Frame
@@ -495,6 +494,8 @@ def test_names_of_bones_that_programs_forbid_are_mapped(played: Played, tmp_path
     loaded = mujoco.MjModel.from_xml_path(str(tmp_path / "scene.xml"))
     assert loaded.nmocap == len(strange) and loaded.nskin == 1
     pytest.importorskip("pxr", reason="usd-core is not installed")
+    from humansim_ros.data.formats.usd import UsdStage
+
     UsdStage(scene, TextureFiles(ExportFolder(tmp_path, "textures"))).write(str(tmp_path / "x.usdc"))
     assert (tmp_path / "x.usdc").stat().st_size > 100_000
 

@@ -1,4 +1,7 @@
-"""A scene as OpenUSD (``scene.usdc``): people with UsdSkel, cameras, room, objects and light."""
+"""A scene as OpenUSD (``scene.usdc``): people with UsdSkel, cameras, room, objects and light.
+
+The module needs usd-core; the table of formats imports it on use.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdShade, UsdSkel, Vt
 
 from humansim_ros.cameras.camera import Camera
 from humansim_ros.data.formats.animation import (
@@ -43,6 +47,7 @@ class UsdWriter(AnimationWriter):
     """Writes a scene to ``scene.usdc``, with ``textures/``."""
 
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
+        """Write the stage and its textures."""
         textures = TextureFiles(folder.subfolder(_TEXTURES))
         stage = UsdStage(self.animated(records), textures)
         stage.add_surfaces(self.surfaces)
@@ -63,8 +68,6 @@ class UsdStage:
     """
 
     def __init__(self, scene: AnimatedScene, textures: TextureFiles) -> None:
-        from pxr import Sdf, Usd, UsdGeom
-
         self._times, self._textures = list(scene.frames), textures
         self._materials: dict[Any, Any] = {}
         self._stage = Usd.Stage.CreateInMemory()
@@ -97,8 +100,6 @@ class UsdStage:
 
     def add_surfaces(self, meshes: Mapping[str, Mesh]) -> None:
         """Add static meshes in ``map``, by name."""
-        from pxr import UsdGeom
-
         if meshes:
             UsdGeom.Scope.Define(self._stage, "/World/Surfaces")
         for name, mesh in meshes.items():
@@ -107,8 +108,6 @@ class UsdStage:
     def add_light(self, lighting: Lighting) -> None:
         """Add the sun, and a uniform sky: the mean of our sky and ground. A matt wall is as bright as in our
         images."""
-        from pxr import Gf, UsdGeom, UsdLux
-
         factor = lighting.strength * 2.0**lighting.exposure
         UsdGeom.Scope.Define(self._stage, "/World/Lights")
         sun = UsdLux.DistantLight.Define(self._stage, "/World/Lights/Sun")
@@ -127,8 +126,6 @@ class UsdStage:
     def _add_person(self, path: str, person: AnimatedHuman) -> None:
         """Add a person: a SkelRoot at the head of the first bone, scaled by the size of the body, in double
         precision."""
-        from pxr import Gf, Sdf, UsdSkel, Vt
-
         human, skeleton = person.human, person.human.skeleton
         root = UsdSkel.Root.Define(self._stage, path)
         places = person.bones[:, 0, :3, 3]
@@ -169,8 +166,6 @@ class UsdStage:
         skin.CreateGeomBindTransformAttr(Gf.Matrix4d(1.0))
 
     def _add_object(self, path: str, item: tuple[Mesh, PoseTrack]) -> None:
-        from pxr import UsdGeom
-
         mesh, track = item
         self._place(UsdGeom.Xform.Define(self._stage, path), track)
         self._add_mesh(f"{path}/Surface", mesh)
@@ -178,8 +173,6 @@ class UsdStage:
     def _add_camera(self, path: str, item: tuple[Camera, PoseTrack]) -> None:
         """Add a camera with a film 36 mm wide. The film is shifted if the principal point is not in the
         middle of the image. ``item``: the camera, and its poses over time."""
-        from pxr import Gf, UsdGeom
-
         calibrated, track = item
         camera = UsdGeom.Camera.Define(self._stage, path)
         (width, height), k = calibrated.size, calibrated.K
@@ -195,8 +188,6 @@ class UsdStage:
 
     def _place(self, prim: Any, track: PoseTrack) -> None:
         """Give a prim the poses of a track: translation, rotation and size, in double precision."""
-        from pxr import Gf, Usd, UsdGeom
-
         for values, add, make, neutral in (
             (track.positions, prim.AddTranslateOp, Gf.Vec3d, (0, 0, 0)),
             (track.rotations, prim.AddOrientOp, lambda x, y, z, w: Gf.Quatd(w, x, y, z), (0, 0, 0, 1)),
@@ -214,8 +205,6 @@ class UsdStage:
 
         ``texture``: content of a PNG or JPEG file with the texture, if there is one.
         """
-        from pxr import Gf, Sdf, UsdGeom, UsdShade, Vt
-
         triangles, points = mesh.triangles, mesh.vertices.astype(np.float32)
         out = UsdGeom.Mesh.Define(self._stage, path)
         out.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
@@ -247,8 +236,6 @@ class UsdStage:
     def _material(self, mesh: Mesh, image: str | None, color: tuple[float, ...] | None) -> Any:
         """Make a UsdPreviewSurface, or return an equal one made before. ``image``: texture file. ``color``:
         linear colour of all vertices."""
-        from pxr import Gf, Sdf, UsdGeom, UsdShade
-
         look = mesh.material
         numbers = (
             (1.0, 0.0, 1.0, (0.0, 0.0, 0.0))
@@ -307,6 +294,4 @@ def _joint_paths(skeleton: Skeleton) -> list[str]:
 
 def _matrices(transforms: Array) -> Any:
     """Convert transforms (N, 4, 4) to matrices of USD, which are for row vectors (transposed)."""
-    from pxr import Vt
-
     return Vt.Matrix4dArray.FromNumpy(np.ascontiguousarray(np.swapaxes(transforms, -1, -2)))

@@ -228,10 +228,10 @@ def timing(truth: PoseSequence, estimate: PoseSequence) -> Timing | None:
     if arrivals is None:
         return None
     seconds = float(np.ptp(arrivals.times)) * 1e-9
-    frames = len(arrivals.times)
+    frames, late = len(arrivals.times), arrivals.latencies
     lost, expected, after = _losses(truth.times, estimate.times)
     return Timing(
-        latency=_latency(arrivals.latencies),
+        latency=Latency(*np.percentile(late, [50, 99, 100]).tolist()) if len(late) else None,
         rate=(frames - 1) / seconds if seconds > 0 else None,
         messages=arrivals.messages,
         frames=frames,
@@ -242,13 +242,6 @@ def timing(truth: PoseSequence, estimate: PoseSequence) -> Timing | None:
         # a truth that is computed has no end
         after=after if truth.arrivals is not None else None,
     )
-
-
-def _latency(values: Array) -> Latency | None:
-    if not len(values):
-        return None
-    median, p99, worst = np.percentile(values, [50, 99, 100]).tolist()
-    return Latency(median, p99, worst)
 
 
 def _losses(truth: NDArray[np.int64], own: NDArray[np.int64]) -> tuple[int, int, int]:

@@ -10,7 +10,7 @@ COCO-WholeBody [Jin 2020]: ``keypoints`` for the body, and separate fields for f
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from itertools import count
 from types import MappingProxyType
 from typing import Any
@@ -125,7 +125,8 @@ def coco_document(
     images: list[dict[str, Any]] = []
     annotations: list[dict[str, Any]] = []
     numbers = count(1)
-    for image_id, image in enumerate(_images(records), first):
+    listed = (image for _, found in records for image in found)
+    for image_id, image in enumerate(listed, first):
         images.append({"id": image_id, **{key: image[key] for key in image if key != "annotations"}})
         for annotation in image["annotations"]:
             if (category := category_of.get(annotation["name"])) is not None:
@@ -140,11 +141,6 @@ def coco_document(
         "annotations": annotations,
         "categories": categories,
     }
-
-
-def _images(records: Iterable[tuple[int, Record]]) -> Iterator[dict[str, Any]]:
-    for _, images in records:
-        yield from images
 
 
 def person_category(keypoints: KeypointSet) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from humansim_ros.scene.truth import BodyBox, HumanState
 
 #: Name of the file, in the root of the export.
 STATISTICS = "statistics.json"
+_Value = TypeVar("_Value", int, str)
 _TABLE = read_table("statistics")
 #: Joint angles that are counted, with their titles. Angles of left and right are counted together.
 ANGLES: dict[str, str] = _TABLE["angles"]
@@ -56,8 +57,7 @@ class Histogram:
         known = np.array([value for value in values if np.isfinite(value)])
         # a value at an edge belongs to the bin above it, even if the division rounds down
         bins = np.clip(np.floor((known - self.low) / self.width + 1e-9), 0, self.bins - 1).astype(int)
-        numbers = Counter(bins.tolist())
-        return {number: numbers[number] for number in sorted(numbers)}
+        return _counted(bins.tolist())
 
     def edge(self, number: float) -> float:
         """Lower end of a bin."""
@@ -122,15 +122,16 @@ class StatisticsWriter(FormatWriter):
             "people": {
                 name: traits(config, scene.humans.get(name)) for name, config in scene.configs.items()
             },
-            "sizes": _sorted(Counter("x".join(map(str, camera.size)) for camera in cameras)),
-            "lenses": _sorted(Counter(_lens(camera) for camera in cameras)),
+            "sizes": _counted("x".join(map(str, camera.size)) for camera in cameras),
+            "lenses": _counted(_lens(camera) for camera in cameras),
             "histograms": {name: HISTOGRAMS[name].count(each) for name, each in values.items() if each},
         }
         folder.root_folder().write(STATISTICS, json.dumps(content) + "\n")
 
 
-def _sorted(counts: Mapping[str, int]) -> dict[str, int]:
-    return {name: counts[name] for name in sorted(counts)}
+def _counted(values: Iterable[_Value]) -> dict[_Value, int]:
+    """Number of each value, in the order of the values."""
+    return dict(sorted(Counter(values).items()))
 
 
 def _lens(camera: Camera) -> str:

@@ -165,8 +165,9 @@ def read_bag_topic(path: str | os.PathLike[str], topic: str, options: ReadOption
             listed = did_you_mean(topic, [each.name for each in topics]) or f"; it has {_poses_of(topics)}"
             raise EvaluationError(f"the bag has no topic {topic}{listed}", path=path)
         for each in topics:
-            if each.name in people:
-                _check_type(each, path)
+            if each.name in people and each.type not in MESSAGE_TYPES:
+                text = f"{each.type} holds no poses of people; known are {', '.join(MESSAGE_TYPES)}"
+                raise EvaluationError(text, path=path, key=each.name)
         found = list(recorded.each(people, read, EvaluationError))
     if not found:
         listed = _poses_of([each for each in topics if each.name not in people])
@@ -271,12 +272,3 @@ def _latency(stamp: int | None, logged: int) -> float | None:
 def _poses_of(topics: Any) -> str:
     names = [topic.name for topic in topics if topic.type in MESSAGE_TYPES]
     return f"poses on {', '.join(names[:5])}" if names else "no topic with poses"
-
-
-def _check_type(topic: BagTopic, path: str | os.PathLike[str]) -> None:
-    if topic.type not in MESSAGE_TYPES:
-        raise EvaluationError(
-            f"{topic.type} holds no poses of people; known are {', '.join(MESSAGE_TYPES)}",
-            path=path,
-            key=topic.name,
-        )

@@ -254,7 +254,7 @@ def reading_materials(path: Path) -> None:
 class OneImage:
     """A truth with one image of one camera."""
 
-    cameras = ("left",)
+    camera_names = ("left",)
     keypoints = keypoint_set("coco17")
     rate, first = 30.0, 0
 

@@ -231,6 +231,14 @@ def test_the_plan_of_the_furniture_is_that_of_the_room() -> None:
         assert np.any(inside, axis=0).all()
 
 
+@pytest.mark.parametrize("seed", [1, 5])
+def test_a_room_without_textures_has_the_same_shapes(seed: int) -> None:
+    rooms = furnished_room(seed=seed), furnished_room(seed=seed, has_textures=False)
+    for one, other in zip(*rooms, strict=True):
+        np.testing.assert_array_equal(one.vertices, other.vertices)
+        np.testing.assert_array_equal(one.faces, other.faces)
+
+
 def test_they_come_beside_the_scenes_own_humans_and_every_process_knows_them(tmp_path: Path) -> None:
     path = scene(tmp_path, humans={"anna": {"body": "adult_woman"}}, count=2)
     loaded = Scene.load(path)

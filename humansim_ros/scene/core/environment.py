@@ -57,11 +57,11 @@ class Furnishing:
 
     Attributes:
         fixtures: What stands on the floor, by name.
-        build: Makes the meshes of the room in ``map``.
+        build: Makes the meshes of the room in ``map``. Argument: whether their textures are needed.
     """
 
     fixtures: Mapping[str, Fixture] = field(default_factory=dict)
-    build: Callable[[], Sequence[Mesh]] = tuple
+    build: Callable[[bool], Sequence[Mesh]] = lambda _: ()
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,12 @@ class Environment:
     @cached_property
     def meshes(self) -> tuple[Mesh, ...]:
         """Meshes of the room and of the mesh files."""
-        return (*self.furnishing.build(), *self.mesh_files)
+        return (*self.furnishing.build(True), *self.mesh_files)
+
+    @cached_property
+    def room_shapes(self) -> Sequence[Mesh]:
+        """Meshes of the room, maybe with blank textures."""
+        return self.furnishing.build(False)
 
 
 def _load_meshes(config: WorldMeshConfig, source: SceneSource, key: str) -> list[Mesh]:

@@ -398,9 +398,8 @@ def find_obstacles(scene: Scene, room: bool = True) -> list[Obstacle]:
     found = []
     environment = scene.environment
     if room and environment.room is not None:
-        count = len(environment.meshes) - len(environment.mesh_files)
-        furniture = environment.meshes[:count]
-        found += [Obstacle("room", "furniture of the room", mesh, surface=False) for mesh in furniture]
+        for mesh in environment.room_shapes:
+            found.append(Obstacle("room", "furniture of the room", mesh, surface=False))
     for number, mesh in enumerate(environment.mesh_files):
         key = f"world.meshes.{number}" if len(scene.config.world.meshes) > number else "world.meshes"
         found.append(Obstacle(key, "a mesh of world.meshes", mesh, _FURNITURE))

@@ -22,6 +22,10 @@ from humansim_ros.types import Array, Image
 Rng = np.random.Generator
 
 
+class BlankNumbers(np.random.Generator):
+    """Random numbers for meshes with textures that are not shown. Noise is left out, since it takes time."""
+
+
 def pattern(seed: int, color: Sequence[int], side: int) -> Image:
     """Random pattern (side, side, 3): planks, weave, plaster, picture, checks, stripes or dots."""
     rng = np.random.default_rng(seed)
@@ -46,7 +50,10 @@ def pattern(seed: int, color: Sequence[int], side: int) -> Image:
 
 def noise(rng: Rng, shape: tuple[int, int], scale: float) -> Array:
     """Smooth noise with unit deviation that repeats at its edges."""
-    spectrum = scipy.fft.rfft2(rng.standard_normal(shape).astype(np.float32), overwrite_x=True)
+    white = rng.standard_normal(shape)
+    if isinstance(rng, BlankNumbers):
+        return np.zeros(shape, np.float32)
+    spectrum = scipy.fft.rfft2(white.astype(np.float32), overwrite_x=True)
     spectrum *= _smoothing(shape, scale)
     out = scipy.fft.irfft2(spectrum, shape, overwrite_x=True)
     out /= max(float(cv2.meanStdDev(out)[1][0, 0]), 1e-9)

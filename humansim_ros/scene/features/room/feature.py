@@ -15,7 +15,7 @@ import numpy as np
 from humansim_ros.files.mesh import Mesh
 from humansim_ros.scene.core.environment import Fixture, Furnishing
 from humansim_ros.scene.core.features import Draft, Feature
-from humansim_ros.scene.core.looks import Rng, noise, planks, plaster, poster, shaded, weave
+from humansim_ros.scene.core.looks import BlankNumbers, Rng, noise, planks, plaster, poster, shaded, weave
 from humansim_ros.scene.core.objects import BOOKS
 from humansim_ros.types import Array, Image
 
@@ -23,9 +23,17 @@ from humansim_ros.types import Array, Image
 _Point = tuple[float, float]
 
 
-def furnished_room(size: tuple[float, float, float] = (7.0, 6.4, 2.8), seed: int = 1) -> list[Mesh]:
-    """Meshes of a room of ``size`` (x, y, z) metres around the origin; the same seed gives the same room."""
-    rng = np.random.default_rng(seed)
+def furnished_room(
+    size: tuple[float, float, float] = (7.0, 6.4, 2.8), seed: int = 1, has_textures: bool = True
+) -> list[Mesh]:
+    """Meshes of a room around the origin; the same seed gives the same room.
+
+    Args:
+        size: Size (x, y, z), metres.
+        seed: Seed of colours, patterns and books.
+        has_textures: Whether the textures are needed. If not, they may be blank.
+    """
+    rng = (np.random.Generator if has_textures else BlankNumbers)(np.random.PCG64(seed))
     length, width, height = size
     plan = {name: (each.center, each.size) for name, each in fixtures((length, width)).items()}
     x, y = length / 2, width / 2
@@ -228,10 +236,10 @@ class Room(Feature):
         draft.furnishing = Furnishing(fixtures(room.size[:2]), partial(_furnished, room.size, room.seed))
 
 
-@lru_cache(maxsize=2)
-def _furnished(size: tuple[float, float, float], seed: int) -> tuple[Mesh, ...]:
+@lru_cache(maxsize=4)
+def _furnished(size: tuple[float, float, float], seed: int, has_textures: bool) -> tuple[Mesh, ...]:
     """Meshes of a room, cached for editors, which make a scene again after each edit."""
-    return tuple(furnished_room(size, seed))
+    return tuple(furnished_room(size, seed, has_textures))
 
 
 FEATURE = Room()

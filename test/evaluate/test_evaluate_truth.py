@@ -21,8 +21,8 @@ from humansim_ros.data.evaluation.pose_sequence import PoseSequence
 from humansim_ros.data.evaluation.readers.estimates import read_bag_topic
 from humansim_ros.data.evaluation.readers.pose_files import ReadOptions
 from humansim_ros.data.evaluation.truth import (
+    RecordedTruth,
     SceneTruth,
-    bag_truth,
     camera_counts,
     with_camera_counts,
 )
@@ -207,7 +207,7 @@ def test_truth_and_estimate_of_one_bag(tmp_path: Path) -> None:
             "/tracker/poses": (POSES, estimate),
         },
     )
-    truth = bag_truth(bag)
+    truth = RecordedTruth(bag).joints
     assert set(truth.people[0]) == {"anna", "bert"} and truth.names == NAMES
     source = open_truth(bag)
     assert (source.period, source.start) == (PERIOD, 1)
@@ -232,7 +232,7 @@ def test_latency_and_losses_of_a_bag(tmp_path: Path) -> None:
     for name, late in (("lockstep", 0), ("live", 80_000_000), ("other clock", 10**18)):
         bag = write_bag(tmp_path / name, topics, late)
         result = evaluate_poses(
-            bag_truth(bag), read_bag_topic(bag, "/tracker/*/pose", ReadOptions()).sequence()
+            RecordedTruth(bag).joints, read_bag_topic(bag, "/tracker/*/pose", ReadOptions()).sequence()
         )
         assert result.live is not None
         assert (result.live.lost, result.live.after, result.live.frames) == (1, 2, 47)
@@ -264,7 +264,7 @@ def test_topics_that_hold_no_poses(tmp_path: Path) -> None:
     with pytest.raises(EvaluationError, match="PoseStamped holds no poses of people; known are sensor_msgs"):
         read_bag_topic(bag, "/human/pose", ReadOptions())
     with pytest.raises(EvaluationError, match=r"the bag has no truth: no topic /humans/<id>/joints"):
-        bag_truth(bag)
+        RecordedTruth(bag)
     with pytest.raises(BagError, match="there is no such bag"):
         read_bag_topic(tmp_path / "none.mcap", "/x", ReadOptions())
 

@@ -22,7 +22,7 @@ from humansim_ros.data.engine import run
 from humansim_ros.data.evaluation.evaluation import evaluate_poses
 from humansim_ros.data.evaluation.readers.estimates import read_estimates
 from humansim_ros.data.evaluation.readers.pose_files import ReadOptions
-from humansim_ros.data.evaluation.truth import bag_truth
+from humansim_ros.data.evaluation.truth import RecordedTruth
 from humansim_ros.data.recording import SceneRecording
 from humansim_ros.motion.body.skeleton import body_joints
 from humansim_ros.motion.files.keyframes import KeyframeTimeline, KeyframeTrack
@@ -301,7 +301,9 @@ def test_errors_of_an_estimate_are_those_of_evaluate(tmp_path: Path, bag: Path) 
         assert table["values"][name] == [
             None if index in (1, 8, 19) else pytest.approx(error, abs=0.1) for index in range(1, 20)
         ]
-    judge = evaluate_poses(bag_truth(path), read_estimates([f"{path}:/tracker/poses"], ReadOptions()))
+    judge = evaluate_poses(
+        RecordedTruth(path).joints, read_estimates([f"{path}:/tracker/poses"], ReadOptions())
+    )
     assert judge.people.found == 2 * 16 and judge.position.mpjpe == pytest.approx(0.035, abs=1e-6)
     assert "ghost" in found.note and "p7" not in found.note
 

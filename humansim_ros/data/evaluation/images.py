@@ -486,17 +486,23 @@ class _Judge:
     """Calls pycocotools for one kind of detection. ``coarse``: whether categories are ignored."""
 
     def __init__(self, truth: ImageTruth, results: list[_Record], kind: str, coarse: bool) -> None:
-        coco_class, self._evaluation_class = _pycocotools()
-        self._truth, self._kind, self._coarse = truth, kind, coarse
+        try:
+            from pycocotools.coco import COCO
+            from pycocotools.cocoeval import COCOeval
+        except ImportError:
+            raise EvaluationError(
+                "detections in images need pycocotools; install it with: pip install 'humansim_ros[evaluate]'"
+            ) from None
+        self._truth, self._kind, self._coarse, self._evaluation_class = truth, kind, coarse, COCOeval
         with contextlib.redirect_stdout(io.StringIO()):
-            self._coco = coco_class()
+            self._coco = COCO()
             self._coco.dataset = {
                 "images": list(truth.images),
                 "annotations": [dict(row) for row in truth.annotations],
                 "categories": list(truth.categories),
             }
             self._coco.createIndex()
-            self._results = self._coco.loadRes(results) if results else coco_class()
+            self._results = self._coco.loadRes(results) if results else COCO()
         self._first: Any = None
 
     def precision(self, images: list[int]) -> dict[str, float | None]:
@@ -534,14 +540,3 @@ class _Judge:
                 table[:] = values
             found[image, category] = annotations, detections, table
         return found
-
-
-def _pycocotools() -> tuple[Any, Any]:
-    try:
-        from pycocotools.coco import COCO
-        from pycocotools.cocoeval import COCOeval
-    except ImportError:
-        raise EvaluationError(
-            "detections in images need pycocotools; install it with: pip install 'humansim_ros[evaluate]'"
-        ) from None
-    return COCO, COCOeval

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -58,15 +56,31 @@ class SceneTruth:
 
 class RecordedTruth:
     """Ground truth that is read from a bag, all at once. ``period`` and ``start``: see
-    :class:`SceneTruth`."""
+    :class:`SceneTruth`.
+
+    Raises:
+        EvaluationError: The bag has no topic ``/humans/<id>/joints``.
+        BagError: The bag cannot be read.
+    """
 
     def __init__(self, path: Path) -> None:
-        self.path, self.joints = path, bag_truth(path)
+        self.path = path
+        self.joints = self._read("joints")
         self.period, self.start = self.joints.period, int(self.joints.times[0])
 
     def poses(self, span: tuple[int, int], around: float, keypoints: KeypointSet | None) -> PoseSequence:
-        """Joints or keypoints in all frames of the bag. ``span`` and ``around`` are ignored."""
-        return self.joints if keypoints is None else bag_truth(self.path, keypoints)
+        """Joints or keypoints in all frames of the bag. ``span`` and ``around`` are ignored. Raises
+        EvaluationError if the bag has no topic ``/humans/<id>/keypoints/<set>``."""
+        return self.joints if keypoints is None else self._read(f"keypoints/{keypoints.name}")
+
+    def _read(self, kind: str) -> PoseSequence:
+        try:
+            return read_bag_topic(self.path, f"/humans/*/{kind}", ReadOptions()).sequence().checked()
+        except EvaluationError as error:
+            if "no topic" not in error.message:
+                raise
+            text = f"the bag has no truth: no topic /humans/<id>/{kind}. Record it as well, or give the scene"
+            raise EvaluationError(text, path=self.path, key="--truth") from None
 
 
 def check_motions(scene: Scene) -> None:
@@ -96,7 +110,7 @@ def truth_at(
     """
     check_motions(scene)
     if keypoints is None:
-        paths = {name: np.concatenate(list(_paths(scene, name, times))) for name in scene.actors}
+        paths = {name: _path(scene, name, times) for name in scene.actors}
         joints = {name: actor.human.skeleton.joint_names for name, actor in scene.actors.items()}
     else:
         paths = {name: _keypoint_path(scene, name, times, keypoints) for name in scene.actors}
@@ -128,9 +142,10 @@ def frames_of(scene: Scene, span: tuple[int, int], around: float) -> tuple[int, 
     return first, last
 
 
-def _paths(scene: Scene, name: str, times: NDArray[np.int64]) -> Iterator[Array]:
-    for begin in range(0, len(times), _BLOCK):
-        yield scene.actors[name].joint_paths(np.asarray(times[begin : begin + _BLOCK] * 1e-9, float))
+def _path(scene: Scene, name: str, times: NDArray[np.int64]) -> Array:
+    """Joints (F, J, 3) of a human."""
+    blocks = (times[begin : begin + _BLOCK] * 1e-9 for begin in range(0, len(times), _BLOCK))
+    return np.concatenate([scene.actors[name].joint_paths(np.asarray(block, float)) for block in blocks])
 
 
 def _keypoint_path(scene: Scene, name: str, times: NDArray[np.int64], keypoints: KeypointSet) -> Array:
@@ -140,28 +155,7 @@ def _keypoint_path(scene: Scene, name: str, times: NDArray[np.int64], keypoints:
     if locator.on_surface.any():
         states = (actor.at(time * 1e-9) for time in times.tolist())
         return np.stack([locator.positions(state.positions, state.vertices) for state in states])
-    joints = np.concatenate(list(_paths(scene, name, times)))
-    return np.stack([locator.positions(each, np.zeros((0, 3))) for each in joints])
-
-
-def bag_truth(path: str | os.PathLike[str], keypoints: KeypointSet | None = None) -> PoseSequence:
-    """Joints or keypoints of all humans of a recording.
-
-    Raises:
-        EvaluationError: The bag has no topic ``/humans/<id>/joints`` or ``/humans/<id>/keypoints/<set>``.
-        BagError: The bag cannot be read.
-    """
-    kind = "joints" if keypoints is None else f"keypoints/{keypoints.name}"
-    try:
-        return read_bag_topic(path, f"/humans/*/{kind}", ReadOptions()).sequence().checked()
-    except EvaluationError as error:
-        if "no topic" not in error.message:
-            raise
-        raise EvaluationError(
-            f"the bag has no truth: no topic /humans/<id>/{kind}. Record it as well, or give the scene",
-            path=path,
-            key="--truth",
-        ) from None
+    return np.stack([locator.positions(each, np.zeros((0, 3))) for each in _path(scene, name, times)])
 
 
 def with_camera_counts(evaluation: Evaluation, scene: Scene) -> Evaluation:

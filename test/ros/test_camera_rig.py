@@ -221,7 +221,7 @@ def test_a_frame_with_joints_that_cannot_be_read_is_skipped_and_the_next_is_rend
     from rclpy.serialization import serialize_message
 
     stage, last = played.stage, max(played.frames)
-    frame, drops = played.frames[last], played.stage.rig.cameras[0]._counts
+    frame, drops = played.frames[last], played.stage.rig.members[0]._counts
     broken = ("cut", "of another body", "whole")
     stamps = [last + 500_000_000 + number * 50_000_000 for number in range(len(broken))]
     for stamp, kind in zip(stamps, broken, strict=True):
@@ -277,7 +277,7 @@ def test_a_rig_has_the_cameras_of_its_parameter(ros: None, scene_path: Path) -> 
         values = {"scene": str(scene_path), **({"cameras": list(cameras)} if cameras else {})}
         overrides = [rclpy.parameter.Parameter(name, value=value) for name, value in values.items()]
         rig = CameraRigNode(parameter_overrides=overrides, namespace="chosen")
-        names = [node.get_name() for node in rig.cameras]
+        names = [node.get_name() for node in rig.members]
         rig.close()
         rig.destroy_node()
         return names

@@ -166,7 +166,7 @@ def test_every_timer_is_on_the_steady_clock_or_on_simulated_time(
     _, nodes = start(
         "timers", MotionPlayerNode, SkinnerNode, CameraNode, CameraRigNode, use_sim_time=simulated
     )
-    for each in (*nodes, *nodes[-1].cameras):
+    for each in (*nodes, *nodes[-1].members):
         kinds = [timer.clock.clock_type for timer in each.timers]
         assert len(kinds) >= 2
         followers = [kind for kind in kinds if kind != ClockType.STEADY_TIME]

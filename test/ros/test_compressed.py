@@ -39,7 +39,7 @@ def studio(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]
     client = Client("unpacker")
     for node in rig.nodes:
         client.executor.add_node(node)
-    yield SimpleNamespace(rig=rig, client=client, cameras=dict(zip(ENCODINGS, rig.cameras, strict=True)))
+    yield SimpleNamespace(rig=rig, client=client, cameras=dict(zip(ENCODINGS, rig.members, strict=True)))
     rig.close()
     rig.destroy_node()
     client.close()

@@ -58,7 +58,7 @@ def test_the_tracker_takes_part_in_lockstep_unchanged(ros: None, tmp_path: Path)
         **given(scene=str(scene.path), mode="lockstep", frames=FRAMES, wait_for=[f"topic:{topic}"])
     )
     nodes = [player, SkinnerNode(scene=scene, **given()), CameraRigNode(scene, **given())]
-    for node in (*nodes, *nodes[2].cameras, tracker):
+    for node in (*nodes, *nodes[2].members, tracker):
         client.executor.add_node(node)
     try:
         last = 1 + (FRAMES - 1) * 50_000_000

@@ -8,7 +8,6 @@ from __future__ import annotations
 import ast
 import sys
 from functools import partial
-from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -32,7 +31,9 @@ def run(name: str) -> int:
     if not {"-h", "--help"}.isdisjoint(sys.argv[1:]):
         print(help_text(name))
         return 0
-    return int(import_module(f"humansim_ros.ros.nodes.{name}").main())
+    from humansim_ros.ros.processes.runtime import run_node_of
+
+    return run_node_of(name)
 
 
 #: Functions of the installed scripts.

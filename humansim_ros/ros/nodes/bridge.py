@@ -23,7 +23,6 @@ from humansim_ros.files.yaml import Section
 from humansim_ros.ros.graph.qos import subscription_profile
 from humansim_ros.ros.nodes.frame_synchronizer import FrameSynchronizer
 from humansim_ros.ros.processes.node import SceneNode
-from humansim_ros.ros.processes.runtime import run_node
 from humansim_ros.scene.core import Scene, SceneState
 
 #: Name of the input with bodies and objects of a frame, next to the names of topics.
@@ -78,7 +77,7 @@ class BridgeNode(SceneNode):
         moving = [name for name in posed if self.scene.scene_cameras[name].moves]
         # also without a topic of people: frames in lockstep wait for its reports
         self._synchronizer = FrameSynchronizer(self, self._on_state, [self], moving, previews=False)
-        if any(topic.on_demand for topic in per_frame):
+        if any(topic.optional for topic in per_frame):
             self.create_timer(_LOOK_EVERY, self._update_inputs, clock=self._steady_clock)
         self._again = [topic.name for topic in per_frame if topic.repeated]
         self._has_sent = False
@@ -102,15 +101,17 @@ class BridgeNode(SceneNode):
         needed = dict.fromkeys(
             name
             for names, join in self._joins.items()
-            if any(not topic.on_demand or self._has_subscribers(topic) for topic in join.topics)
+            if any(not topic.optional or self._has_subscribers(topic) for topic in join.topics)
             for name in names
             if name != _STATE
         )
         for name in needed.keys() - self._inputs.keys():
-            kind, read, _ = CAMERA_INPUTS[name.partition("/")[2]]
-            receive: Callable[[Any], None] = partial(self._on_message, name, read)
+            source = CAMERA_INPUTS[name.partition("/")[2]]
+            receive: Callable[[Any], None] = partial(self._on_message, name, source.read)
             # a long queue, since frames in lockstep do not wait for it
-            self._inputs[name] = self.create_subscription(kind, name, receive, subscription_profile([]))
+            self._inputs[name] = self.create_subscription(
+                source.type, name, receive, subscription_profile([])
+            )
         for name in self._inputs.keys() - needed.keys():
             self.destroy_subscription(self._inputs.pop(name))
 
@@ -163,8 +164,3 @@ class BridgeNode(SceneNode):
             for message in self._newest.get(name, ()):
                 self._senders[name].publish(message)
         self._has_sent = False
-
-
-def main(scene: Scene | None = None) -> int:
-    """Run the node; returns its exit code. ``scene``: scene that its parameter names, if loaded already."""
-    return run_node(lambda: BridgeNode(scene=scene))

@@ -30,7 +30,6 @@ from humansim_ros.ros.nodes.frame_synchronizer import FrameSynchronizer
 from humansim_ros.ros.nodes.publishers import CalibrationService, CameraDriver, CameraPublishers
 from humansim_ros.ros.playing.clock import PictureTimer
 from humansim_ros.ros.processes.node import SceneNode
-from humansim_ros.ros.processes.runtime import run_node
 from humansim_ros.ros.processes.transforms import TransformSender
 from humansim_ros.scene.core import CameraPose, CameraShot, Frame, Needs, Scene, SceneCamera, SceneState
 from humansim_ros.types import Image
@@ -318,8 +317,3 @@ class CameraNode(SceneNode):
         if self._freezes and colours:
             self._last_colours = frame.views[name].rgb
         return frame
-
-
-def main(scene: Scene | None = None) -> int:
-    """Run the node; returns its exit code. ``scene``: scene that its parameter names, if loaded already."""
-    return run_node(lambda: CameraNode(scene=scene))

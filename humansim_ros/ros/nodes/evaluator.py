@@ -34,7 +34,6 @@ from humansim_ros.files.reading import write_file
 from humansim_ros.ros.graph.qos import DATA, SCENE_TIME, subscription_profile
 from humansim_ros.ros.processes.estimate_topics import PoseTopics
 from humansim_ros.ros.processes.node import SuiteNode, loaded_scene
-from humansim_ros.ros.processes.runtime import run_node
 from humansim_ros.scene.core import Scene
 
 #: While frames arrive, a tracker counts as silent after this time without an estimate, seconds.
@@ -282,8 +281,3 @@ def _values(result: Evaluation) -> Iterator[tuple[str, str]]:
     yield from ((key, f"{value * 1000:.2f}") for key, value in lengths.items() if value is not None)
     yield from ((key, f"{value:.4f}") for key, value in others.items() if value is not None)
     yield from ((key, str(value)) for key, value in numbers.items() if value is not None)
-
-
-def main(scene: Scene | None = None) -> int:
-    """Run the node; returns its exit code. ``scene``: scene that its parameter names, if loaded already."""
-    return run_node(lambda: EvaluatorNode(scene=scene))

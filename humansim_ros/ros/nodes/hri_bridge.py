@@ -10,7 +10,6 @@ from typing import Any
 from humansim_ros.errors import SceneError, unknown
 from humansim_ros.files.yaml import Section
 from humansim_ros.ros.nodes.bridge import BridgeNode
-from humansim_ros.ros.processes.runtime import run_node
 from humansim_ros.scene.config import HriConfig
 from humansim_ros.scene.core import Scene
 
@@ -34,8 +33,3 @@ class HriBridgeNode(BridgeNode):
             text = f"name the camera that sees the people: --ros-args -p camera:=NAME ({', '.join(known)})"
             raise SceneError(text, path=self.scene.path, key="hri.camera")
         return {"hri": config}
-
-
-def main(scene: Scene | None = None) -> int:
-    """Run the node; returns its exit code. ``scene``: scene that its parameter names, if loaded already."""
-    return run_node(lambda: HriBridgeNode(scene=scene))

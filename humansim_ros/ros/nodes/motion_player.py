@@ -42,9 +42,8 @@ from humansim_ros.ros.playing.playing import MAX_WAITING, FramePlayer, StampedSt
 from humansim_ros.ros.playing.realtime import RealtimePlaying
 from humansim_ros.ros.playing.robot import RobotPort
 from humansim_ros.ros.playing.simulation_services import serve_simulation
-from humansim_ros.ros.processes.runtime import run_node
 from humansim_ros.scene.config import LIVE
-from humansim_ros.scene.core import Change, JointSource, Playback, Scene, SceneState
+from humansim_ros.scene.core import Change, JointSource, Playback, SceneState
 
 #: Largest lead (time from sending a frame to its stamp), seconds.
 MAX_LEAD = 0.1
@@ -290,8 +289,3 @@ def _accept(response: Any, stamp: int, elapsed: int) -> Any:
     }
     response.success, response.message = True, json.dumps(position)
     return response
-
-
-def main(scene: Scene | None = None) -> int:
-    """Run the node; returns its exit code. ``scene``: scene that its parameter names, if loaded already."""
-    return run_node(lambda: MotionPlayerNode(scene=scene))

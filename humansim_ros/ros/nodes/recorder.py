@@ -59,7 +59,6 @@ from humansim_ros.ros.graph.graph import TopicChoice, similar
 from humansim_ros.ros.graph.guarded_node import ANY_SIZE
 from humansim_ros.ros.graph.qos import DATA, DONE, FRAME_DONE, SCENE_TIME, recorded_qos, subscription_profile
 from humansim_ros.ros.processes.node import SuiteNode, loaded_scene
-from humansim_ros.ros.processes.runtime import run_node
 from humansim_ros.scene.core import FaultSchedule, Scene
 
 #: Most frames with a remembered number of copies, since late images come after images of newer frames.
@@ -473,8 +472,3 @@ def _stamp(data: bytes) -> int | None:
         return serialised_stamp(data)
     except RosError:
         return None
-
-
-def main(scene: Scene | None = None) -> int:
-    """Run the node; returns its exit code. ``scene``: scene that its parameter names, if loaded already."""
-    return run_node(lambda: RecorderNode(scene=scene))

@@ -20,7 +20,6 @@ from humansim_ros.errors import SceneError, unknown
 from humansim_ros.geometry import ObjectPose
 from humansim_ros.ros.nodes.frame_synchronizer import FrameSynchronizer
 from humansim_ros.ros.processes.node import SceneNode
-from humansim_ros.ros.processes.runtime import run_node
 from humansim_ros.ros.processes.transforms import TransformSender
 from humansim_ros.scene.core import Scene, SceneState
 from humansim_ros.scene.features import ROBOT, LiveScanning
@@ -79,8 +78,3 @@ class ScannerNode(SceneNode):
         transform: TransformStamped = self._topics.extrinsics.build(pose, stamp)
         self._extrinsics.publish(transform)
         return transform
-
-
-def main(scene: Scene | None = None) -> int:
-    """Run the node; returns its exit code. ``scene``: scene that its parameter names, if loaded already."""
-    return run_node(lambda: ScannerNode(scene=scene))

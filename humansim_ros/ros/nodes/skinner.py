@@ -24,9 +24,8 @@ from humansim_ros.motion.matching import built_in_tables, load_table
 from humansim_ros.ros.graph.qos import LATCHED, NEWEST
 from humansim_ros.ros.nodes.motion_player import MAX_LEAD
 from humansim_ros.ros.processes.node import SceneNode
-from humansim_ros.ros.processes.runtime import run_node
 from humansim_ros.scene.config import LIVE
-from humansim_ros.scene.core import LiveRetargeter, Scene
+from humansim_ros.scene.core import LiveRetargeter
 from humansim_ros.scene.truth import HumanState
 
 #: Shortest time between two log lines about changes of the source of motion, seconds.
@@ -240,8 +239,3 @@ def _at_standstill(state: HumanState) -> HumanState:
     nothing = np.zeros((len(state.joints), 3))
     features = {name: each.stopped() for name, each in state.features.items()}
     return replace(state, linear=nothing, angular=nothing, features=features)
-
-
-def main(scene: Scene | None = None) -> int:
-    """Run the node; returns its exit code. ``scene``: scene that its parameter names, if loaded already."""
-    return run_node(lambda: SkinnerNode(scene=scene))

@@ -214,7 +214,9 @@ def main(scene_path: str, number: int) -> int:
         Path("/proc/self/comm").write_text(name)
     cv2.setNumThreads(-1)  # as the environment says
     sys.argv[1:] = arguments
-    return int(import_module(f"humansim_ros.ros.nodes.{executable}").main(scene))
+    from humansim_ros.ros.processes.runtime import run_node_of
+
+    return run_node_of(executable, scene)
 
 
 def _ended() -> list[tuple[int, int]]:

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from rclpy.context import Context
 
     from humansim_ros.ros.graph.guarded_node import GuardedNode
+    from humansim_ros.scene.core import Scene
 
 #: An idle node notices a stop signal within this time, seconds.
 _SPIN_TIMEOUT = 0.1
@@ -154,6 +155,14 @@ def spin(
             raise RosError(f"the executor of {node.get_name()} fails again and again: {fault.reason}")
         time.sleep(pause)
         pause = min(2 * pause, _SPIN_TIMEOUT)
+
+
+def run_node_of(name: str, scene: Scene | None = None) -> int:
+    """Run the node of a module in :mod:`humansim_ros.ros.nodes`, such as ``camera_rig``; returns its exit
+    code. ``scene``: scene that its parameter names, if loaded already."""
+    module = importlib.import_module(f"humansim_ros.ros.nodes.{name}")
+    kind = getattr(module, f"{name.title().replace('_', '')}Node")
+    return run_node(lambda: kind(scene=scene))
 
 
 def run_node(make: Callable[[], Any]) -> int:

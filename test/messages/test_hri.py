@@ -338,19 +338,11 @@ def test_the_line_that_installs_the_package_is_named(monkeypatch: pytest.MonkeyP
 
 
 def test_a_body_without_the_bones_has_regions_and_no_frames(
-    seen: Seen,
+    seen: Seen, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     frame, _ = seen
-    truth = frame.truth["front"]
-    person = hri.hri_person(
-        *("anna", None, frame.humans["anna"], truth.boxes["anna"].visible),
-        *(truth.keypoints(hri.HRI_KEYPOINTS)["anna"], np.eye(4), (320, 240)),
-    )
-    described = hri.HriFrame({"anna": person}, np.eye(4), lambda: (frame.views["front"].rgb, "rgb8"))
-    sent = {
-        topic.name: topic.build(described, 1)
-        for topic in hri.hri_topics(["anna"], "front_optical_frame", (320, 240))
-    }
+    monkeypatch.setattr(hri.HriLinks, "of", lambda _: None)
+    sent = {topic.name: topic.messages(frame, 1) for topic in adapter_topics(scene())}
     assert sent["tf"][0].transforms == []
     assert sent["humans/bodies/b_anna/roi"] and sent["humans/bodies/b_anna/cropped"]
     for topic in ("joint_states", "position", "velocity", "urdf"):
@@ -365,7 +357,7 @@ def test_a_face_is_seen_with_three_of_its_five_points(seen: Seen) -> None:
     for hidden, face in (((68, 69), True), ((68, 69, 30), False)):
         visible = keypoints.visible.copy()
         visible[[first + number for number in hidden]] = 1
-        person = hri.hri_person(
+        person = hri.HriPerson(
             *("anna", None, frame.humans["anna"], truth.boxes["anna"].visible),
             *(replace(keypoints, visible=visible), np.eye(4), (320, 240)),
         )

@@ -24,7 +24,7 @@ from humansim_ros.data.formats.formats import BODIES, BOXES, KEYPOINTS, POSITION
 from humansim_ros.data.formats.source import versions
 from humansim_ros.data.formats.writer import ExportCamera, ExportScene
 from humansim_ros.data.messages.camera_topics import COMPRESSED
-from humansim_ros.data.messages.camera_truth import BODY_KINDS, JOINT_POINT, body_box, joint_places
+from humansim_ros.data.messages.camera_truth import JOINT_POINT, body_box, joint_places
 from humansim_ros.data.messages.cdr import deserialised
 from humansim_ros.data.messages.frames import Frames
 from humansim_ros.data.messages.types import (
@@ -55,7 +55,6 @@ _LABELLED = {"instance", *_PARTS, BOXES, KEYPOINTS}
 _SCENE_TIME = "/scene_time"
 #: Topics that every format needs.
 _ALWAYS = ("/scene_time", "*/camera_info", "*/extrinsics", "*/joints/legend", "*/part/legend")
-_KINDS = {number: kind for kind, number in BODY_KINDS.items()}
 #: Most topics that a warning or error lists.
 _MAX_LISTED = 4
 
@@ -486,7 +485,7 @@ class BagFrames:
         """Boxes by name of a human or object."""
         by_label = {int(point["instance"]): point for point in points}
         return {
-            name: body_box(point, _KINDS.get(int(point["kind"]), "human"))  # type: ignore[arg-type]
+            name: body_box(point)
             for name, label in self._source.scene.labels.items()
             if (point := by_label.get(label)) is not None
         }

@@ -62,9 +62,7 @@ from humansim_ros.data.messages.robot import read_command as read_command
 from humansim_ros.data.messages.robot import read_odometry as read_odometry
 from humansim_ros.data.messages.scanners import read_scanner_truth as read_scanner_truth
 from humansim_ros.data.messages.stacks.adapter import AdapterTopic as AdapterTopic
-from humansim_ros.data.messages.stacks.adapters import ADAPTERS as ADAPTERS
 from humansim_ros.data.messages.stacks.adapters import adapter_topics as adapter_topics
-from humansim_ros.data.messages.stacks.hri import TF_MESSAGES as TF_MESSAGES
 from humansim_ros.data.messages.topic import DATA_DEPTH as DATA_DEPTH
 from humansim_ros.data.messages.topic import LATCHED_DEPTH as LATCHED_DEPTH
 from humansim_ros.data.messages.topic import Content as Content
@@ -80,6 +78,7 @@ from humansim_ros.data.messages.topics import check_adapters as check_adapters
 from humansim_ros.data.messages.topics import scene_topics as scene_topics
 from humansim_ros.data.messages.transforms import TF as TF
 from humansim_ros.data.messages.transforms import Transforms as Transforms
+from humansim_ros.data.messages.types import MESSAGE_PACKAGES as MESSAGE_PACKAGES
 from humansim_ros.data.messages.types import CameraInfo as CameraInfo
 from humansim_ros.data.messages.types import CompressedImage as CompressedImage
 from humansim_ros.data.messages.types import Image as Image

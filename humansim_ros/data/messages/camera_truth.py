@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from humansim_ros.data.messages import parts
 from humansim_ros.data.messages.headers import header
 from humansim_ros.data.messages.points import point_cloud, read_points
 from humansim_ros.data.messages.types import (
-    ColorRGBA,
     DiagnosticArray,
     DiagnosticStatus,
     ImageMarker,
@@ -23,7 +23,7 @@ from humansim_ros.render.interface import Kind
 from humansim_ros.scene.core import FrameFaults
 from humansim_ros.scene.pictures import joint_colors
 from humansim_ros.scene.truth import OUTSIDE, VISIBLE, BodyBox, JointView
-from humansim_ros.types import Array, Color
+from humansim_ros.types import Array
 
 #: Fields of one point of ``<camera>/joints``, padded to a multiple of four bytes.
 JOINT_POINT = np.dtype(
@@ -92,7 +92,7 @@ def overlay_message(views: Sequence[JointView], radius: float, stamp: int, frame
         frame: Optical frame of the camera.
     """
     _, *colors = joint_colors(())
-    shown, hidden = (_color(color) for color in colors)
+    shown, hidden = map(parts.color, colors)
     message = ImageMarker(header=header(stamp, frame), ns="joints", type=ImageMarker.POINTS)
     message.scale, message.outline_color = float(radius), shown
     for view in views:
@@ -102,11 +102,6 @@ def overlay_message(views: Sequence[JointView], radius: float, stamp: int, frame
             shown if state == VISIBLE else hidden for state in view.visible[inside].tolist()
         ]
     return message
-
-
-def _color(color: Color) -> ColorRGBA:
-    red, green, blue = (channel / 255 for channel in color)
-    return ColorRGBA(r=red, g=green, b=blue, a=1.0)
 
 
 def boxes_message(boxes: Sequence[tuple[int, BodyBox]], stamp: int, frame: str) -> PointCloud2:
@@ -128,14 +123,15 @@ def read_boxes(message: PointCloud2) -> NDArray[Any]:
     return read_points(message, BOX_POINT.names or ())
 
 
-def body_box(point: Any, kind: Kind) -> BodyBox:
-    """Convert a point of type :data:`BOX_POINT` to a box. ``kind``: kind of the body."""
+def body_box(point: Any) -> BodyBox:
+    """Convert a point of type :data:`BOX_POINT` to a box."""
     with np.errstate(invalid="ignore"):  # signalling NaN
         visible, whole = (
             np.array([point[f"{part}{side}"] for side in ("left", "top", "right", "bottom")], dtype=float)
             for part in ("", "whole_")
         )
     shares = float(point["truncation"]), float(point["visible_fraction"])
+    kind: Kind = "object" if point["kind"] == BODY_KINDS["object"] else "human"
     return BodyBox(visible, whole, *shares, int(point["pixels"]), kind)
 
 

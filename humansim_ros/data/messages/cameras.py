@@ -10,20 +10,19 @@ import scipy.spatial
 
 from humansim_ros.cameras.camera import Camera, Region
 from humansim_ros.cameras.formats import read_calibration, resolve_url, write_calibration
+from humansim_ros.data.messages import parts
 from humansim_ros.data.messages.headers import WORLD_FRAME, header
 from humansim_ros.data.messages.types import (
     CameraInfo,
-    ColorRGBA,
     Float64MultiArray,
     Marker,
     MultiArrayDimension,
     Point,
     Pose,
     PoseStamped,
-    Quaternion,
+    Transform,
     TransformStamped,
     TwistStamped,
-    Vector3,
 )
 from humansim_ros.errors import CameraError, RosError, within_bounds
 from humansim_ros.files.mesh import Mesh
@@ -139,12 +138,7 @@ def read_region(message: CameraInfo) -> Region:
 
 def pose_message(pose: CameraPose, stamp: int) -> PoseStamped:
     """Build ``<camera>/pose``: pose of the optical frame of a moving camera in ``map``."""
-    message = PoseStamped(header=header(stamp, WORLD_FRAME))
-    x, y, z = pose.position.tolist()
-    message.pose.position = Point(x=x, y=y, z=z)
-    x, y, z, w = pose.rotation.tolist()
-    message.pose.orientation = Quaternion(x=x, y=y, z=z, w=w)
-    return message
+    return PoseStamped(header=header(stamp, WORLD_FRAME), pose=parts.pose(pose.position, pose.rotation))
 
 
 def read_pose(message: PoseStamped) -> CameraPose:
@@ -158,8 +152,7 @@ def read_pose(message: PoseStamped) -> CameraPose:
 def rigid_pose(pose: Pose, what: str) -> tuple[Array, Array]:
     """Position (3,) and rotation (4,) xyzw of a Pose message. Raises RosError if a number is not finite or
     the rotation is not valid; ``what`` names the pose in the text of the error."""
-    p, q = pose.position, pose.orientation
-    position, rotation = np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w])
+    position, rotation = np.array(parts.xyz(pose.position)), np.array(parts.xyzw(pose.orientation))
     if not within_bounds([*position, *rotation]) or not abs(np.linalg.norm(rotation) - 1) < 1e-3:
         raise RosError(f"{what} is not finite, is more than 1000 km away, or its quaternion has not length 1")
     return position, unit_quaternions(rotation)
@@ -189,19 +182,15 @@ def transform_message(
         frame: Name of the parent frame.
         child: Name of the child frame.
     """
-    message = TransformStamped(header=header(stamp, frame), child_frame_id=child)
-    x, y, z = position.tolist()
-    message.transform.translation = Vector3(x=x, y=y, z=z)
-    x, y, z, w = rotation.tolist()
-    message.transform.rotation = Quaternion(x=x, y=y, z=z, w=w)
-    return message
+    transform = Transform(translation=parts.vector(position), rotation=parts.quaternion(rotation))
+    return TransformStamped(header=header(stamp, frame), child_frame_id=child, transform=transform)
 
 
 def read_extrinsics(message: TransformStamped) -> CameraPose:
     """Read an ``<camera>/extrinsics`` message. Raises RosError in the same cases as :func:`read_pose`."""
-    p, q = message.transform.translation, message.transform.rotation
-    position = Point(x=p.x, y=p.y, z=p.z)
-    return read_pose(PoseStamped(header=message.header, pose=Pose(position=position, orientation=q)))
+    position = parts.point(np.array(parts.xyz(message.transform.translation)))
+    pose = Pose(position=position, orientation=message.transform.rotation)
+    return read_pose(PoseStamped(header=message.header, pose=pose))
 
 
 def projection_message(camera: Camera) -> Float64MultiArray:
@@ -231,12 +220,8 @@ def object_message(scene_object: SceneObject, pose: ObjectPose, stamp: int) -> M
     shape = _MARKER_TYPES.get(scene_object.shape, other)
     marker = Marker(header=header(stamp, WORLD_FRAME), ns=f"objects/{scene_object.name}", type=shape)
     marker.action = Marker.ADD
-    x, y, z = pose.position.tolist()
-    qx, qy, qz, qw = pose.rotation.tolist()
-    marker.pose = Pose(position=Point(x=x, y=y, z=z), orientation=Quaternion(x=qx, y=qy, z=qz, w=qw))
-    marker.scale = Vector3(**dict(zip("xyz", pose.size.tolist(), strict=True)))
-    red, green, blue = (c / 255 for c in scene_object.color)
-    marker.color = ColorRGBA(r=red, g=green, b=blue, a=1.0)
+    marker.pose, marker.scale = parts.pose(pose.position, pose.rotation), parts.vector(pose.size)
+    marker.color = parts.color(scene_object.color)
     if shape == Marker.MESH_RESOURCE:
         marker.mesh_resource = Path(scene_object.shape).as_uri()
     elif shape == Marker.TRIANGLE_LIST:
@@ -253,15 +238,14 @@ def _triangle_points(mesh: Mesh) -> list[Point]:
     triangles = mesh.triangles
     if len(triangles) > _MOST_TRIANGLES:
         triangles = scipy.spatial.ConvexHull(mesh.vertices).simplices
-    corners = mesh.vertices[triangles].reshape(-1, 3).tolist()
-    return _corners.put(mesh, [Point(x=x, y=y, z=z) for x, y, z in corners])
+    return _corners.put(mesh, parts.points(mesh.vertices[triangles].reshape(-1, 3)))
 
 
 def read_object(message: Marker) -> ObjectPose:
     """Read the object pose of a ``marker`` message. Raises RosError if a number is not finite or a size is
     zero."""
-    p, q, s = message.pose.position, message.pose.orientation, message.scale
-    pose = ObjectPose(np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w]), np.array([s.x, s.y, s.z]))
+    position, rotation = parts.xyz(message.pose.position), parts.xyzw(message.pose.orientation)
+    pose = ObjectPose(np.array(position), np.array(rotation), np.array(parts.xyz(message.scale)))
     if not within_bounds([*pose.position, *pose.rotation, *pose.size]):
         raise RosError("an object's pose or size is not finite, or above 1000 km")
     if not abs(np.linalg.norm(pose.rotation) - 1) < 1e-3 or not (pose.size > 0).all():
@@ -273,15 +257,11 @@ def twist_message(velocity: Velocity | None, stamp: int) -> TwistStamped:
     """Build ``objects/<name>/twist`` or ``<camera>/twist``: velocity in the axes of ``map``. An unknown
     velocity is NaN."""
     linear, angular = (np.full(3, np.nan),) * 2 if velocity is None else (velocity.linear, velocity.angular)
-    message = TwistStamped(header=header(stamp, WORLD_FRAME))
-    for part, value in ((message.twist.linear, linear), (message.twist.angular, angular)):
-        part.x, part.y, part.z = value.tolist()
-    return message
+    return TwistStamped(header=header(stamp, WORLD_FRAME), twist=parts.twist(linear, angular))
 
 
 def read_twist(message: TwistStamped) -> Velocity | None:
     """Read the velocity of a ``twist`` message. None if the velocity is not finite, or beyond the bounds of
     :mod:`humansim_ros.errors`."""
-    parts = message.twist.linear, message.twist.angular
-    linear, angular = (np.array([part.x, part.y, part.z]) for part in parts)
+    linear, angular = (np.array(parts.xyz(part)) for part in (message.twist.linear, message.twist.angular))
     return Velocity(linear, angular) if within_bounds([*linear, *angular]) else None

@@ -8,6 +8,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from humansim_ros.data.messages import parts
 from humansim_ros.data.messages.cdr import unpack
 from humansim_ros.data.messages.headers import WORLD_FRAME, header
 from humansim_ros.data.messages.points import point_cloud
@@ -18,12 +19,9 @@ from humansim_ros.data.messages.types import (
     MarkerArray,
     MeshTriangle,
     MultiDOFJointState,
-    Point,
     PointCloud2,
     PointField,
-    Quaternion,
     Transform,
-    Twist,
     Vector3,
 )
 from humansim_ros.data.messages.types import Mesh as MeshMessage
@@ -72,16 +70,11 @@ def _joint_state(
 ) -> MultiDOFJointState:
     message = MultiDOFJointState(header=header(stamp, WORLD_FRAME), joint_names=list(names))
     message.transforms = [
-        Transform(
-            translation=Vector3(x=p[0], y=p[1], z=p[2]), rotation=Quaternion(x=q[0], y=q[1], z=q[2], w=q[3])
-        )
-        for p, q in zip(positions.tolist(), rotations.tolist(), strict=True)
+        Transform(translation=parts.vector(position), rotation=parts.quaternion(rotation))
+        for position, rotation in zip(positions, rotations, strict=True)
     ]
     if linear is not None and angular is not None:
-        message.twist = [
-            Twist(linear=Vector3(x=v[0], y=v[1], z=v[2]), angular=Vector3(x=w[0], y=w[1], z=w[2]))
-            for v, w in zip(linear.tolist(), angular.tolist(), strict=True)
-        ]
+        message.twist = list(map(parts.twist, linear, angular))
     return message
 
 
@@ -101,10 +94,8 @@ def read_joints(message: MultiDOFJointState) -> JointPoses:
         raise RosError(f"{len(names)} joint names but {len(message.transforms)} transforms")
     if len(names) > MAX_JOINTS or max(map(len, names)) > MAX_NAME:
         raise RosError(f"more than {MAX_JOINTS} joints, or a name of more than {MAX_NAME} characters")
-    positions = np.array([(t.translation.x, t.translation.y, t.translation.z) for t in message.transforms])
-    rotations = np.array(
-        [(t.rotation.x, t.rotation.y, t.rotation.z, t.rotation.w) for t in message.transforms]
-    )
+    positions = np.array([parts.xyz(each.translation) for each in message.transforms])
+    rotations = np.array([parts.xyzw(each.rotation) for each in message.transforms])
     if not (within_bounds(positions) and within_bounds(rotations)):
         raise RosError("a joint's pose is not finite, or is more than 1000 km away")
     length = np.linalg.norm(rotations, axis=1)
@@ -114,8 +105,8 @@ def read_joints(message: MultiDOFJointState) -> JointPoses:
         raise RosError("a joint's quaternion has no length")
     linear = angular = None
     if len(message.twist) == len(names):
-        linear = np.array([[(t.linear.x, t.linear.y, t.linear.z) for t in message.twist]])
-        angular = np.array([[(t.angular.x, t.angular.y, t.angular.z) for t in message.twist]])
+        linear = np.array([[parts.xyz(each.linear) for each in message.twist]])
+        angular = np.array([[parts.xyz(each.angular) for each in message.twist]])
         if not (within_bounds(linear) and within_bounds(angular)):
             linear = angular = None
     return JointPoses(names, positions[None], unit_quaternions(rotations)[None], linear, angular)
@@ -199,12 +190,8 @@ def read_vertices(message: PointCloud2) -> Float32Array:
 
 def mesh_message(mesh: Mesh) -> MeshMessage:
     """Build ``humans/<id>/mesh``: the surface in the rest pose, in body space (y up, facing +z)."""
-    message = MeshMessage()
-    message.vertices = [Point(x=x, y=y, z=z) for x, y, z in mesh.vertices.tolist()]
-    message.triangles = [
-        MeshTriangle(vertex_indices=np.array(t, dtype=np.uint32)) for t in mesh.triangles.tolist()
-    ]
-    return message
+    triangles = [MeshTriangle(vertex_indices=each) for each in mesh.triangles.astype(np.uint32)]
+    return MeshMessage(vertices=parts.points(mesh.vertices), triangles=triangles)
 
 
 def read_mesh(data: bytes) -> Mesh:
@@ -268,7 +255,7 @@ class MarkerBuilder:
             marker.pose.orientation.w = 1.0
             marker.scale = Vector3(x=scale, y=scale, z=scale)
             marker.color = ColorRGBA(r=color[0], g=color[1], b=color[2], a=color[3])
-            marker.points = [Point(x=x, y=y, z=z) for x, y, z in points.tolist()]
+            marker.points = parts.points(points)
             markers.append(marker)
         return MarkerArray(markers=markers)
 

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from humansim_ros.data.messages.parts import xyz
 from humansim_ros.data.messages.points import point_rows
 from humansim_ros.errors import MAX_COORDINATE, EvaluationError, printable, within_bounds
 from humansim_ros.types import Array
@@ -126,9 +127,7 @@ def _multi_dof(message: Any, _: PointNames) -> Iterator[Pose]:
     names = [str(name) for name in message.joint_names]
     if len(names) != len(message.transforms):
         raise EvaluationError(f"{len(names)} joint names but {len(message.transforms)} transforms")
-    positions = np.array(
-        [(t.translation.x, t.translation.y, t.translation.z) for t in message.transforms]
-    ).reshape(-1, 3)
+    positions = np.array([xyz(each.translation) for each in message.transforms]).reshape(-1, 3)
     people: dict[str | None, list[int]] = {}
     for index, name in enumerate(names):
         people.setdefault(name.rpartition("/")[0] or None, []).append(index)
@@ -161,8 +160,8 @@ def _required(names: PointNames) -> tuple[str, ...]:
 
 
 def _pose_array(message: Any, names: PointNames) -> Iterator[Pose]:
-    points = np.array([(p.position.x, p.position.y, p.position.z) for p in message.poses]).reshape(-1, 3)
-    yield from _of_points(points, names)
+    points = [xyz(pose.position) for pose in message.poses]
+    yield from _of_points(np.array(points).reshape(-1, 3), names)
 
 
 def _markers(message: Any, names: PointNames) -> Iterator[Pose]:
@@ -172,13 +171,12 @@ def _markers(message: Any, names: PointNames) -> Iterator[Pose]:
             continue
         names = _required(names)
         if marker.type in _LISTS:
-            points = np.array([(p.x, p.y, p.z) for p in marker.points]).reshape(-1, 3)
+            points = np.array([xyz(point) for point in marker.points]).reshape(-1, 3)
             if len(points) != len(names):
                 raise EvaluationError(f"a marker has {len(points)} points, but there are {len(names)} joints")
             yield Pose(_marker_person(marker), names, points)
         elif marker.type == _SPHERE and 0 <= marker.id < len(names):
-            place = marker.pose.position
-            single.setdefault(str(marker.ns), {})[names[marker.id]] = (place.x, place.y, place.z)
+            single.setdefault(str(marker.ns), {})[names[marker.id]] = xyz(marker.pose.position)
     for person, joints in single.items():
         yield Pose(person or None, tuple(joints), np.array(list(joints.values())))
 
@@ -222,7 +220,7 @@ def _point_cloud(message: Any, names: PointNames) -> Iterator[Pose]:
 
 def _point(person: object, point: Any, score: float | None = None) -> Pose:
     """Make the pose of a person that has a single point."""
-    positions = np.array([[point.x, point.y, point.z]], dtype=float)
+    positions = np.array([xyz(point)], dtype=float)
     known = score is not None and math.isfinite(score)
     return Pose(str(person) if person != "" else None, (GROUND,), positions, score if known else None)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple, cast
 
@@ -21,9 +21,7 @@ from humansim_ros.data.messages.cameras import read_object, read_pose, read_twis
 from humansim_ros.data.messages.cdr import deserialised
 from humansim_ros.data.messages.humans import human_state, read_joints, read_rated, read_vertices
 from humansim_ros.data.messages.images import read_image
-from humansim_ros.data.messages.stacks.hri import (
-    HRI_KEYPOINTS,
-)
+from humansim_ros.data.messages.stacks.hri import HRI_KEYPOINTS
 from humansim_ros.data.messages.types import (
     Image,
     JointState,
@@ -33,9 +31,9 @@ from humansim_ros.data.messages.types import (
     PoseStamped,
     TwistStamped,
 )
-from humansim_ros.errors import KeypointError, RosError, some_of, within_bounds
+from humansim_ros.errors import RosError, some_of, within_bounds
 from humansim_ros.people.keypoints import keypoint_set
-from humansim_ros.render.interface import CHANNEL_TABLE, Kind, View
+from humansim_ros.render.interface import CHANNEL_TABLE, View
 from humansim_ros.scene.core import Actor, Frame, OnAccess, Scene, SceneState
 from humansim_ros.scene.truth import (
     OUTSIDE,
@@ -51,45 +49,46 @@ from humansim_ros.types import Float32Array
 @dataclass(frozen=True)
 class ReceivedTruth:
     """Ground truth of a camera, received from topics. It can replace
-    :class:`~humansim_ros.scene.CameraTruth`. ``boxes``: boxes by human or labelled object. ``openpose``:
-    keypoints of the set :data:`HRI_KEYPOINTS` by human. ``image``: pixels and encoding of the colour
-    image."""
+    :class:`~humansim_ros.scene.CameraTruth`. ``contents``: contents of :data:`CAMERA_INPUTS` by topic."""
 
-    boxes: Mapping[str, BodyBox] = field(default_factory=dict)
-    openpose: Mapping[str, JointView] = field(default_factory=dict)
-    image: tuple[NDArray[Any], str] | None = None
+    contents: Mapping[str, Any]
+
+    @property
+    def boxes(self) -> Mapping[str, BodyBox]:
+        """Boxes by human or labelled object."""
+        return self.contents["boxes"]  # type: ignore[no-any-return]
 
     def keypoints(self, set_name: str) -> Mapping[str, JointView]:
-        """Keypoints by human. Raises KeypointError if the set is not :data:`HRI_KEYPOINTS`."""
-        if set_name != HRI_KEYPOINTS:
-            raise KeypointError(f"the keypoints of {set_name} are not received")
-        return self.openpose
+        """Keypoints by human."""
+        return self.contents[f"keypoints/{set_name}"]  # type: ignore[no-any-return]
 
 
-class CameraInput(NamedTuple):
-    """A topic of a camera that node ``bridge`` receives.
+class SceneInput(NamedTuple):
+    """A topic of received messages.
 
     Attributes:
         type: Message class.
-        read: Function that returns the content of a message. RosError if it does not fit the scene.
-        field: Name of the attribute of :class:`ReceivedTruth` that holds the content.
+        read: Function that returns the content of a message, or of a serialised message if ``raw``. For a
+            topic of a camera, its second argument is the scene. RosError if it does not fit the scene.
+        raw: Whether messages stay serialised until a state is asked for their content.
+        max_bytes: Longest serialised message that is read. If None, the limit of the type.
     """
 
     type: Any
-    read: Callable[[Any, Scene], Any]
-    field: str
+    read: Callable[..., Any]
+    raw: bool = False
+    max_bytes: int | None = None
 
 
 def _read_body_boxes(message: PointCloud2, scene: Scene) -> dict[str, BodyBox]:
     """Boxes of ``<camera>/boxes`` by human or object. Raises RosError unless each label has one box."""
     names = {label: name for name, label in scene.labels.items()}
-    kinds = {number: kind for kind, number in BODY_KINDS.items()}
     boxes: dict[str, BodyBox] = {}
     for row in read_boxes(message):
-        name, kind = names.get(int(row["instance"])), kinds.get(int(row["kind"]))
-        if name is None or kind is None or name in boxes:
+        name = names.get(int(row["instance"]))
+        if name is None or row["kind"] not in BODY_KINDS.values() or name in boxes:
             raise RosError(f"a box has label {row['instance']} and kind {row['kind']}, or two have one label")
-        box = boxes[name] = body_box(row, cast(Kind, kind))
+        box = boxes[name] = body_box(row)
         shown = [*(box.visible if box.pixels else ()), *(box.whole if not box.truncation >= 1 else ())]
         if not within_bounds(shown):
             raise RosError(f"the box of {name} is not finite")
@@ -112,15 +111,8 @@ def _read_openpose(message: PointCloud2, scene: Scene) -> dict[str, JointView]:
             raise RosError(f"a keypoint of {name} is far away")
         if (own["visible"] > VISIBLE).any() or not np.isfinite(pixels[own["visible"] > OUTSIDE]).all():
             raise RosError(f"a keypoint of {name} is visible, but not in the image")
-        nothing = np.zeros(count)
-        out[name] = JointView(
-            optical,
-            pixels,
-            own["visible"].astype(np.uint8),
-            nothing.astype(np.uint8),
-            nothing.astype(np.uint16),
-            nothing.astype(np.float32),
-        )
+        nothing: list[Any] = [np.zeros(count, kind) for kind in (np.uint8, np.uint16, np.float32)]
+        out[name] = JointView(optical, pixels, own["visible"], *nothing)
     if len(rows) != count * len(out):
         raise RosError(f"{len(rows)} keypoints; {len(out)} people have {count * len(out)}")
     return out
@@ -134,11 +126,12 @@ def _read_colours(message: Image, _: Scene) -> tuple[NDArray[Any], str]:
     return pixels, message.encoding
 
 
-#: #: Topics of a camera that node ``bridge`` receives, by name below the camera.
-CAMERA_INPUTS: dict[str, CameraInput] = {
-    "boxes": CameraInput(PointCloud2, _read_body_boxes, "boxes"),
-    f"keypoints/{HRI_KEYPOINTS}": CameraInput(PointCloud2, _read_openpose, "openpose"),
-    CHANNEL_TABLE["rgb"].topic: CameraInput(Image, _read_colours, "image"),
+_COLOURS = CHANNEL_TABLE["rgb"].topic
+#: Topics of a camera that node ``bridge`` receives, by name below the camera.
+CAMERA_INPUTS = {
+    "boxes": SceneInput(PointCloud2, _read_body_boxes),
+    f"keypoints/{HRI_KEYPOINTS}": SceneInput(PointCloud2, _read_openpose),
+    _COLOURS: SceneInput(Image, _read_colours),
 }
 
 
@@ -156,25 +149,18 @@ def received_frame(
     Raises:
         RosError: The joints of a human do not fit its body.
     """
-    received = {
-        name: ReceivedTruth(**{CAMERA_INPUTS[topic].field: content for topic, content in each.items()})
-        for name, each in cameras.items()
-    }
-    truth = cast("dict[str, CameraTruth]", received)
-    images = {name: each.image for name, each in received.items() if each.image is not None}
+    truth = cast("dict[str, CameraTruth]", {name: ReceivedTruth(each) for name, each in cameras.items()})
+    images = {name: each[_COLOURS] for name, each in cameras.items() if _COLOURS in each}
     views = {name: View(rgb=image) for name, (image, _) in images.items()}
     encodings = {name: encoding for name, (_, encoding) in images.items()}
+    frame = Frame(0, stamp, {}, views, truth, labels=scene.labels, encodings=encodings)
     if state is None:
-        return Frame(0, stamp, {}, views, truth, labels=scene.labels, encodings=encodings)
-    return Frame(
-        state.index,
-        stamp,
-        dict(state.humans),
-        views,
-        truth,
-        dict(state.objects),
-        encodings=encodings,
-        labels=scene.labels,
+        return frame
+    return replace(
+        frame,
+        index=state.index,
+        humans=dict(state.humans),
+        objects=dict(state.objects),
         scene_time=state.scene_time,
         camera_poses=state.cameras,
     )
@@ -184,23 +170,6 @@ def received_frame(
 
 #: Largest size of a point in a message with vertices, and of everything else in the message, bytes.
 _MAX_POINT, _MAX_HEADER = 64, 64 << 10
-
-
-class SceneInput(NamedTuple):
-    """A topic that scene states are made from.
-
-    Attributes:
-        type: Message class.
-        read: Function that returns the content of a message, or of a serialised message if ``raw``. RosError
-            if it does not fit the scene.
-        raw: Whether messages stay serialised until a state is asked for their content.
-        max_bytes: Longest serialised message that is read. If None, the limit of the type.
-    """
-
-    type: Any
-    read: Callable[[Any], Any]
-    raw: bool = False
-    max_bytes: int | None = None
 
 
 def scene_inputs(scene: Scene, moving_cameras: Iterable[str] = ()) -> dict[str, SceneInput]:

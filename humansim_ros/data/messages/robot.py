@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from humansim_ros.data.messages import parts
 from humansim_ros.data.messages.cameras import rigid_pose
 from humansim_ros.data.messages.headers import header, to_nanoseconds
-from humansim_ros.data.messages.types import Odometry, Point, Pose, Quaternion, Twist, Vector3
+from humansim_ros.data.messages.types import Odometry, Twist
 from humansim_ros.errors import RosError, printable, within_bounds
 from humansim_ros.geometry import ObjectPose, Velocity, multiply_quaternions, quaternion_to_matrix
 from humansim_ros.scene.core import Robot
-from humansim_ros.types import Array
 
 
 def odometry_message(robot: Robot, base: ObjectPose, stamp: int) -> Odometry:
@@ -29,14 +29,10 @@ def odometry_message(robot: Robot, base: ObjectPose, stamp: int) -> Odometry:
     """
     config, pose = robot.config, in_odometry(robot, base)
     message = Odometry(header=header(stamp, config.odom_frame), child_frame_id=config.base_frame)
-    x, y, z = pose.position.tolist()
-    qx, qy, qz, qw = pose.rotation.tolist()
-    message.pose.pose = Pose(position=Point(x=x, y=y, z=z), orientation=Quaternion(x=qx, y=qy, z=qz, w=qw))
+    message.pose.pose = parts.pose(pose.position, pose.rotation)
     if base.velocity is not None:
         turn = quaternion_to_matrix(base.rotation).T
-        message.twist.twist = Twist(
-            linear=_vector(turn @ base.velocity.linear), angular=_vector(turn @ base.velocity.angular)
-        )
+        message.twist.twist = parts.twist(turn @ base.velocity.linear, turn @ base.velocity.angular)
     return message
 
 
@@ -62,13 +58,14 @@ def read_odometry(message: Odometry, robot: Robot) -> tuple[int, ObjectPose]:
             f"{config.base_frame!r}"
         )
     position, rotation = rigid_pose(message.pose.pose, "a robot's odometry")
-    linear, angular = (_array(part) for part in (message.twist.twist.linear, message.twist.twist.angular))
+    moving = message.twist.twist
+    linear, angular = (np.array(parts.xyz(part)) for part in (moving.linear, moving.angular))
     if not within_bounds([*linear, *angular]):
         raise RosError("the velocity of a robot's odometry is not finite, or above 1000 km/s")
     turn = quaternion_to_matrix(rotation)
-    moving = ObjectPose(position, rotation, velocity=Velocity(turn @ linear, turn @ angular))
+    base = ObjectPose(position, rotation, velocity=Velocity(turn @ linear, turn @ angular))
     start = replace(robot.start, velocity=Velocity(np.zeros(3), np.zeros(3)))
-    return to_nanoseconds(message.header.stamp), start.carry(moving)
+    return to_nanoseconds(message.header.stamp), start.carry(base)
 
 
 def read_command(message: Twist) -> tuple[float, float]:
@@ -77,12 +74,3 @@ def read_command(message: Twist) -> tuple[float, float]:
     if not (math.isfinite(speed) and math.isfinite(turn)):
         raise RosError(f"linear.x is {speed:g} and angular.z is {turn:g}: both must be finite")
     return speed, turn
-
-
-def _array(vector: Vector3) -> Array:
-    return np.array([vector.x, vector.y, vector.z])
-
-
-def _vector(values: Array) -> Vector3:
-    x, y, z = values.tolist()
-    return Vector3(x=x, y=y, z=z)

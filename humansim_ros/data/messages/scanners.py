@@ -92,10 +92,8 @@ def points_message(sweep: Sweep, layout: Layout, frame: str) -> PointCloud2:
         if name in values:
             points[name] = values[name]()
     points["intensity"] = white if points["intensity"].dtype.kind == "f" else np.minimum(np.rint(white), 255)
-    head = header(sweep.stamp, frame)
-    if layout != "ouster" or rays.grid is None or not _one_each(returns.rays):
-        return point_cloud(points, head)
-    return _table(sweep, rays, points, head)
+    after = np.maximum(rays.times + (sweep.start - sweep.stamp), 0)
+    return _cloud(sweep, layout, frame, points, ring=rays.rings, t=after)
 
 
 def _numbered(sweep: Sweep, layout: Layout) -> Rays:
@@ -103,24 +101,32 @@ def _numbered(sweep: Sweep, layout: Layout) -> Rays:
     return sweep.rays.from_top() if layout == "ouster" else sweep.rays
 
 
-def _one_each(rays: NDArray[np.intp]) -> bool:
-    return bool((np.diff(rays) > 0).all())
+def _cloud(sweep: Sweep, layout: Layout, frame: str, points: NDArray[Any], **every: Any) -> PointCloud2:
+    """Build a cloud. In a LaserScan, and in layout ``ouster`` with rings and columns, each ray has a point.
+    The axes are NaN where nothing is measured.
 
-
-def _table(sweep: Sweep, rays: Rays, points: NDArray[Any], head: Any) -> PointCloud2:
-    """Build a cloud organised as rings and columns, with a point for each ray; NaN where nothing is
-    measured."""
-    assert rays.grid is not None
-    rings, columns = rays.grid
-    table = np.zeros((rings, columns), points.dtype)
-    for axis in "xyz":
-        table[axis] = np.nan
-    place = rays.rings, np.arange(len(rays)) // rings
-    table["ring"][place] = place[0]
-    table["t"][place] = np.maximum(rays.times + (sweep.start - sweep.stamp), 0)
-    chosen = sweep.returns.rays
-    table[place[0][chosen], place[1][chosen]] = points
-    return point_cloud(table, head)
+    Args:
+        sweep: Measurements of one turn of the scanner.
+        layout: Name of the layout.
+        frame: Name of the scanner's frame.
+        points: Structured array with a point for each return.
+        every: By field: values for all rays, for those without a return.
+    """
+    head, rays, measured = header(sweep.stamp, frame), _numbered(sweep, layout), sweep.returns.rays
+    # two returns of a ray have no place in rings and columns
+    grid = rays.grid if layout == "ouster" and (np.diff(measured) > 0).all() else None
+    if layout != "scan" and grid is None:
+        return point_cloud(points, head)
+    table = np.zeros(len(rays), points.dtype)
+    for name, values in {**dict.fromkeys("xyz", np.nan), **every}.items():
+        table[name] = values
+    table[measured] = points
+    if grid is not None:
+        rows, table = table, np.zeros(grid, points.dtype)
+        table[rays.rings, np.arange(len(rays)) // grid[0]] = rows
+    message = point_cloud(table, head)
+    message.is_dense = False
+    return message
 
 
 def _put(points: NDArray[Any], names: str, values: NDArray[Any]) -> None:
@@ -155,25 +161,12 @@ def scanner_truth_message(sweep: Sweep, layout: Layout, frame: str) -> PointClou
     points["range"], points["time"] = returns.ranges, (sweep.times + (sweep.start - sweep.stamp)) * 1e-9
     points["instance"], points["part"] = sweep.instances, sweep.parts
     points["ring"] = np.minimum(rays.rings[returns.rays], 255)
-    head = header(sweep.stamp, frame)
-    table = layout == "ouster" and rays.grid is not None and _one_each(returns.rays)
-    if layout != "scan" and not table:
-        return point_cloud(points, head)
-    every = np.zeros(len(rays), SCANNER_TRUTH)
-    for name in ("x", "y", "z", "range"):
-        every[name] = np.nan
-    every["time"] = (rays.times + (sweep.start - sweep.stamp)) * 1e-9
-    every["ring"] = np.minimum(rays.rings, 255)
-    every[returns.rays] = points
-    if table:
-        assert rays.grid is not None
-        rings, columns = rays.grid
-        ordered = np.zeros((rings, columns), SCANNER_TRUTH)
-        ordered[rays.rings, np.arange(len(rays)) // rings] = every
-        return point_cloud(ordered, head)
-    message = point_cloud(every, head)
-    message.is_dense = False
-    return message
+    every = {
+        "range": np.nan,
+        "time": (rays.times + (sweep.start - sweep.stamp)) * 1e-9,
+        "ring": np.minimum(rays.rings, 255),
+    }
+    return _cloud(sweep, layout, frame, points, **every)
 
 
 def read_scanner_truth(message: PointCloud2) -> NDArray[Any]:

@@ -12,9 +12,8 @@ from rclpy.qos import QoSProfile
 
 from humansim_ros.data.evaluation import ReadOptions, in_world, topic_pattern, topic_person
 from humansim_ros.data.messages import (
-    ADAPTERS,
+    MESSAGE_PACKAGES,
     MESSAGE_TYPES,
-    TF_MESSAGES,
     TF_STATIC_TOPIC,
     TF_TOPIC,
     WORLD_FRAME,
@@ -101,9 +100,9 @@ class PoseTopics:
             (each.topic_type, each.qos_profile) for each in self._node.get_publishers_info_by_topic(name)
         ]
         known = [kind for kind, _ in offers if kind in MESSAGE_TYPES]
-        for row in ADAPTERS.values():
-            if row.type in known:
-                row.package.check(installed=True)
+        for kind in known:
+            if package := MESSAGE_PACKAGES.get(kind.partition("/")[0]):
+                package.check(installed=True)
         if not known:
             if offers:
                 listed = ", ".join(printable(kind, 80) for kind in types[:3])
@@ -149,7 +148,8 @@ class PoseTopics:
         if self._transforms is None:
             self._transforms = Transforms()
             if TFMessage is None:
-                self._warn(f"/tf is not received: tf2_msgs is not installed here: {TF_MESSAGES.install}")
+                install = MESSAGE_PACKAGES["tf2_msgs"].install
+                self._warn(f"/tf is not received: tf2_msgs is not installed here: {install}")
                 return self._transforms
             for name, profile in ((TF_STATIC_TOPIC, LATCHED), (TF_TOPIC, subscription_profile([]))):
                 add = partial(self._transforms.add, topic=name)

@@ -9,26 +9,18 @@ from typing import Any
 
 import numpy as np
 
+from humansim_ros.data.messages import parts
 from humansim_ros.data.messages.headers import WORLD_FRAME, optical_frame
 from humansim_ros.data.messages.scanners import scanner_frame
 from humansim_ros.data.messages.topic import Topic
-from humansim_ros.data.messages.types import (
-    MESSAGE_PACKAGES,
-    MessagePackage,
-    Point,
-    Pose,
-    Quaternion,
-    Vector3,
-)
+from humansim_ros.data.messages.types import Point, Pose, Vector3
 from humansim_ros.errors import SceneError, unknown
-from humansim_ros.geometry import multiply_quaternions, quaternion_to_matrix
-from humansim_ros.scene.core import CameraPose, Frame, Scene
-from humansim_ros.scene.features import ROBOT
+from humansim_ros.geometry import ObjectPose, multiply_quaternions, quaternion_to_matrix
+from humansim_ros.scene.core import CameraPose, Frame, Robot, Scene, SceneCamera
+from humansim_ros.scene.features import ROBOT, SceneScanner
 from humansim_ros.types import Array
 
-VISION_MSGS, PEOPLE_MSGS, SPENCER_MSGS = (
-    MESSAGE_PACKAGES[name] for name in ("vision_msgs", "people_msgs", "spencer_tracking_msgs")
-)
+_ORIGIN = ObjectPose(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))
 
 
 @dataclass(frozen=True)
@@ -36,46 +28,21 @@ class AdapterTopic(Topic[Frame]):
     """Topic of an adapter: messages of another people stack, built from the ground truth of a frame.
 
     Attributes:
-        package: Package of the messages.
         people: Whether the topic needs joints and vertices of the humans.
         inputs: Other topics of the same camera that this topic is built from: keys of :data:`CAMERA_INPUTS`.
+            If the topic is ``optional``, they are received only while it has subscribers.
         posed: Name of the camera with the pose that the topic needs. Empty if the topic needs no pose.
         repeated: Whether messages are sent again while there are no frames, since subscribers are volatile.
-        on_demand: Whether ``inputs`` are received only while this topic has subscribers.
         row: Name of the adapter, a key of :data:`ADAPTERS`.
     """
 
-    package: MessagePackage = VISION_MSGS
+    content: Callable[[Frame], Frame] = field(default=lambda frame: frame)
+    shown: bool = True
     people: bool = True
     inputs: tuple[str, ...] = ()
     posed: str = ""
     repeated: bool = False
-    on_demand: bool = False
     row: str = ""
-
-    @classmethod
-    def of(
-        cls,
-        package: MessagePackage,
-        message: str,
-        name: str,
-        build: Callable[[Frame, int], Any],
-        **settings: Any,
-    ) -> AdapterTopic:
-        """Create a topic.
-
-        Args:
-            package: Package of the messages.
-            message: Name of the message in the package.
-            name: Relative name.
-            build: Builds the message from a frame and a stamp in nanoseconds.
-            settings: Other attributes of the topic.
-
-        Raises:
-            RosError: See :meth:`MessagePackage.message`.
-        """
-        kind = package.message(message)
-        return cls(name, kind, build, lambda frame: frame, package=package, shown=True, **settings)
 
     def messages(self, frame: Frame, stamp: int) -> list[Any]:
         """Build the messages of a frame. Most topics have one message per frame; some have any number."""
@@ -95,43 +62,46 @@ class Placed:
 
     Attributes:
         frame_id: Name of the frame.
-        pose: Position (3,) and quaternion (4,) xyzw in ``map`` at a frame of the scene; None for ``map``.
+        pose: Pose of the frame in ``map`` at a frame of the scene.
         camera: Name of the camera if this frame is an optical frame. Empty for other frames.
     """
 
     frame_id: str
-    pose: Callable[[Frame], tuple[Array, Array]] | None = None
+    pose: Callable[[Frame], ObjectPose | CameraPose]
     camera: str = ""
 
     def at(self, frame: Frame) -> FrameAxes:
         """Pose of this tf frame at the time of a frame of the scene."""
-        return FrameAxes() if self.pose is None else FrameAxes(*self.pose(frame))
+        pose = self.pose(frame)
+        return FrameAxes(pose.position, pose.rotation)
 
 
 @dataclass(frozen=True)
 class FrameAxes:
-    """Pose of a tf frame in ``map``. The methods convert from ``map`` to the tf frame. Velocities stay
-    relative to the ground and are only rotated: the motion of the tf frame is not subtracted, since receivers
-    only rotate velocities, too (docs/people_messages.md)."""
+    """Pose of a tf frame in ``map``: position (3,) and quaternion (4,) xyzw. The methods convert from ``map``
+    to the tf frame. Velocities stay relative to the ground and are only rotated: the motion of the tf frame
+    is not subtracted, since receivers only rotate velocities, too (docs/people_messages.md)."""
 
-    position: Array = field(default_factory=lambda: np.zeros(3))
-    rotation: Array = field(default_factory=lambda: np.array([0.0, 0.0, 0.0, 1.0]))
+    position: Array
+    rotation: Array
 
     def point(self, point: Array) -> Point:
         """Convert a point (3,) of ``map`` to a message in this frame."""
-        x, y, z = (quaternion_to_matrix(self.rotation).T @ (point - self.position)).tolist()
-        return Point(x=x, y=y, z=z)
+        return parts.point(self._back @ (point - self.position))
 
     def vector(self, vector: Array) -> Vector3:
         """Convert a vector (3,) in the axes of ``map`` to a message in the axes of this frame."""
-        x, y, z = (quaternion_to_matrix(self.rotation).T @ vector).tolist()
-        return Vector3(x=x, y=y, z=z)
+        return parts.vector(self._back @ vector)
 
     def pose(self, position: Array, rotation: Array) -> Pose:
         """Convert a pose in ``map`` (position (3,), quaternion (4,) xyzw) to a message in this frame."""
         turned = multiply_quaternions(self.rotation * (-1, -1, -1, 1), rotation)
-        x, y, z, w = turned.tolist()
-        return Pose(position=self.point(position), orientation=Quaternion(x=x, y=y, z=z, w=w))
+        return Pose(position=self.point(position), orientation=parts.quaternion(turned))
+
+    @property
+    def _back(self) -> Array:
+        """Rotation (3, 3) from ``map`` to the frame."""
+        return np.asarray(quaternion_to_matrix(self.rotation).T)
 
 
 def section_of(adapter: str) -> str:
@@ -167,48 +137,36 @@ class AdapterScene:
         return f"{self._prefix}{optical_frame(camera)}"
 
     def placed(self, frame_id: str) -> Placed:
-        """Find a frame of tf. Raises SceneError if the scene has no such frame."""
-        frames = self._frames()
+        """Find a frame of tf by its name in scene files, which is without prefix. Raises SceneError if the
+        scene has no such frame."""
+        scene, prefix = self.scene, self._prefix
+        frames = {WORLD_FRAME: Placed(WORLD_FRAME, lambda _: _ORIGIN)}
+        if (robot := scene.robot) is not None:
+            start, odom, base = robot.start, robot.config.odom_frame, robot.config.base_frame
+            frames[odom] = Placed(odom, lambda _: start)
+            frames[base] = Placed(base, partial(_base_pose, robot))
+        for name, camera in scene.scene_cameras.items():
+            own = optical_frame(name)
+            frames[own] = Placed(f"{prefix}{own}", partial(_camera_pose, camera), name)
+        for name, scanner in scene.scanners.items():
+            own = scanner_frame(name)
+            frames[own] = Placed(f"{prefix}{own}", partial(_scanner_pose, scanner))
         if frame_id not in frames:
             raise self.error(unknown("frame", frame_id, frames, "the scene"), "frame")
         return frames[frame_id]
 
-    def _frames(self) -> dict[str, Placed]:
-        """All tf frames of the scene by their name in scene files, which is without prefix."""
-        scene, prefix = self.scene, self._prefix
-        frames = {WORLD_FRAME: Placed(WORLD_FRAME)}
-        if (robot := scene.robot) is not None:
-            start = robot.start.position, robot.start.rotation
-            odom, base = robot.config.odom_frame, robot.config.base_frame
-            frames[odom] = Placed(odom, lambda _: start)
-            frames[base] = Placed(base, partial(_base_pose, scene))
-        for name in scene.scene_cameras:
-            frames[optical_frame(name)] = Placed(
-                f"{prefix}{optical_frame(name)}", partial(_camera_pose, scene, name), name
-            )
-        for name in scene.scanners:
-            frames[scanner_frame(name)] = Placed(
-                f"{prefix}{scanner_frame(name)}", partial(_scanner_pose, scene, name)
-            )
-        return frames
 
-
-def _base_pose(scene: Scene, frame: Frame) -> tuple[Array, Array]:
+def _base_pose(robot: Robot, frame: Frame) -> ObjectPose:
     """Pose of ``base_link`` in ``map``: unlike the body of the robot, ``base_link`` does not vibrate."""
-    robot, seconds = scene.robot, frame.scene_time * 1e-9
-    assert robot is not None
-    base = robot.base_of(frame.objects.get(ROBOT) or robot.body_at(seconds), seconds)
-    return base.position, base.rotation
+    seconds = frame.scene_time * 1e-9
+    return robot.base_of(frame.objects.get(ROBOT) or robot.body_at(seconds), seconds)
 
 
-def _camera_pose(scene: Scene, name: str, frame: Frame) -> tuple[Array, Array]:
+def _camera_pose(camera: SceneCamera, frame: Frame) -> CameraPose:
     """True pose of the optical frame of a camera in ``map``, even if the calibration states a wrong pose."""
-    camera = scene.scene_cameras[name]
-    calibrated = frame.camera_poses.get(name) or CameraPose.of(camera.camera)
-    pose = camera.true_pose(calibrated, frame.scene_time * 1e-9)
-    return pose.position, pose.rotation
+    calibrated = frame.camera_poses.get(camera.name) or CameraPose.of(camera.camera)
+    return camera.true_pose(calibrated, frame.scene_time * 1e-9)
 
 
-def _scanner_pose(scene: Scene, name: str, frame: Frame) -> tuple[Array, Array]:
-    pose = scene.scanners[name].pose(frame.scene_time * 1e-9, frame.objects.get(ROBOT))
-    return pose.position, pose.rotation
+def _scanner_pose(scanner: SceneScanner, frame: Frame) -> ObjectPose:
+    return scanner.pose(frame.scene_time * 1e-9, frame.objects.get(ROBOT))

@@ -2,7 +2,6 @@ from humansim_ros.data.messages.camera_topics import CHANNEL_OF_TOPIC as CHANNEL
 from humansim_ros.data.messages.camera_topics import COMPRESSED as COMPRESSED
 from humansim_ros.data.messages.camera_topics import MEASURED_DEPTH as MEASURED_DEPTH
 from humansim_ros.data.messages.camera_topics import CameraTopics as CameraTopics
-from humansim_ros.data.messages.camera_topics import DepthSensorTopics as DepthSensorTopics
 from humansim_ros.data.messages.camera_topics import moving_camera_topics as moving_camera_topics
 from humansim_ros.data.messages.camera_truth import read_boxes as read_boxes
 from humansim_ros.data.messages.camera_truth import read_faults as read_faults

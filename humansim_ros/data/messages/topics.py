@@ -64,7 +64,6 @@ from humansim_ros.data.messages.types import Mesh as MeshMessage
 from humansim_ros.errors import SceneError
 from humansim_ros.geometry import ObjectPose
 from humansim_ros.motion.body import JointPoses, Rated
-from humansim_ros.people.humans import Human
 from humansim_ros.people.keypoints import KEYPOINT_SETS, KeypointLocator, KeypointSet
 from humansim_ros.scene.config import LIVE
 from humansim_ros.scene.core import Actor, Frame, JointSource, Robot, Scene, SceneObject
@@ -107,8 +106,24 @@ class HumanTopics:
 
     def __init__(self, actor: Actor, live: bool = False) -> None:
         """Create the topics. ``live``: another node moves the human."""
-        name, root = actor.name, f"humans/{actor.name}"
-        self._actor, self.live = actor, live
+        name, root, human = actor.name, f"humans/{actor.name}", actor.human
+        self._human, self.live = human, live
+
+        def of_body(
+            path: str, kind: type[Any], build: Callable[[HumanState, int], Any], **settings: Any
+        ) -> Topic[HumanState]:
+            return Topic(f"{root}/{path}", kind, build, lambda frame: frame.humans[name], **settings)
+
+        def markers(body: HumanState, stamp: int) -> MarkerArray:
+            return self.marker_builder.build(name, actor.instance, body, stamp)
+
+        def feature(path: str, rest: Rated, body: HumanState, stamp: int) -> JointState:
+            return rated_message(body.features.get(path, rest), stamp)
+
+        def located(keypoints: KeypointSet, body: HumanState, stamp: int) -> MultiDOFJointState:
+            positions = KeypointLocator.of(human, keypoints).positions(body.positions, body.vertices)
+            return keypoints_message(keypoints.names, positions, stamp)
+
         self.motion: Topic[JointPoses] = Topic(
             f"{root}/motion",
             MultiDOFJointState,
@@ -127,59 +142,30 @@ class HumanTopics:
         self.frame: Topic[None] = Topic(
             f"{root}/frame", Header, lambda _, stamp: header(stamp, WORLD_FRAME), lambda _: None
         )
-        self.joints = self._of_body("joints", MultiDOFJointState, joints_message, shown=True)
-        self.vertices = self._of_body(
-            "vertices",
-            PointCloud2,
-            lambda body, stamp: vertices_message(body.vertices, stamp),
-            shown=True,
+        self.joints = of_body("joints", MultiDOFJointState, joints_message, shown=True)
+        self.vertices = of_body(
+            "vertices", PointCloud2, lambda body, stamp: vertices_message(body.vertices, stamp), shown=True
         )
-        self.markers = self._of_body(
-            "markers",
-            MarkerArray,
-            lambda body, stamp: self.marker_builder.build(name, actor.instance, body, stamp),
-        )
-        self.mesh = sent_once(f"{root}/mesh", MeshMessage, lambda: mesh_message(actor.human.mesh))
+        self.markers = of_body("markers", MarkerArray, markers)
+        self.mesh = sent_once(f"{root}/mesh", MeshMessage, lambda: mesh_message(human.mesh))
         self.features = {
-            path: self._of_body(path, JointState, partial(_feature_message, path, rest), shown=True)
+            path: of_body(path, JointState, partial(feature, path, rest), shown=True)
             for path, rest in actor.features.items()
         }
         self.keypoints = {
-            keypoints.name: self._of_body(
-                f"keypoints/{keypoints.name}",
-                MultiDOFJointState,
-                partial(_keypoints_message, actor.human, keypoints),
-                optional=True,
-            )
-            for keypoints in KEYPOINT_SETS.values()
+            own: of_body(f"keypoints/{own}", MultiDOFJointState, partial(located, keypoints), optional=True)
+            for own, keypoints in KEYPOINT_SETS.items()
         }
-
-    def _of_body(
-        self, path: str, kind: type[Any], build: Callable[[HumanState, int], Any], **settings: Any
-    ) -> Topic[HumanState]:
-        name = self._actor.name
-        return Topic(f"humans/{name}/{path}", kind, build, lambda frame: frame.humans[name], **settings)
 
     @cached_property
     def marker_builder(self) -> MarkerBuilder:
         """Builder of the markers. It is cached, since it simplifies the skin once."""
-        return MarkerBuilder(self._actor.human)
+        return MarkerBuilder(self._human)
 
     def __iter__(self) -> Iterator[Topic[Any]]:
         driven = (self.frame,) if self.live else (self.motion,)
         body = (self.joints, self.vertices, self.markers, self.mesh)
         return iter((*driven, self.legend, *body, *self.features.values(), *self.keypoints.values()))
-
-
-def _feature_message(name: str, rest: Rated, body: HumanState, stamp: int) -> JointState:
-    return rated_message(body.features.get(name, rest), stamp)
-
-
-def _keypoints_message(
-    human: Human, keypoints: KeypointSet, body: HumanState, stamp: int
-) -> MultiDOFJointState:
-    positions = KeypointLocator.of(human, keypoints).positions(body.positions, body.vertices)
-    return keypoints_message(keypoints.names, positions, stamp)
 
 
 class ObjectTopics:
@@ -211,20 +197,20 @@ class RobotTopics:
     """
 
     def __init__(self, robot: Robot) -> None:
-        self.odom: Topic[ObjectPose] = Topic(
-            "odom",
-            Odometry,
-            lambda base, stamp: odometry_message(robot, base, stamp),
-            lambda frame: frame.robot,  # type: ignore[arg-type,return-value]  # the scene has a robot
-            shown=True,
-        )
         odom_frame, base_frame = robot.config.odom_frame, robot.config.base_frame
-        self.start = fixed_transform(robot.start, WORLD_FRAME, odom_frame)
 
         def moved(base: ObjectPose, stamp: int) -> TransformStamped:
             pose = in_odometry(robot, base)
             return transform_message(pose.position, pose.rotation, stamp, odom_frame, base_frame)
 
+        self.odom: Topic[ObjectPose] = Topic(
+            "odom",
+            Odometry,
+            partial(odometry_message, robot),
+            lambda frame: frame.robot,  # type: ignore[arg-type,return-value]  # the scene has a robot
+            shown=True,
+        )
+        self.start = fixed_transform(robot.start, WORLD_FRAME, odom_frame)
         self.base = replace(self.start, name=TF_TOPIC, build=moved, content=self.odom.content, per_frame=True)
 
     def __iter__(self) -> Iterator[Topic[Any]]:

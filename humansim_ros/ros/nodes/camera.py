@@ -63,8 +63,8 @@ class CameraPosePublisher:
         self._last_stamp = self._last_motion = 0
         self._newest_projection: Any = None
         self._extrinsics, self._projection = map(node.topic_publisher, (topics.extrinsics, topics.projection))
-        if (depth := topics.depth_sensor) is not None:
-            node.publish_latched(depth.extrinsics.build(depth.optics, node.now()), depth.extrinsics.name)
+        for topic in topics.depth_extrinsics:
+            node.publish_latched(topic.message(Frame(0, node.now(), {}, {})), topic.name)
         self._true_extrinsics = topics.true_extrinsics
         if self._true_extrinsics is not None:
             self._true_publisher = node.topic_publisher(self._true_extrinsics)

@@ -213,7 +213,7 @@ class CameraPublishers:
         self._topics: list[Topic[Any] | CompressedTopic] = [
             *topics.captured,
             CompressedTopic(node, topics.compressed, ImageCompression(), ("jpeg", "png")),
-            CompressedTopic(node, topics.compressed_depth, DepthCompression(), ("png",)),
+            CompressedTopic(node, topics.compressed, DepthCompression(), ("png",)),
         ]
         self._publishers = {topic.name: node.topic_publisher(topic) for topic in map(_current, self._topics)}
 

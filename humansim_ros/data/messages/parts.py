@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from humansim_ros.data.messages.types import ColorRGBA, Point, Pose, Quaternion, Twist, Vector3
-from humansim_ros.types import Array, Color
+from humansim_ros.types import Array, Color, FloatArray
 
 
 def point(position: Array) -> Point:
@@ -14,7 +14,7 @@ def point(position: Array) -> Point:
     return Point(x=x, y=y, z=z)
 
 
-def points(positions: Array) -> list[Point]:
+def points(positions: FloatArray) -> list[Point]:
     """Build a Point for each row of an array (N, 3)."""
     return [Point(x=x, y=y, z=z) for x, y, z in positions.tolist()]
 

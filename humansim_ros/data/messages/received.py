@@ -56,11 +56,11 @@ class ReceivedTruth:
     @property
     def boxes(self) -> Mapping[str, BodyBox]:
         """Boxes by human or labelled object."""
-        return self.contents["boxes"]  # type: ignore[no-any-return]
+        return self.contents["boxes"]
 
     def keypoints(self, set_name: str) -> Mapping[str, JointView]:
         """Keypoints by human."""
-        return self.contents[f"keypoints/{set_name}"]  # type: ignore[no-any-return]
+        return self.contents[f"keypoints/{set_name}"]
 
 
 class SceneInput(NamedTuple):

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import cache
+from dataclasses import dataclass, field, make_dataclass
+from functools import cache, partial
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -124,9 +124,9 @@ class MessagePackage:
         except RosError as error:
             raise self._other_version(error.message) from None
         known = kind.get_fields_and_field_types()
-        for field in self.fields[name].split():
-            if field not in known:
-                raise self._other_version(f"{full_name} that is installed here has no field {field}")
+        for own in self.fields[name].split():
+            if own not in known:
+                raise self._other_version(f"{full_name} that is installed here has no field {own}")
         return kind
 
     def check(self, installed: bool) -> None:
@@ -178,24 +178,15 @@ def made_type(name: str) -> Any:
     """
     from humansim_ros.data.bags.topics import message_types
 
-    constants, fields = message_types().fielddefs[name]
+    constants, described = message_types().fielddefs[name]
     package, _, own = name.split("/")
-
-    def create(self: Any, **values: Any) -> None:
-        for field, description in fields:
-            setattr(self, field, values.pop(field) if field in values else _default(*description))
-        if values:
-            raise TypeError(f"{name} has no field {', '.join(values)}")
-
-    types = classmethod(lambda _: {field: _field_type(*description) for field, description in fields})
+    types = {each: _field_type(*description) for each, description in described}
+    fields = [(each, Any, field(default_factory=partial(_default, *kind))) for each, kind in described]
     members: dict[str, Any] = {constant: value for constant, _, value in constants}
-    members |= {
-        "__init__": create,
-        "__module__": f"{package}.msg",
-        "__qualname__": own,
-        "get_fields_and_field_types": types,
-    }
-    return type(own, (), members)
+    members["get_fields_and_field_types"] = staticmethod(lambda: types)
+    made = make_dataclass(own, fields, namespace=members, eq=False)
+    made.__module__ = f"{package}.msg"
+    return made
 
 
 def _default(node: Any, content: Any) -> Any:

@@ -142,17 +142,16 @@ class RecorderNode(SuiteNode):
 
     def __init__(self, scene: Scene | None = None, **options: Any) -> None:
         super().__init__("recorder", **options)
-        declare, texts = self.described_parameter, Parameter.Type.STRING_ARRAY
+        fixed = partial(self.described_parameter, read_only=True)
+        texts = Parameter.Type.STRING_ARRAY
         path = self.text_parameter("scene", "", "Scene file whose topics are recorded; empty: none")
         description = "Topics: names or patterns such as /left/*; none: the topics of the scene, or all"
-        names = declare("topics", texts, description, read_only=True) or ()
-        description = (
-            "Topics of other nodes that have a message for each frame in lockstep; they are recorded"
-        )
-        awaited = declare("awaited", texts, description, read_only=True)
-        lockstep = bool(declare("lockstep", False, "The player waits for the recorder", read_only=True))
+        names = fixed("topics", texts, description) or ()
+        description = "Topics of other nodes with a message for each frame in lockstep; they are recorded"
+        awaited = fixed("awaited", texts, description)
+        lockstep = bool(fixed("lockstep", False, "The player waits for the recorder"))
         description = "Bytes of messages that wait for the disk; in real time others are dropped then"
-        max_queue = int(declare("max_queue", 1 << 28, description, (1, 2**40), read_only=True))
+        max_queue = int(fixed("max_queue", 1 << 28, description, (1, 2**40)))
         if path and scene is None:
             scene = loaded_scene(path)
         if awaited is None:
@@ -173,9 +172,8 @@ class RecorderNode(SuiteNode):
             chosen = [topic for topic in (*per_frame, "/clock") if self._choice.has(topic)]
             if scene is not None:
                 self._copies = _copies(scene, {topic.in_namespace(space): topic for topic in topics})
-            awaited = TopicChoice.of(awaited, space).patterns
-            if scene is not None:
                 self._timed = TimedTopics(scene, space)
+            awaited = TopicChoice.of(awaited, space).patterns
             self._frames = RecordedFrames(chosen, awaited, self._copies)
         self._done = self.create_publisher(Header, FRAME_DONE, DONE) if lockstep else None
         self._clock_steps = ClockSteps(lambda: self.now(), self.has_simulated_time)
@@ -196,15 +194,15 @@ class RecorderNode(SuiteNode):
 
     def _bag_opener(self) -> Callable[[], BagWriter]:
         """Read the parameters of the bag. Returns the function that opens it."""
-        declare = self.described_parameter
+        fixed = partial(self.described_parameter, read_only=True)
         text = self.text_parameter("output", "", "Folder of the bag")
         storage = self._choice_parameter("storage", "Format of the files", Storage)
         compression = self._choice_parameter("compression", "Of mcap files", Compression)
         description = "Bytes at which a new file of the bag begins; 0: never"
-        max_size = int(declare("max_bag_size", 0, description, (0, 1 << 62), read_only=True))
+        max_size = int(fixed("max_bag_size", 0, description, (0, 1 << 62)))
         description = "Seconds after which a new file of the bag begins; 0: never"
         max_duration = self.number_parameter("max_bag_duration", 0.0, 0.0, 1e9, description)
-        resume = bool(declare("resume", False, "Continue the bag if it exists", read_only=True))
+        resume = bool(fixed("resume", False, "Continue the bag if it exists"))
         if not text:
             raise RosError("name the folder of the bag: --ros-args -p output:=FOLDER", key="parameter output")
         if storage == "sqlite3":
@@ -271,9 +269,8 @@ class RecorderNode(SuiteNode):
 
     def _is_new(self, name: str, types: tuple[str, ...]) -> bool:
         """Whether a topic must be recorded now: it has publishers, and was not refused with these types."""
-        if not self._choice.has(name) or self._refused.get(name) == types:
-            return False
-        return self.publisher_count(name) > 0
+        is_chosen = self._choice.has(name) and self._refused.get(name) != types
+        return is_chosen and self.publisher_count(name) > 0
 
     def publisher_count(self, topic: str) -> int:
         """Number of publishers of a topic, even if ROS does not permit its name."""
@@ -450,16 +447,12 @@ def has_message_per_frame(topic: Topic[Any]) -> bool:
 
 def _copies(scene: Scene, topics: Mapping[str, Topic[Any]]) -> ImageCopies:
     """Make the object that knows how many times messages are sent. ``topics``: topics by absolute name."""
-    faults = {
-        name: scene.scene_cameras[topic.camera].faults for name, topic in topics.items() if topic.faulty
-    }
-    return ImageCopies(
-        {
-            name: each
-            for name, each in faults.items()
-            if each is not None and each.config.duplicate is not None
-        }
-    )
+    schedules = {}
+    for name, topic in topics.items():
+        faults = scene.scene_cameras[topic.camera].faults if topic.faulty else None
+        if faults is not None and faults.config.duplicate is not None:
+            schedules[name] = faults
+    return ImageCopies(schedules)
 
 
 def _listed(texts: Sequence[str], separator: str) -> str:

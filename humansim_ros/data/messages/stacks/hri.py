@@ -243,7 +243,7 @@ class _CameraTopics:
         build: Callable[[Frame, int], list[Any]],
         image: bool = False,
         sparse: bool = True,
-        **settings: bool,
+        **settings: Any,
     ) -> AdapterTopic:
         """Create a topic. ``image``: it needs the image of the camera. ``settings``: other attributes."""
         channels, inputs = [*REQUIRED_CHANNELS["boxes"], *REQUIRED_CHANNELS["joints"]], ["boxes", _KEYPOINTS]

@@ -52,7 +52,7 @@ from humansim_ros.data.messages import (
     serialised_stamp,
     to_nanoseconds,
 )
-from humansim_ros.errors import HumansimError, HumansimWarning, RosError, printable, some_of, unknown
+from humansim_ros.errors import HumansimError, HumansimWarning, RosError, printable, some_of
 from humansim_ros.render.interface import CHANNEL_TABLE
 from humansim_ros.ros.graph.clock import ClockSteps
 from humansim_ros.ros.graph.graph import TopicChoice, similar
@@ -196,8 +196,10 @@ class RecorderNode(SuiteNode):
         """Read the parameters of the bag. Returns the function that opens it."""
         fixed = partial(self.described_parameter, read_only=True)
         text = self.text_parameter("output", "", "Folder of the bag")
-        storage = self._choice_parameter("storage", "Format of the files", Storage)
-        compression = self._choice_parameter("compression", "Of mcap files", Compression)
+        storages, compressions = get_args(Storage), get_args(Compression)
+        storage = self.choice_parameter("storage", storages[0], storages, "Format of the files")
+        description = "Of mcap files"
+        compression = self.choice_parameter("compression", compressions[0], compressions, description)
         description = "Bytes at which a new file of the bag begins; 0: never"
         max_size = int(fixed("max_bag_size", 0, description, (0, 1 << 62)))
         description = "Seconds after which a new file of the bag begins; 0: never"
@@ -232,14 +234,6 @@ class RecorderNode(SuiteNode):
                         topic = reader.topics[message.topic].name
                         self._frames.add(topic, message.published, bytes(message.data))
         return writer
-
-    def _choice_parameter(self, name: str, description: str, kind: Any) -> Any:
-        """Declare a parameter with one of the values of a Literal type, by default the first one."""
-        values = get_args(kind)
-        value = self.text_parameter(name, values[0], f"{description}: {', '.join(values)}")
-        if value not in values:
-            raise RosError(unknown("value", value, values), key=f"parameter {name}")
-        return value
 
     # --- topics
 

@@ -45,31 +45,22 @@ class SourceLog:
 
     def __init__(self, log: Callable[[str], None], human: str, topic: str) -> None:
         self._log, self._human, self._topic = log, human, topic
-        self._number = self._changes = 0
-        self._next_change = 0.0
+        self._number, self._next_change = 0, 0.0
         self._since: float | None = None
         self._heard = self._silent = False
 
-    def add_source(self, number: int, text: str, now: float) -> bool:
-        """Log a change of the source. Further changes are logged at most every ten seconds.
+    def add_source(self, number: int, text: str, now: float) -> None:
+        """Log a change of the source, at most every ten seconds.
 
         Args:
             number: Number of the source; 0 for the source of the scene.
             text: Description of the source.
             now: Monotonic seconds.
-
-        Returns:
-            Whether a line was written.
         """
-        if number != self._number:
-            self._number = number
-            self._changes += 1
-        if not self._changes or now < self._next_change:
-            return False
-        often = f"; it changed {self._changes} times: is there only one sender?" if self._changes > 1 else ""
-        self._log(f"joint source: {text or 'the motion of the scene'}{often}")
-        self._changes, self._next_change = 0, now + _CHANGES_EVERY
-        return True
+        if number == self._number or now < self._next_change:
+            return
+        self._number, self._next_change = number, now + _CHANGES_EVERY
+        self._log(f"joint source: {text or 'the motion of the scene'}")
 
     def add_frame(self, has_message: bool, now: float) -> bool:
         """Record a frame of a live human. Logs when the source becomes silent and when it is back.

@@ -37,7 +37,6 @@ from humansim_ros.ros.processes.lockstep_settings import (
     REALTIME,
     SETTINGS,
     TEST_NODE,
-    check_choice,
     member_texts,
     read_members,
 )
@@ -95,7 +94,7 @@ class LockstepSettings:
             RosError: A value is not valid.
         """
         time = node.scene.config.time
-        mode = _choice(node, "mode", time.mode, (REALTIME, LOCKSTEP), "Real time, or lockstep")
+        mode = node.choice_parameter("mode", time.mode, (REALTIME, LOCKSTEP), "Real time, or lockstep")
         default = member_texts(time) or Parameter.Type.STRING_ARRAY
         members: Sequence[str] = (
             node.described_parameter("wait_for", default, SETTINGS["wait_for"].help, read_only=True) or ()
@@ -107,8 +106,8 @@ class LockstepSettings:
             SETTINGS["timeout"].high,
             SETTINGS["timeout"].help,
         )
-        on_timeout = _choice(
-            node, "on_timeout", time.on_timeout, get_args(OnTimeout), SETTINGS["on_timeout"].help
+        on_timeout = node.choice_parameter(
+            "on_timeout", time.on_timeout, get_args(OnTimeout), SETTINGS["on_timeout"].help
         )
         description = f"{SETTINGS['pace'].help}; 0: as fast as possible"
         pace = node.number_parameter("pace", time.rate or 0.0, 0.0, SETTINGS["pace"].high, description)
@@ -124,25 +123,6 @@ class LockstepSettings:
             return None
         after: OnTimeout = "stop" if on_timeout == "stop" else "continue"
         return cls(names, topics, timeout, after, pace, frames, summary, recorder, search)
-
-
-def _choice(node: SceneNode, name: str, default: str, values: Sequence[str], description: str) -> str:
-    """Declare a parameter with a fixed set of values, and return its value.
-
-    Args:
-        node: The node.
-        name: Name of the parameter.
-        default: Value unless it is overridden.
-        values: Possible values.
-        description: Text of the parameter descriptor.
-
-    Raises:
-        RosError: The value is not in the set.
-    """
-    constraints = " or ".join(values)
-    value = str(node.described_parameter(name, default, description, constraints=constraints, read_only=True))
-    check_choice(f"parameter {name}", value, values)
-    return value
 
 
 def _finishing(scene: Scene) -> list[str]:

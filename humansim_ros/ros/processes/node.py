@@ -20,6 +20,7 @@ from humansim_ros.errors import HumansimError, HumansimWarning, RosError, printa
 from humansim_ros.ros.graph.graph import Neighbours
 from humansim_ros.ros.graph.guarded_node import GuardedNode
 from humansim_ros.ros.graph.qos import DATA, LATCHED, offered_profile
+from humansim_ros.ros.processes.lockstep_settings import check_choice
 from humansim_ros.ros.processes.node_processes import WARNINGS_SHOWN
 from humansim_ros.scene.core import Scene
 
@@ -73,6 +74,14 @@ class SuiteNode(GuardedNode):
             description: Text of the parameter descriptor.
         """
         return float(self.described_parameter(name, default, description, (low, high), read_only=True))
+
+    def choice_parameter(self, name: str, default: str, values: Sequence[str], description: str) -> str:
+        """Declare a read-only parameter with a fixed set of values, and return its value. Raises RosError if
+        the value is not in the set."""
+        constraints = " or ".join(values)
+        value = self.described_parameter(name, default, description, None, constraints, read_only=True)
+        check_choice(f"parameter {name}", str(value), values)
+        return str(value)
 
     def described_parameter(
         self,

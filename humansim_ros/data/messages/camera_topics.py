@@ -111,8 +111,8 @@ class CameraTopics:
         images: Images by channel. A channel with an image per body has a topic for each body.
         png_labels: Label images as PNG (8 and 16 bit integers). Only recordings have them.
         rectified: Images without lens distortion. Empty if the camera has no distortion.
-        infos: Calibration of the colour image, where image_transport expects it; then the true calibration,
-            in the namespace of each other channel.
+        infos: Calibration of the colour image, where image_transport expects it, and the true calibration in
+            the namespace of each other channel.
         depth_extrinsics: Pose of the optical frame of the depth sensor in that of the camera. Empty if the
             camera has no depth sensor.
         measured: Calibration, depth and points of the depth sensor.

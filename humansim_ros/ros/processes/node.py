@@ -76,8 +76,17 @@ class SuiteNode(GuardedNode):
         return float(self.described_parameter(name, default, description, (low, high), read_only=True))
 
     def choice_parameter(self, name: str, default: str, values: Sequence[str], description: str) -> str:
-        """Declare a read-only parameter with a fixed set of values, and return its value. Raises RosError if
-        the value is not in the set."""
+        """Declare a read-only parameter with a fixed set of values, and return its value.
+
+        Args:
+            name: Name of the parameter.
+            default: Value unless it is overridden.
+            values: Possible values.
+            description: Text of the parameter descriptor.
+
+        Raises:
+            RosError: The value is not in the set.
+        """
         constraints = " or ".join(values)
         value = self.described_parameter(name, default, description, None, constraints, read_only=True)
         check_choice(f"parameter {name}", str(value), values)

@@ -152,7 +152,7 @@ class HriPerson:
 
     @cached_property
     def face(self) -> Array:
-        """Pose (4, 4) of the face in ``map``, for a person with links whose face is seen."""
+        """Pose (4, 4) of the face in ``map``, for a person with links and a visible face."""
         place = (invert_rigid(self.to_camera) @ np.append(self._sellion, 1.0))[:3]
         return transform(self.links["head"][:3, :3], place)
 

@@ -390,12 +390,12 @@ def test_a_node_that_joins_during_a_pause_gets_the_frame_again(stage: Stage) -> 
 @pytest.mark.parametrize(
     ("parameters", "problem"),
     [
-        ({"mode": "warp"}, "parameter mode: 'warp' must be realtime or lockstep"),
+        ({"mode": "warp"}, "parameter mode: no value 'warp'; there are realtime, lockstep"),
         ({"wait_for": ["a b"]}, "'a b' is neither"),
         ({"wait_for": [f"m{number}" for number in range(101)]}, "101 members"),
         ({"frames": -1}, "frames"),
         ({"timeout": 0.0}, "timeout"),
-        ({"on_timeout": "explode"}, "must be stop or continue"),
+        ({"on_timeout": "explode"}, "no value 'explode'; there are stop, continue"),
     ],
 )
 def test_a_wrong_parameter_of_lockstep_is_refused(

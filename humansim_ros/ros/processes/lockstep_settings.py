@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
-from humansim_ros.errors import MAX_FRAMES, RosError, printable
+from humansim_ros.errors import MAX_FRAMES, RosError, printable, unknown
 from humansim_ros.ros.processes.lockstep_rules import OnTimeout
 from humansim_ros.ros.processes.run_options import launched
 from humansim_ros.scene.core import LOCKSTEP
@@ -138,4 +138,4 @@ def topic_name(setting: str, text: str) -> str:
 def check_choice(name: str, value: str, values: Sequence[str]) -> None:
     """Raise RosError if the value of a setting is not one of ``values``."""
     if value not in values:
-        raise RosError(f"{name}: '{printable(value, 80)}' must be {' or '.join(values)}")
+        raise RosError(unknown("value", value, values), key=name)

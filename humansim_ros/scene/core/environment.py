@@ -51,6 +51,10 @@ class Fixture:
     top: float | None = None
 
 
+def _no_meshes(_: bool) -> Sequence[Mesh]:
+    return ()
+
+
 @dataclass(frozen=True)
 class Furnishing:
     """Furniture of the room.
@@ -61,7 +65,7 @@ class Furnishing:
     """
 
     fixtures: Mapping[str, Fixture] = field(default_factory=dict)
-    build: Callable[[bool], Sequence[Mesh]] = lambda _: ()
+    build: Callable[[bool], Sequence[Mesh]] = _no_meshes
 
 
 @dataclass(frozen=True)

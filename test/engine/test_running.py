@@ -148,7 +148,9 @@ def test_folders_of_others_are_not_touched(make: str, marks: Path, tmp_path: Pat
         assert list(content(out).values()) == [b"data"]
 
 
-@pytest.mark.parametrize("left", [[], [".work/"], [".work/.partial-0"], [".work/staging-000000-a/x"]])
+@pytest.mark.parametrize(
+    "left", [[], [".work/"], [".work/.partial-0"], [".work/..partial-0.b.yaml"], [".work/staging-000000-a/x"]]
+)
 def test_what_a_kill_at_the_start_leaves_is_no_obstacle(left: list[str], marks: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     out.mkdir()

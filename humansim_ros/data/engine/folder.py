@@ -18,7 +18,7 @@ from humansim_ros.errors import HumansimError
 _OBJECT_STORES = {"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "adl", "oss", "oci", "http", "https"}
 #: Name of the folder of work that is not finished, in the folder of the product.
 WORK = ".work"
-#: Prefix of the names of incomplete files.
+#: Part of the names of incomplete files. A library may add a dot and a suffix while it writes one.
 PARTIAL = ".partial-"
 
 
@@ -73,7 +73,7 @@ class OutputFolder:
                 found = [each.name for each in self.path(name).iterdir()]
             except FileNotFoundError:
                 return set()
-        return {each for each in found if not each.startswith(PARTIAL)}
+        return {each for each in found if PARTIAL not in each}
 
     def size(self, name: str) -> int | None:
         """Size of a file, bytes. None if there is no such file."""
@@ -192,7 +192,7 @@ class UrlFolder(OutputFolder):
             if not system.isdir(path):
                 raise HumansimError("this is a file, not a folder", path=self.url)
         names = {PurePosixPath(each.rstrip("/")).name for each in found}
-        return {each for each in names if not each.startswith(PARTIAL)}
+        return {each for each in names if PARTIAL not in each}
 
     def size(self, name: str) -> int | None:
         with self._errors():

@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import suppress
 
-from humansim_ros.data.engine.folder import PARTIAL, WORK, OutputFolder
+from humansim_ros.data.engine.folder import WORK, OutputFolder
 from humansim_ros.data.engine.work import (
     Done,
     PartialError,
@@ -42,7 +42,7 @@ from humansim_ros.errors import HumansimError, warn_about
 from humansim_ros.files.reading import parse_json, size_text
 
 #: Names in the folder of the work.
-_OURS = re.compile(rf"plan\.json|\d{{6,}}\.json|staging-.*|files|converted|{re.escape(PARTIAL)}.*")
+_OURS = re.compile(r"plan\.json|\d{6,}\.json|staging-.*|files|converted")
 #: Shares of the free space: an estimated size above the first causes a warning, above the second an error.
 #: (Shards differ in size.)
 _MUCH, _TOO_MUCH = 0.9, 1.5

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
 from functools import update_wrapper
 from inspect import Parameter, Signature, signature
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import typer
 
-from humansim_ros.errors import CameraError, HumansimError, SceneError
+from humansim_ros.cli.output import print_text
+from humansim_ros.errors import MAX_FRAMES, CameraError, HumansimError, SceneError
 from humansim_ros.files.reading import built_in_names, exists, read_bytes, read_table, resource_path
 
 
@@ -43,8 +45,9 @@ def with_options(command: str, function: Callable[..., None]) -> Callable[..., N
     ``shared``, in the row with the name of the parameter. A row that is a text is the name of a shared row.
 
     A parameter with the type of a dataclass stands for an option for each field that has a row. If its type
-    allows None as well, it is None unless the fields without a default are given. A parameter that is
-    annotated with typer's own options stays as it is.
+    allows None as well, it is None unless the fields without a default are given. The parameter ``**options``
+    with the type ``Annotated[Any, FUNCTION]`` stands for an option for each parameter of this function that
+    has a row. A parameter that is annotated with typer's own options stays as it is.
 
     Args:
         command: Name of the command, such as ``camera show``.
@@ -52,8 +55,14 @@ def with_options(command: str, function: Callable[..., None]) -> Callable[..., N
     """
     shown: list[Parameter] = []
     groups: dict[str, _Group] = {}
+    lists: list[str] = []
     hints = get_type_hints(function, include_extras=True)
     for name, parameter in signature(function).parameters.items():
+        if parameter.kind is Parameter.VAR_KEYWORD:
+            others = _parameters_of(hints[name], command, {each.name for each in shown})
+            lists = [each.name for each in others if each.default == ()]
+            shown += [_with_option(command, each.name, each.annotation, each.default) for each in others]
+            continue
         kind = next((each for each in (hints[name], *get_args(hints[name])) if is_dataclass(each)), None)
         if kind is None:
             shown.append(_with_option(command, name, hints[name], parameter.default))
@@ -63,12 +72,25 @@ def with_options(command: str, function: Callable[..., None]) -> Callable[..., N
 
     def call(**given: Any) -> None:
         objects = {name: group.take(given) for name, group in groups.items()}
-        function(**given, **objects)
+        # typer gives None or an empty list for a list that is not given
+        function(**given | {name: given[name] or () for name in lists}, **objects)
 
     update_wrapper(call, function)
     call.__annotations__ = {parameter.name: parameter.annotation for parameter in shown}
     call.__signature__ = Signature(shown)  # type: ignore[attr-defined]
     return call
+
+
+def _parameters_of(hint: Any, command: str, known: Collection[str]) -> list[Parameter]:
+    """Parameters of a public function that have a row for a command, but those in ``known``. ``hint``:
+    ``Annotated[Any, FUNCTION]``."""
+    function = get_args(hint)[1]
+    given = signature(function).parameters.values()
+    found = [each for each in given if each.name not in known and _row(command, each.name)]
+    # only of these: others have types that are not imported before the function is called
+    named = SimpleNamespace(__annotations__={each.name: each.annotation for each in found})
+    hints = get_type_hints(named, function.__globals__)
+    return [each.replace(annotation=hints[each.name]) for each in found]
 
 
 @dataclass(frozen=True)
@@ -221,6 +243,16 @@ def _existing_calibrations(given: Any) -> Any:
     return given
 
 
+def _print_formats(wanted: bool) -> None:
+    """Print the export formats, and end the command."""
+    if wanted:
+        from humansim_ros.data.formats import EXPORT_FORMATS
+
+        width = max(map(len, EXPORT_FORMATS))
+        print_text("\n".join(f"{row.name:<{width}}  {row.title}" for row in EXPORT_FORMATS.values()))
+        raise typer.Exit
+
+
 #: By row: what the table cannot contain, the completion by a shell and the early check of a value.
 _MORE: Mapping[str, Mapping[str, Any]] = {
     "scene": {"callback": existing_scenes},
@@ -229,58 +261,15 @@ _MORE: Mapping[str, Mapping[str, Any]] = {
     "body": {"autocompletion": built_in_humans},
     "human": {"autocompletion": built_in_humans},
     "joint_names": {"autocompletion": joint_tables},
+    "record.frames": {"max": MAX_FRAMES},
+    "export.frames": {"max": MAX_FRAMES},
     "run.motion": {"autocompletion": built_in_motions},
     "view.body": {"autocompletion": built_in_humans},
     "bench.channels": {"autocompletion": built_in_channels},
     "snapshot.channels": {"autocompletion": built_in_channels},
     "export.formats": {"autocompletion": export_formats},
+    "export.show_list": {"callback": _print_formats},
 }
-
-
-# -- options in the signatures of commands
-
-
-def option(row: str, **more: Any) -> Any:
-    """Make an option of a command.
-
-    Args:
-        row: Name of a row of config/command_line.json: command and option, such as ``camera rig.height``.
-        **more: Values that a table cannot contain, such as the words for completion by a shell.
-    """
-    return _made(typer.Option, row, more)
-
-
-def argument(row: str, **more: Any) -> Any:
-    """Make an argument of a command. The parameters are those of :func:`option`."""
-    return _made(typer.Argument, row, more)
-
-
-def list_option(row: str, complete: Callable[[str], list[str]] | None = None, **more: Any) -> Any:
-    """Make an option that is a list: it may be repeated, or have commas. ``row``, ``more``: as for
-    :func:`option`. ``complete``: returns the words for completion by a shell."""
-    made = _made(typer.Option, row, {"callback": split_commas, "autocompletion": complete, **more})
-    made.metavar += ",..."
-    return made
-
-
-def _made(make: Callable[..., Any], row: str, more: Mapping[str, Any]) -> Any:
-    """Make an option or argument from a row of the table and further values."""
-    command, _, name = row.rpartition(".")
-    values = {**_ROWS[command][name], **more}
-    values.pop("argument", None)
-    return make(*values.pop("names", ()), **values)
-
-
-JsonOption = Annotated[bool, option("shared.as_json")]
-JobsOption = Annotated[int | None, option("shared.jobs")]
-TopicsOption = Annotated[list[str] | None, list_option("shared.topics")]
-ResumeOption = Annotated[bool, option("shared.resume")]
-RayOption = Annotated[str | None, option("shared.ray")]
-EstimateTopicOption = Annotated[str | None, option("shared.estimate_topic")]
-KeypointsOption = Annotated[str | None, option("shared.keypoints")]
-NamesOption = Annotated[Path | None, option("shared.names")]
-ScaleOption = Annotated[float, option("shared.scale")]
-AxesOption = Annotated[str | None, option("shared.axes")]
 
 
 # -- the command line before it is parsed

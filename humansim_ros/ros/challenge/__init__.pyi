@@ -1,4 +1,4 @@
-from humansim_ros.ros.challenge.case import ChallengeOptions as ChallengeOptions
+from humansim_ros.ros.challenge.options import ChallengeOptions as ChallengeOptions
 from humansim_ros.ros.challenge.report import show_table as show_table
 from humansim_ros.ros.challenge.report import write_pages as write_pages
 from humansim_ros.ros.challenge.results import CaseResult as CaseResult

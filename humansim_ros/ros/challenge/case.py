@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from humansim_ros.data.evaluation import EstimateStream, ReadOptions, chosen_set
 from humansim_ros.data.messages import PoseFrame
 from humansim_ros.errors import EvaluationError, HumansimError, show_warnings
 from humansim_ros.files.reading import thread_limits
+from humansim_ros.ros.challenge.options import ChallengeOptions
 from humansim_ros.ros.graph.transport import domain_environment
 from humansim_ros.ros.processes.runtime import make_executor, prepare_transport
 from humansim_ros.ros.processes.stop_signals import PARENT_PID, end_with_parent
@@ -31,41 +32,6 @@ _AFTER_END = 0.3
 _LOOK_EVERY = 0.5
 #: Number of first frames that are not scored, to warm up; in a short case, a third of all frames.
 _WARM_UP = 8
-
-
-@dataclass(frozen=True)
-class ChallengeOptions:
-    """How a tracker is run.
-
-    Attributes:
-        tracker: Command line that starts the tracker.
-        topic: Topic of the estimate.
-        keypoints: Keypoint set of the estimate. If None, the joint names in its messages determine the set.
-        timeout: Seconds that a frame waits for the tracker.
-        start_within: The tracker must publish its topic within this time, seconds.
-        is_realtime: Whether frames follow the wall clock.
-        is_quick: Whether the short form of the suite is run.
-        scale: Length of a unit of the estimate, metres.
-        axes: Axes of the estimate. If None, the axes of ``map``.
-    """
-
-    tracker: str
-    topic: str = "/tracker/poses"
-    keypoints: str | None = None
-    timeout: float = 10.0
-    start_within: float = 20.0
-    is_realtime: bool = False
-    is_quick: bool = False
-    scale: float = 1.0
-    axes: str | None = None
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        """All options except the command line. Options of newer versions are left out if they are
-        defaults."""
-        added = {"scale": 1.0, "axes": None}
-        values = {key: value for key, value in asdict(self).items() if key != "tracker"}
-        return {key: value for key, value in values.items() if key not in added or value != added[key]}
 
 
 @dataclass(frozen=True)

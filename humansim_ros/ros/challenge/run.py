@@ -21,7 +21,8 @@ from humansim_ros.data.engine import WorkProgress
 from humansim_ros.data.evaluation import axes_matrix, chosen_set
 from humansim_ros.errors import ChallengeError, HumansimError, printable
 from humansim_ros.files.reading import atomic_path
-from humansim_ros.ros.challenge.case import CaseOrder, ChallengeOptions, serve_cases
+from humansim_ros.ros.challenge.case import CaseOrder, serve_cases
+from humansim_ros.ros.challenge.options import ChallengeOptions
 from humansim_ros.ros.challenge.results import RESULTS, CaseResult, Report
 from humansim_ros.ros.challenge.suite import Case, Suite
 from humansim_ros.ros.graph.transport import claim_domain, domain_environment

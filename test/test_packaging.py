@@ -469,7 +469,7 @@ def test_launch_file_starts_the_processes_of_the_scene(
     names = ["scene", "processes", "only", "namespace", "frame_prefix", "respawn", "rviz"]
     names += ["lockstep", "frames", "wait_for", "timeout", "on_timeout", "pace"]
     names += ["record", "record_topics", "record_compression"]
-    names += ["evaluate", "evaluate_keypoints", "evaluate_output"]
+    names += ["evaluate", "evaluate_keypoints", "evaluate_scale", "evaluate_axes", "evaluate_output"]
     assert [argument.args for argument in arguments] == [(name,) for name in names]
     defaults = {name: argument.default_value for name, argument in zip(names, arguments, strict=True)}
     for number in (None, 3):

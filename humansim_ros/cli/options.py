@@ -120,8 +120,7 @@ class _Group:
             hint, default = hints[each.name], each.default
             if default is MISSING:
                 hint, default = (hint | None, None) if self.may_be_absent else (hint, Parameter.empty)
-            setting = each.metadata.get("setting")
-            shown.append(_with_option(self.command, each.name, hint, default, setting))
+            shown.append(_with_option(self.command, each.name, hint, default))
         return shown
 
     def take(self, given: dict[str, Any]) -> Any:
@@ -156,24 +155,13 @@ def _long_name(command: str, name: str) -> str:
     return str(names[0]) if names else f"--{name.replace('_', '-')}"
 
 
-def _with_option(command: str, name: str, kind: Any, default: Any, setting: Any = None) -> Parameter:
-    """Make a parameter for typer.
-
-    Args:
-        command: Name of the command.
-        name: Name of the parameter.
-        kind: Its type.
-        default: Its default.
-        setting: Help text and limits that are not in the table, as of a setting of lockstep.
-    """
+def _with_option(command: str, name: str, kind: Any, default: Any) -> Parameter:
+    """Make a parameter for typer. ``name``, ``kind``, ``default``: name, type and default of a parameter of
+    the command."""
     if get_origin(kind) is not Annotated:
         row = dict(_row(command, name) or {})
-        names, absent = row.pop("names", ()), row.pop("absent", "")
+        names = row.pop("names", ())
         is_argument, commas = row.pop("argument", False), row.pop("commas", True)
-        if setting is not None:
-            row["help"] = f"{setting.help}{absent}."
-            if setting.high:
-                row |= {"min": setting.low, "max": setting.high}
         kinds = {get_origin(each) for each in (kind, *get_args(kind))}
         if Sequence in kinds:
             kind, default = list[str] | None, default or None
@@ -261,8 +249,7 @@ _MORE: Mapping[str, Mapping[str, Any]] = {
     "body": {"autocompletion": built_in_humans},
     "human": {"autocompletion": built_in_humans},
     "joint_names": {"autocompletion": joint_tables},
-    "record.frames": {"max": MAX_FRAMES},
-    "export.frames": {"max": MAX_FRAMES},
+    **{key: {"max": MAX_FRAMES} for key in ("run.frames", "record.frames", "export.frames")},
     "run.motion": {"autocompletion": built_in_motions},
     "view.body": {"autocompletion": built_in_humans},
     "bench.channels": {"autocompletion": built_in_channels},

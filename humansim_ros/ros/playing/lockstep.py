@@ -18,7 +18,7 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Header
 
 from humansim_ros.data.messages import to_nanoseconds, to_time
-from humansim_ros.errors import RosError, printable
+from humansim_ros.errors import MAX_FRAMES, RosError, printable
 from humansim_ros.ros.graph.clock import ClockOwner
 from humansim_ros.ros.graph.graph import GraphWatch, StampedTopics, publishers_of
 from humansim_ros.ros.graph.qos import ALIVE, CAMERA_ALIVE, FRAME_DONE, REPORTS
@@ -35,12 +35,12 @@ from humansim_ros.ros.processes.lockstep_rules import (
 from humansim_ros.ros.processes.lockstep_settings import (
     CLOCK_SEARCH,
     REALTIME,
-    SETTINGS,
     TEST_NODE,
     member_texts,
     read_members,
 )
 from humansim_ros.ros.processes.node import SceneNode
+from humansim_ros.ros.processes.run_options import run_row
 from humansim_ros.ros.processes.stop_signals import TIMED_OUT, WRONG_INPUT
 from humansim_ros.scene.core import BRIDGE_NODE, LOCKSTEP, Scene, SceneState
 
@@ -94,26 +94,22 @@ class LockstepSettings:
             RosError: A value is not valid.
         """
         time = node.scene.config.time
+        helps = {
+            name: run_row(name)["help"] for name in ("wait_for", "timeout", "on_timeout", "pace", "frames")
+        }
         mode = node.choice_parameter("mode", time.mode, (REALTIME, LOCKSTEP), "Real time, or lockstep")
         default = member_texts(time) or Parameter.Type.STRING_ARRAY
-        members: Sequence[str] = (
-            node.described_parameter("wait_for", default, SETTINGS["wait_for"].help, read_only=True) or ()
-        )
-        timeout = node.number_parameter(
-            "timeout",
-            time.timeout,
-            SETTINGS["timeout"].low,
-            SETTINGS["timeout"].high,
-            SETTINGS["timeout"].help,
-        )
+        declare = node.described_parameter
+        members: Sequence[str] = declare("wait_for", default, helps["wait_for"], read_only=True) or ()
+        low, high = run_row("timeout")["min"], run_row("timeout")["max"]
+        timeout = node.number_parameter("timeout", time.timeout, low, high, helps["timeout"])
         on_timeout = node.choice_parameter(
-            "on_timeout", time.on_timeout, get_args(OnTimeout), SETTINGS["on_timeout"].help
+            "on_timeout", time.on_timeout, get_args(OnTimeout), helps["on_timeout"]
         )
-        description = f"{SETTINGS['pace'].help}; 0: as fast as possible"
-        pace = node.number_parameter("pace", time.rate or 0.0, 0.0, SETTINGS["pace"].high, description)
-        description = f"{SETTINGS['frames'].help}; 0: without end"
-        limits = (0.0, SETTINGS["frames"].high)
-        frames = node.described_parameter("frames", time.frames or 0, description, limits, read_only=True)
+        highest, description = run_row("pace")["max"], f"{helps['pace']} 0 counts as absent."
+        pace = node.number_parameter("pace", time.rate or 0.0, 0.0, highest, description)
+        description = f"{helps['frames']} 0 counts as absent."
+        frames = declare("frames", time.frames or 0, description, (0, MAX_FRAMES), read_only=True)
         summary = node.text_parameter("summary", "", "JSON file for a summary of lockstep; empty: none")
         recorder = node.text_parameter("recorder", "", "Recorder that frames wait for; empty: none")
         description = "Seconds in which another publisher of /clock is looked for before the first frame"

@@ -1,15 +1,14 @@
-"""Settings of lockstep: one list for the command line, the launch file and the parameters of the player."""
+"""Settings of lockstep, as the command line, the launch file and the parameters of the player have them."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple, get_args
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, get_args
 
-from humansim_ros.errors import MAX_FRAMES, RosError, printable, unknown
+from humansim_ros.errors import RosError, printable, unknown
 from humansim_ros.ros.processes.lockstep_rules import OnTimeout
-from humansim_ros.ros.processes.run_options import launched
 from humansim_ros.scene.core import LOCKSTEP
 
 if TYPE_CHECKING:
@@ -26,37 +25,6 @@ CLOCK_SEARCH = 2.0
 _NAME = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 _MAX_NAME, _MAX_MEMBERS = 255, 100
 REALTIME = "realtime"
-
-
-class Setting(NamedTuple):
-    """A setting of lockstep.
-
-    Attributes:
-        help: Description without a full stop.
-        low: Smallest value of a number.
-        high: Largest value of a number.
-    """
-
-    help: str
-    low: float = 0.0
-    high: float = 0.0
-
-
-#: The settings by name. A scene has them in its section ``time``, with the name ``rate`` for ``pace``.
-SETTINGS = {
-    "frames": Setting("Number of frames in lockstep", 1, MAX_FRAMES),
-    "wait_for": Setting(
-        f"Nodes that frames in lockstep wait for besides the cameras, and topics as {TOPIC_PREFIX}/NAME"
-    ),
-    "timeout": Setting("Longest time that a frame in lockstep waits, seconds", 0.1, 1e6),
-    "on_timeout": Setting("After the timeout: stop, or continue without the nodes that are late"),
-    "pace": Setting("Most frames per second in lockstep", 0.01, 1000.0),
-}
-
-
-def _setting(name: str, more: str = "") -> dict[str, Any]:
-    """Metadata of a field for a setting. ``more``: end of the description of its launch argument."""
-    return {**launched(name, f"{SETTINGS[name].help}{more}"), "setting": SETTINGS[name]}
 
 
 @dataclass(frozen=True)
@@ -76,19 +44,12 @@ class TimeOptions:
         summary: File for a summary at the end.
     """
 
-    lockstep: bool | None = field(
-        default=None,
-        metadata=launched(
-            "lockstep", "true: send the next frame when all nodes have finished this one; false: real time"
-        ),
-    )
-    frames: int | None = field(default=None, metadata=_setting("frames"))
-    wait_for: Sequence[str] | None = field(
-        default=None, metadata=_setting("wait_for", ", separated by commas")
-    )
-    timeout: float | None = field(default=None, metadata=_setting("timeout"))
-    on_timeout: str | None = field(default=None, metadata=_setting("on_timeout"))
-    pace: float | None = field(default=None, metadata=_setting("pace"))
+    lockstep: bool | None = None
+    frames: int | None = None
+    wait_for: Sequence[str] | None = None
+    timeout: float | None = None
+    on_timeout: str | None = None
+    pace: float | None = None
     summary: str | None = None
 
     def __post_init__(self) -> None:

@@ -2,24 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, dataclass, field, fields
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import MISSING, Field, dataclass, fields
 from pathlib import Path
-from typing import Any, TypeVar, get_args, get_type_hints
+from typing import Any, ClassVar, TypeVar, get_args, get_type_hints
 
 from humansim_ros.errors import RosError
+from humansim_ros.files.reading import read_table
 
 _Options = TypeVar("_Options")
 
 
-def launched(argument: str, description: str) -> dict[str, Any]:
-    """Metadata of a field of a dataclass that a launch argument sets."""
-    return {"argument": argument, "description": description}
+def run_row(name: str) -> Mapping[str, Any]:
+    """Names, help text and limits of an option of ``humansim run``. Empty if there is no such option."""
+    table = read_table("command_line")
+    row = table["run"].get(name, name)
+    found: Mapping[str, Any] = table["shared"].get(row, {}) if isinstance(row, str) else row
+    return found
 
 
 def launch_arguments(kind: type) -> dict[str, str]:
     """Names of the launch arguments for a dataclass, with their descriptions. All are empty by default."""
-    return {each.metadata["argument"]: each.metadata["description"] for each in _launched(kind)}
+    return {
+        name: f"As {_option(each.name)} of humansim run: {row['help']}" for name, each, row in _launched(kind)
+    }
+
+
+def _option(field: str) -> str:
+    """Option of ``humansim run`` for a field, such as ``--wait-for``."""
+    names = run_row(field).get("names") or [f"--{field.replace('_', '-')}"]
+    return str(names[0])
 
 
 def launch_options(kind: type[_Options], arguments: Mapping[str, str]) -> _Options | None:
@@ -33,8 +45,7 @@ def launch_options(kind: type[_Options], arguments: Mapping[str, str]) -> _Optio
     """
     given = {name: text.strip() for name, text in arguments.items() if text.strip()}
     hints, values = get_type_hints(kind), {}
-    for each in _launched(kind):
-        name = each.metadata["argument"]
+    for name, each, _ in _launched(kind):
         if name in given:
             values[each.name] = _value(name, given[name], hints[each.name])
         elif each.default is MISSING and given:
@@ -44,8 +55,14 @@ def launch_options(kind: type[_Options], arguments: Mapping[str, str]) -> _Optio
     return kind(**values)
 
 
-def _launched(kind: Any) -> list[Any]:
-    return [each for each in fields(kind) if each.metadata]
+def _launched(kind: Any) -> Iterator[tuple[str, Field[Any], Mapping[str, Any]]]:
+    """Launch argument, field and row of each field of a dataclass that is an option of ``humansim run``. The
+    field that must be given has the name of the group."""
+    group = getattr(kind, "launch_group", "")
+    for each in fields(kind):
+        if row := run_row(each.name):
+            joined = f"{group}_{each.name}" if group else each.name
+            yield group if each.default is MISSING else joined, each, row
 
 
 def _value(name: str, text: str, hint: Any) -> Any:
@@ -95,16 +112,10 @@ class RecordOptions:
         compression: ``none``, ``zstd`` or ``lz4``.
     """
 
-    folder: Path = field(
-        metadata=launched("record", "Folder of a new bag for the topics of the scene; empty: none")
-    )
-    topics: Sequence[str] = field(
-        default=(),
-        metadata=launched("record_topics", "Topics to record, names or patterns, separated by commas"),
-    )
-    compression: str = field(
-        default="none", metadata=launched("record_compression", "Compression of the bag: none, zstd or lz4")
-    )
+    launch_group: ClassVar[str] = "record"
+    folder: Path
+    topics: Sequence[str] = ()
+    compression: str = "none"
 
 
 @dataclass(frozen=True)
@@ -119,14 +130,9 @@ class EvaluateOptions:
         output: JSON file for the result. If None, no file is written.
     """
 
-    topic: str = field(
-        metadata=launched("evaluate", "Topic of an estimate to evaluate, such as /tracker/poses; empty: none")
-    )
-    keypoints: str = field(
-        default="", metadata=launched("evaluate_keypoints", "Keypoint set of the estimate, such as coco17")
-    )
+    launch_group: ClassVar[str] = "evaluate"
+    topic: str
+    keypoints: str = ""
     scale: float = 1.0
     axes: str = ""
-    output: Path | None = field(
-        default=None, metadata=launched("evaluate_output", "JSON file for the result")
-    )
+    output: Path | None = None

@@ -16,7 +16,7 @@ from humansim_ros.cli.options import built_in_motions as completed_motions
 from humansim_ros.cli.options import parse_size
 from humansim_ros.cli.output import check_output, print_text, print_warning, progress_bar, to_json
 from humansim_ros.errors import HumansimError, MotionError, some_of
-from humansim_ros.files.reading import atomic_path, resource_path
+from humansim_ros.files.reading import resource_path, write_file
 from humansim_ros.motion.files import MOTION_TITLES
 
 if TYPE_CHECKING:
@@ -181,8 +181,7 @@ def table(
     if output is None:
         print_text(text.rstrip())
         return
-    with atomic_path(output) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_file(output, text)
     print_text(f"wrote {output}; use it with --joint-names {output}")
 
 

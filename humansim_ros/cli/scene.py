@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from humansim_ros.cli.output import check_output, print_text, print_warning, report_write_errors, to_json
+from humansim_ros.cli.output import check_output, print_text, print_warning, to_json
 from humansim_ros.errors import HumansimError, unknown
-from humansim_ros.files.reading import exists, expand_user
+from humansim_ros.files.reading import exists, expand_user, write_file
 
 if TYPE_CHECKING:
     from humansim_ros.scene.core import Scene
@@ -205,8 +205,7 @@ def schema(
         print_text(text.rstrip())
         return
     check_output(output)
-    with report_write_errors(output):
-        output.write_text(text, encoding="utf-8")
+    write_file(output, text)
     print_text(f"wrote {output}")
 
 

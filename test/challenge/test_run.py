@@ -276,7 +276,7 @@ def test_nodes_of_a_case_whose_process_dies_are_an_error(tmp_path: Path) -> None
     order = CaseOrder(str(scene), os.getpid(), 2, 100.0, ChallengeOptions("tracker", start_within=100.0))
     with CaseProcess(tmp_path / "log") as nodes:
         nodes.ask(order)
-        nodes.process.kill()
+        nodes._processes.processes[0].kill()
         with pytest.raises(ChallengeError, match=r"nodes of the case have ended with an error; see .*log"):
             nodes.answer(100.0)
         nodes.ask(replace(order, scene=str(tmp_path / "nothing.yaml")))

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from contextlib import suppress
 from dataclasses import dataclass
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +12,10 @@ import numpy as np
 
 from humansim_ros.data.evaluation import EstimateStream, ReadOptions, chosen_set, evaluate_poses, truth_at
 from humansim_ros.data.messages import PoseFrame
-from humansim_ros.errors import EvaluationError, HumansimError, show_warnings
-from humansim_ros.files.reading import thread_limits
+from humansim_ros.errors import EvaluationError, show_warnings
 from humansim_ros.ros.challenge.options import ChallengeOptions
 from humansim_ros.ros.graph.transport import domain_environment
 from humansim_ros.ros.processes.runtime import make_executor, prepare_transport
-from humansim_ros.ros.processes.stop_signals import PARENT_PID, end_with_parent
 from humansim_ros.scene.core import Scene
 
 #: Most messages of a tracker: this number per frame, plus this number per case. More messages are an error.
@@ -256,35 +252,31 @@ def _scores(order: CaseOrder, scene: Scene, frames: dict[int, int], stream: Esti
     }
 
 
-def serve_cases(connection: Connection, log: Path, domain: int, parent: int) -> None:
-    """Run cases in this process, one after the other. Ends when the connection is closed.
+@dataclass(frozen=True)
+class CaseNodes:
+    """The job of the process that runs the nodes of cases, one case after the other.
 
-    The first message that is sent means that this process is ready. Then each :class:`CaseOrder` that arrives
-    is answered. A message is a dictionary (values for a ``CaseResult`` by field name), or a HumansimError.
-
-    Args:
-        connection: Connection to the process that asks for the cases.
+    Attributes:
         log: File for the output of the nodes.
         domain: ROS domain.
-        parent: Id of the process that asks. This process ends with it.
     """
-    os.environ[PARENT_PID] = str(parent)
-    end_with_parent()
-    with log.open("ab") as output:
-        os.dup2(output.fileno(), 1)
-        os.dup2(output.fileno(), 2)
-    os.environ.update(domain_environment(domain), **thread_limits(1))
-    show_warnings()
-    answer: dict[str, Any] | HumansimError = {}
-    try:
+
+    log: Path
+    domain: int
+
+    def start(self) -> CaseNodes:
+        """Prepare this process. Raises HumansimError if ROS cannot be used."""
+        with self.log.open("ab") as output:
+            os.dup2(output.fileno(), 1)
+            os.dup2(output.fileno(), 2)
+        os.environ.update(domain_environment(self.domain))
+        show_warnings()
         prepare_transport(network=False)
-    except HumansimError as error:
-        answer = error
-    with suppress(EOFError, OSError):  # the connection is closed
-        while True:
-            connection.send(answer)
-            order = connection.recv()
-            try:
-                answer = run_case(order)
-            except HumansimError as error:
-                answer = error
+        return self
+
+    def work(self, order: CaseOrder | None) -> dict[str, Any]:
+        """Run a case. Returns values for its ``CaseResult`` by field name; nothing for None."""
+        return {} if order is None else run_case(order)
+
+    def close(self) -> None:
+        """Do nothing: each case ends its nodes."""

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from humansim_ros.data.formats import Markup, drawing, page
-from humansim_ros.files.reading import atomic_path
+from humansim_ros.files.reading import write_file
 from humansim_ros.ros.challenge.results import CaseResult, Report
 from humansim_ros.ros.challenge.suite import STRENGTHS
 
@@ -221,8 +221,7 @@ def write_pages(folder: Path, report: Report, other: Report | None = None) -> Se
     """
     contents = {PICTURE: f"{picture(report, other)}\n", PAGE: html_page(report, other)}
     for name, content in contents.items():
-        with atomic_path(folder / name) as temporary:
-            temporary.write_text(content, encoding="utf-8")
+        write_file(folder / name, content)
     return [folder / name for name in contents]
 
 

@@ -12,7 +12,7 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from humansim_ros.errors import ChallengeError
-from humansim_ros.files.reading import atomic_path, read_json
+from humansim_ros.files.reading import read_json, write_file
 from humansim_ros.ros.challenge.suite import BASELINE, STRENGTHS, Suite
 
 #: Version of the keys of ``results.json``.
@@ -155,8 +155,7 @@ class Report:
             HumansimError: The file cannot be written, for example on a full disk.
         """
         data = {"version": JSON_VERSION, **asdict(self), "points": self.points}
-        with atomic_path(folder / RESULTS) as temporary:
-            temporary.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        write_file(folder / RESULTS, json.dumps(data, indent=1, allow_nan=False) + "\n")
 
     @classmethod
     def read(cls, folder: Path) -> Report:

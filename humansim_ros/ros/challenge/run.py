@@ -8,20 +8,19 @@ import shlex
 import signal
 import subprocess
 import time
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import replace
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from humansim_ros.data.engine import WorkProgress
+from humansim_ros.data.engine import JobProcesses, WorkProgress
 from humansim_ros.data.evaluation import axes_matrix, chosen_set
 from humansim_ros.errors import ChallengeError, HumansimError, printable
-from humansim_ros.files.reading import atomic_path
-from humansim_ros.ros.challenge.case import CaseOrder, serve_cases
+from humansim_ros.files.reading import write_file
+from humansim_ros.ros.challenge.case import CaseNodes, CaseOrder
 from humansim_ros.ros.challenge.options import ChallengeOptions
 from humansim_ros.ros.challenge.results import RESULTS, CaseResult, Report
 from humansim_ros.ros.challenge.suite import Case, Suite
@@ -171,9 +170,8 @@ def _has_group(number: int) -> bool:
 CASES = "cases"
 #: Seconds between two checks of the processes.
 _LOOK_EVERY = 0.05
-#: Longest time that a case may take in addition to its frames, that its nodes may take to end, and that the
-#: process may take to end after them, seconds.
-_BESIDE, _END_WITHIN, _ENDING = 60.0, 20.0, 2.0
+#: Longest time that a case may take in addition to its frames, and that its nodes may take to end, seconds.
+_BESIDE, _END_WITHIN = 60.0, 20.0
 #: Even if a case has a shorter limit, a frame waits this many times the tracker's usual time per frame.
 _TIMES_LATENCY = 4.0
 
@@ -271,15 +269,13 @@ class CaseProcess:
         log: File for its output.
 
     Attributes:
-        process: The running process. None while no process runs.
         domain: Own ROS domain, so that the cases and what the user runs in another terminal do not receive
             each other's messages.
     """
 
     def __init__(self, log: Path) -> None:
         self._log = log
-        self._connection: Any = None
-        self.process: Any = None
+        self._processes: JobProcesses | None = None
         self.domain = claim_domain()
 
     def __enter__(self) -> CaseProcess:
@@ -290,26 +286,16 @@ class CaseProcess:
 
     def start(self) -> None:
         """Start the process unless it runs, and wait until it is ready. Raises HumansimError."""
-        if self.process is not None:
-            return
-        context = get_context("spawn")
-        self._connection, other = context.Pipe()
-        arguments = (other, self._log, self.domain, os.getpid())
-        self.process = context.Process(target=serve_cases, args=arguments, daemon=True)
-        # Ctrl-C is for this process, which ends the other one
-        signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
-        try:
-            self.process.start()
-        finally:
-            signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
-        other.close()
-        self.answer(None)
+        if self._processes is None:
+            self.ask(None)
+            self.answer(None)
 
-    def ask(self, order: CaseOrder) -> None:
-        """Send a case to the process, and start the process if it does not run."""
-        self.start()
-        with suppress(OSError):  # the process has ended: answer() says so
-            self._connection.send(order)
+    def ask(self, order: CaseOrder | None) -> None:
+        """Send a case to the process, and start the process if it does not run. None is answered at once."""
+        if self._processes is None:
+            self._processes = JobProcesses(CaseNodes(self._log, self.domain), 1)
+        with self._naming_log():
+            self._processes.ask(order)
 
     def answer(self, wait: float | None) -> dict[str, Any] | None:
         """Values of a ``CaseResult`` by field name; None if no result arrives within ``wait`` seconds.
@@ -317,23 +303,32 @@ class CaseProcess:
         Raises:
             HumansimError: The process has ended, or the case cannot be run.
         """
+        assert self._processes is not None
+        with self._naming_log():
+            arrived = list(self._processes.arrived(wait))
+        for _, answer in arrived:
+            if isinstance(answer, HumansimError):
+                raise answer
+            return dict(answer)
+        return None
+
+    @contextmanager
+    def _naming_log(self) -> Iterator[None]:
+        """Context manager: after an error of the process, close it and name its log."""
         try:
-            answer = self._connection.recv() if self._connection.poll(wait) else None
-        except (EOFError, OSError):
+            yield
+        except Exception as error:
             self.close()
-            raise ChallengeError(f"the nodes of the case have ended with an error; see {self._log}") from None
-        if isinstance(answer, HumansimError):
-            raise answer
-        return answer
+            text = f"the nodes of the case have ended with an error; see {self._log}"
+            raise ChallengeError(text) from error
 
     def close(self) -> None:
         """End the process, and the case in progress."""
-        process, self.process = self.process, None
-        if process is not None:
-            self._connection.close()
-            process.join(_ENDING)  # which it does not while a case runs
-            process.kill()
-            process.join()
+        processes, self._processes = self._processes, None
+        if processes is not None:
+            for process in () if processes.idle() else processes.processes:
+                process.kill()
+            processes.close()
 
 
 def patience_with(case: Case, timeout: float, baseline: CaseResult | None) -> float:
@@ -368,9 +363,8 @@ def run_case(
         HumansimError: The tracker cannot be started, or a file cannot be written.
     """
     scene = folder / f"{case.name}.yaml"
-    with atomic_path(scene) as temporary:
-        content = case.scene.model_dump(mode="json", exclude_unset=True)
-        temporary.write_text(yaml.safe_dump(content, sort_keys=False, allow_unicode=True), encoding="utf-8")
+    content = case.scene.model_dump(mode="json", exclude_unset=True)
+    write_file(scene, yaml.safe_dump(content, sort_keys=False, allow_unicode=True))
     values = {"cameras": ",".join(case.scene.cameras), "topic": options.topic, "scene": str(scene.resolve())}
     words = command_words(options.tracker, values)
     log = folder / f"{case.name}.log"

@@ -11,7 +11,7 @@ from itertools import count
 from pathlib import Path
 from typing import Literal
 
-from humansim_ros.files.reading import atomic_path
+from humansim_ros.files.reading import write_file
 
 #: Most members that may join by sending reports, since anybody in the network could send reports.
 MAX_JOINED = 100
@@ -308,8 +308,7 @@ class LockstepSummary:
 
     def write(self, path: str) -> None:
         """Write the summary to a file."""
-        with atomic_path(path) as target:
-            target.write_text(json.dumps(asdict(self)))
+        write_file(path, json.dumps(asdict(self)))
 
     @classmethod
     def read(cls, path: Path) -> LockstepSummary | None:
@@ -326,8 +325,7 @@ class RestartFile:
 
     def write(self) -> None:
         """Write into the file that a restart happens now."""
-        with atomic_path(self._path) as target:
-            target.write_text(repr(time.monotonic()))
+        write_file(self._path, repr(time.monotonic()))
 
     def age(self) -> float | None:
         """Seconds since the newest restart; None if there was no restart."""

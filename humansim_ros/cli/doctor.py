@@ -110,13 +110,11 @@ class Diagnosis:
     """Result of one check.
 
     Attributes:
-        name: What was checked.
         state: Result.
         text: What was found.
         fix: Command to type, or other advice. Empty if there is nothing to do.
     """
 
-    name: str
     state: State
     text: str
     fix: str = ""
@@ -126,21 +124,17 @@ def check_python() -> Diagnosis:
     """Check the version of Python, and whether the packages that are always needed can be imported."""
     version = ".".join(map(str, sys.version_info[:3]))
     if not (3, 10) <= sys.version_info[:2] <= (3, 13):
-        return Diagnosis("Python", "wrong", version, "use Python 3.10 to 3.13")
+        return Diagnosis("wrong", version, "use Python 3.10 to 3.13")
     done = run_python(_IMPORTS)
     if done.returncode != 0:
-        return Diagnosis(
-            "Python", "wrong", f"{version}; {last_line(done.stderr)}", _mending_packages(done.stderr)
-        )
+        return Diagnosis("wrong", f"{version}; {last_line(done.stderr)}", _mending_packages(done.stderr))
     found = done.stdout.split()
     text = f"{version}, NumPy {found[0]}, OpenCV {found[1]}"
     for (package, oldest), number in zip(OLDEST.items(), found, strict=True):
         if tuple(map(int, re.findall(r"\d+", number)[:2])) < oldest:
             at_least = ".".join(map(str, oldest))
-            return Diagnosis(
-                "Python", "wrong", f"{text}: too old", f"pip install --upgrade '{package}>={at_least}'"
-            )
-    return Diagnosis("Python", "ok", text)
+            return Diagnosis("wrong", f"{text}: too old", f"pip install --upgrade '{package}>={at_least}'")
+    return Diagnosis("ok", text)
 
 
 def _mending_packages(error: str) -> str:
@@ -155,7 +149,6 @@ def check_opengl() -> Diagnosis:
     done = run_python(_RENDER)
     if done.returncode != 0:
         return Diagnosis(
-            "OpenGL",
             "wrong",
             last_line(done.stderr) or f"the renderer ended with exit code {done.returncode}",
             "sudo apt-get install -y libegl1 libgl1 libgl1-mesa-dri",
@@ -164,12 +157,11 @@ def check_opengl() -> Diagnosis:
     text = f"{found['device']}; 640x480 in {found['ms']:.0f} ms"
     if "llvmpipe" in found["device"] and list(Path("/dev").glob("nvidia[0-9]*")):
         return Diagnosis(
-            "OpenGL",
             "warning",
             f"{text}; there is an NVIDIA GPU, but EGL does not offer it",
             "install libnvidia-gl of the driver; in Docker: --gpus all -e NVIDIA_DRIVER_CAPABILITIES=all",
         )
-    return Diagnosis("OpenGL", "ok", text)
+    return Diagnosis("ok", text)
 
 
 def check_ros(environment: Mapping[str, str] = os.environ) -> Diagnosis:
@@ -177,7 +169,6 @@ def check_ros(environment: Mapping[str, str] = os.environ) -> Diagnosis:
     distribution = environment.get("ROS_DISTRO")
     if distribution not in (None, "", _JAZZY):
         return Diagnosis(
-            "ROS",
             "wrong",
             f"ROS {distribution} is sourced; this package is for Jazzy",
             "open a new shell and: source /opt/ros/jazzy/setup.bash",
@@ -191,79 +182,74 @@ def check_ros(environment: Mapping[str, str] = os.environ) -> Diagnosis:
             else ("pip install 'humansim_ros[ros]'")
         )
         text = f"cannot be imported ({last_line(done.stderr)}); all that needs no ROS works"
-        return Diagnosis("ROS", "warning", text, fix)
+        return Diagnosis("warning", text, fix)
     path = last_line(done.stdout)
     if distribution and "site-packages" in path and "/opt/ros" not in path:
         text = f"/opt/ros/{distribution} is sourced, but Python uses the wheels in {Path(path).parents[1]}"
-        return Diagnosis(
-            "ROS", "warning", text, "unset PYTHONPATH AMENT_PREFIX_PATH ROS_DISTRO, or leave the venv"
-        )
-    return Diagnosis("ROS", "ok", f"Jazzy, {Path(path).parents[1]}")
+        return Diagnosis("warning", text, "unset PYTHONPATH AMENT_PREFIX_PATH ROS_DISTRO, or leave the venv")
+    return Diagnosis("ok", f"Jazzy, {Path(path).parents[1]}")
 
 
 def check_variables(environment: Mapping[str, str] = os.environ) -> Diagnosis:
     """Check the environment variables that decide which nodes see each other."""
-    name = "ROS variables"
     domain = environment.get("ROS_DOMAIN_ID", "")
     if domain and not (domain.isdecimal() and int(domain) <= _LAST_DOMAIN):
         text = f"ROS_DOMAIN_ID is {domain!r}, not 0 to {_LAST_DOMAIN}"
-        return Diagnosis(name, "wrong", text, "export ROS_DOMAIN_ID=0")
+        return Diagnosis("wrong", text, "export ROS_DOMAIN_ID=0")
     reach = environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "")
     if reach and reach not in ("SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT"):
         text = f"ROS_AUTOMATIC_DISCOVERY_RANGE is {reach!r}"
-        return Diagnosis(name, "wrong", text, "export ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET   # or LOCALHOST")
+        return Diagnosis("wrong", text, "export ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET   # or LOCALHOST")
     if reach == "OFF":
         text = "ROS_AUTOMATIC_DISCOVERY_RANGE is OFF: nodes do not find each other"
-        return Diagnosis(name, "wrong", text, "export ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET   # or LOCALHOST")
+        return Diagnosis("wrong", text, "export ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET   # or LOCALHOST")
     middleware = environment.get("RMW_IMPLEMENTATION", "")
     if middleware not in ("", "rmw_fastrtps_cpp"):
         text = f"RMW_IMPLEMENTATION is {middleware}; only rmw_fastrtps_cpp is tested"
-        return Diagnosis(name, "warning", text, "unset RMW_IMPLEMENTATION")
+        return Diagnosis("warning", text, "unset RMW_IMPLEMENTATION")
     if environment.get("ROS_LOCALHOST_ONLY", "0") not in ("", "0"):
         text = "ROS_LOCALHOST_ONLY is deprecated in Jazzy, and wins over the discovery range"
         fix = "unset ROS_LOCALHOST_ONLY; export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST"
-        return Diagnosis(name, "warning", text, fix)
+        return Diagnosis("warning", text, fix)
     if int(domain or 0) in _RISKY_DOMAINS:
         text = f"ROS_DOMAIN_ID is {domain}: other programs may have taken its UDP ports"
-        return Diagnosis(name, "warning", text, "export ROS_DOMAIN_ID=42   # 0 to 101")
-    return Diagnosis(name, "ok", f"domain {domain or 0}, discovery {reach or 'SUBNET'}")
+        return Diagnosis("warning", text, "export ROS_DOMAIN_ID=42   # 0 to 101")
+    return Diagnosis("ok", f"domain {domain or 0}, discovery {reach or 'SUBNET'}")
 
 
 def check_exchange() -> Diagnosis:
     """Check whether a message from one DDS participant reaches another on this machine."""
-    name = "DDS"
     if not _is_there("rclpy"):
-        return Diagnosis(name, "ok", "not tried without ROS")
+        return Diagnosis("ok", "not tried without ROS")
     done = run_python(_EXCHANGE)
     if "arrived" in done.stdout:
-        return Diagnosis(name, "ok", "a message went from one participant to another")
+        return Diagnosis("ok", "a message went from one participant to another")
     if done.returncode == _TIMED_OUT:
-        return Diagnosis(name, "wrong", last_line(done.stderr), _CLEAN_SHARED_MEMORY)
+        return Diagnosis("wrong", last_line(done.stderr), _CLEAN_SHARED_MEMORY)
     text = "a message did not arrive" if "lost" in done.stdout else last_line(done.stderr) or "no answer"
     fix = "export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST; allow UDP multicast on lo, or see docs/live.md"
-    return Diagnosis(name, "wrong", text, fix)
+    return Diagnosis("wrong", text, fix)
 
 
 def check_tf() -> Diagnosis:
     """Check whether cameras can publish poses on /tf. The messages for /tf are not on PyPI."""
     if not _is_there("rclpy"):
-        return Diagnosis("tf", "ok", "not tried without ROS")
+        return Diagnosis("ok", "not tried without ROS")
     done = run_python("import tf2_msgs.msg; tf2_msgs.msg.TFMessage(); print(tf2_msgs.__file__)")
     if done.returncode == 0:
-        return Diagnosis("tf", "ok", f"tf2_msgs, {Path(last_line(done.stdout)).parent}")
+        return Diagnosis("ok", f"tf2_msgs, {Path(last_line(done.stdout)).parent}")
     fix = (
         "sudo apt-get install -y ros-jazzy-tf2-msgs"
         if Path("/opt/ros/jazzy").exists()
         else "make tf2_msgs   # in the folder of the repository"
     )
-    return Diagnosis("tf", "ok", "tf2_msgs is not installed: cameras publish no /tf and /tf_static", fix)
+    return Diagnosis("ok", "tf2_msgs is not installed: cameras publish no /tf and /tf_static", fix)
 
 
 def check_shared_memory(folder: Path = Path("/dev/shm")) -> Diagnosis:
     """Check space and access rights of the folder of shared memory, through which images are sent."""
-    name = "shared memory"
     if not os.access(folder, os.W_OK):
-        return Diagnosis(name, "wrong", f"{folder} cannot be written to", f"sudo chmod 1777 {folder}")
+        return Diagnosis("wrong", f"{folder} cannot be written to", f"sudo chmod 1777 {folder}")
     free = free_memory(folder)
     left = len(files_of_fast_dds(folder))
     text = f"{folder} has no limit" if math.isinf(free) else f"{free // _MB:.0f} MB free in {folder}"
@@ -273,8 +259,8 @@ def check_shared_memory(folder: Path = Path("/dev/shm")) -> Diagnosis:
         fix = "sudo mount -o remount,size=1G /dev/shm; in Docker: --shm-size=1g"
         if left:
             fix += f"; or {_CLEAN_SHARED_MEMORY}"
-        return Diagnosis(name, "warning", f"{text}: large images go through UDP", fix)
-    return Diagnosis(name, "ok", text)
+        return Diagnosis("warning", f"{text}: large images go through UDP", fix)
+    return Diagnosis("ok", text)
 
 
 def check_ffmpeg() -> Diagnosis:
@@ -282,19 +268,17 @@ def check_ffmpeg() -> Diagnosis:
     code = "import imageio_ffmpeg; print(imageio_ffmpeg.get_ffmpeg_exe())"
     done = run_python(code)
     if done.returncode != 0:
-        return Diagnosis(
-            "ffmpeg", "warning", "no videos can be written", "pip install --upgrade imageio-ffmpeg"
-        )
-    return Diagnosis("ffmpeg", "ok", last_line(done.stdout))
+        return Diagnosis("warning", "no videos can be written", "pip install --upgrade imageio-ffmpeg")
+    return Diagnosis("ok", last_line(done.stdout))
 
 
 def check_extras() -> Diagnosis:
     """Report optional dependencies that are not installed."""
     missing = [name for name, modules in EXTRAS.items() if not all(map(_is_there, modules))]
     if not missing:
-        return Diagnosis("extras", "ok", "all are installed")
+        return Diagnosis("ok", "all are installed")
     fix = f"pip install 'humansim_ros[{','.join(missing)}]'"
-    return Diagnosis("extras", "ok", f"not installed: {', '.join(missing)}", fix)
+    return Diagnosis("ok", f"not installed: {', '.join(missing)}", fix)
 
 
 def check_fbx() -> Diagnosis:
@@ -303,52 +287,49 @@ def check_fbx() -> Diagnosis:
         found = find_converter(Path("PERSON.fbx"), HumansimError)
     except HumansimError as error:
         if os.environ.get(FBX_VARIABLE):
-            return Diagnosis("FBX", "warning", error.message, f"unset {FBX_VARIABLE}")
+            return Diagnosis("warning", error.message, f"unset {FBX_VARIABLE}")
         fix = f"install Blender; or pip install bpy, with {FBX_VARIABLE}=PYTHON in another environment"
-        return Diagnosis("FBX", "ok", "no converter: FBX files are not read", fix)
+        return Diagnosis("ok", "no converter: FBX files are not read", fix)
     kind = {"python": "bpy of", "blender": "Blender:", "FBX2glTF": "FBX2glTF:"}[found.kind]
-    return Diagnosis("FBX", "ok", f"read with {kind} {found.program}")
+    return Diagnosis("ok", f"read with {kind} {found.program}")
 
 
 def check_machine(folder: Path | None = None) -> Diagnosis:
     """Check cores, memory and disk. ``folder``: folder on the checked disk; if None, the current one."""
-    name = "machine"
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     free = shutil.disk_usage(folder or Path.cwd()).free
     memory = available_memory()
     text = f"{cores} cores, {memory // _MB} MB of memory and {free // _MB} MB of disk free"
     if memory < _MEMORY:
-        return Diagnosis(
-            name, "warning", text, "close other programs: a scene with four cameras takes 1.5 GB"
-        )
+        return Diagnosis("warning", text, "close other programs: a scene with four cameras takes 1.5 GB")
     if free < _DISK:
-        return Diagnosis(name, "warning", text, "free some disk: bags and data sets take gigabytes")
-    return Diagnosis(name, "ok", text)
+        return Diagnosis("warning", text, "free some disk: bags and data sets take gigabytes")
+    return Diagnosis("ok", text)
 
 
-#: All checks, in the order of the output.
-CHECKS: tuple[Callable[[], Diagnosis], ...] = (
-    check_python,
-    check_machine,
-    check_opengl,
-    check_ros,
-    check_variables,
-    check_shared_memory,
-    check_exchange,
-    check_tf,
-    check_ffmpeg,
-    check_fbx,
-    check_extras,
-)
+#: All checks by name, in the order of the output.
+CHECKS: Mapping[str, Callable[[], Diagnosis]] = {
+    "Python": check_python,
+    "machine": check_machine,
+    "OpenGL": check_opengl,
+    "ROS": check_ros,
+    "ROS variables": check_variables,
+    "shared memory": check_shared_memory,
+    "DDS": check_exchange,
+    "tf": check_tf,
+    "ffmpeg": check_ffmpeg,
+    "FBX": check_fbx,
+    "extras": check_extras,
+}
 
 
-def diagnoses(checks: tuple[Callable[[], Diagnosis], ...]) -> Iterator[Diagnosis]:
-    """Run checks, and yield the results. A check that raises an error counts as wrong."""
-    for check in checks:
+def diagnoses(checks: Mapping[str, Callable[[], Diagnosis]]) -> Iterator[tuple[str, Diagnosis]]:
+    """Run checks, and yield names and results. A check that raises an error counts as wrong."""
+    for name, check in checks.items():
         try:
-            yield check()
+            yield name, check()
         except Exception as error:  # a check must never stop the others
-            yield Diagnosis(check.__name__[6:], "wrong", f"could not be checked: {error}", "tell us about it")
+            yield name, Diagnosis("wrong", f"could not be checked: {error}", "tell us about it")
 
 
 def run_python(code: str, environment: Mapping[str, str] | None = None) -> subprocess.CompletedProcess[str]:
@@ -396,13 +377,13 @@ def doctor(
 ) -> None:
     """Check this machine (OpenGL, ROS, DDS, shared memory …), and print the line that mends what is wrong."""
     found = []
-    for finding in diagnoses(CHECKS):
-        found.append(finding)
+    for name, finding in diagnoses(CHECKS):
+        found.append({"name": name, **asdict(finding)})
         if not as_json:
-            print_text(f"{_MARKS[finding.state]}  {finding.name}: {finding.text}")
+            print_text(f"{_MARKS[finding.state]}  {name}: {finding.text}")
             if finding.fix:
                 print_text(f"           → {finding.fix}")
     if as_json:
-        print_text(to_json([asdict(finding) for finding in found]))
-    if any(finding.state == "wrong" for finding in found):
+        print_text(to_json(found))
+    if any(each["state"] == "wrong" for each in found):
         raise typer.Exit(1)

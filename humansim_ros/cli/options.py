@@ -215,20 +215,17 @@ def _beginning(incomplete: str, words: Iterable[str]) -> list[str]:
     return sorted(word for word in words if word.startswith(incomplete))
 
 
-def existing_scenes(given: Any) -> Any:
-    """Raise an error for missing scene files early, before slow imports."""
-    for path in given if isinstance(given, (list, tuple)) else [given]:
-        if path is not None and not exists(path):
-            read_bytes(path, SceneError, "scene", 0)
-    return given
+def _check_exists(error: type[HumansimError], what: str) -> Callable[[Any], Any]:
+    """Function that raises an error for missing files early, before slow imports. URLs are not checked."""
 
+    def check(given: Any) -> Any:
+        for path in given if isinstance(given, (list, tuple)) else [given]:
+            is_file = path is not None and not any(mark in str(path) for mark in ("://", "#", "{"))
+            if is_file and not exists(Path(path)):
+                read_bytes(Path(path), error, what, 0)
+        return given
 
-def _existing_calibrations(given: Any) -> Any:
-    """Raise an error for missing calibration files early. URLs are not checked."""
-    for name in [given] if isinstance(given, str) else given or ():
-        if not any(mark in name for mark in ("://", "#", "{")) and not exists(Path(name)):
-            read_bytes(Path(name), CameraError, "calibration", 0)
-    return given
+    return check
 
 
 def _print_formats(wanted: bool) -> None:
@@ -241,11 +238,11 @@ def _print_formats(wanted: bool) -> None:
         raise typer.Exit
 
 
-#: By row: what the table cannot contain, the completion by a shell and the early check of a value.
+#: By row: what the table cannot contain, the completion by a shell and a check of a value.
 _MORE: Mapping[str, Mapping[str, Any]] = {
-    "scene": {"callback": existing_scenes},
-    "file": {"callback": _existing_calibrations},
-    "files": {"callback": _existing_calibrations},
+    "scene": {"callback": _check_exists(SceneError, "scene")},
+    "file": {"callback": _check_exists(CameraError, "calibration")},
+    "files": {"callback": _check_exists(CameraError, "calibration")},
     "body": {"autocompletion": built_in_humans},
     "human": {"autocompletion": built_in_humans},
     "joint_names": {"autocompletion": joint_tables},

@@ -19,35 +19,34 @@ from humansim_ros.data.messages import DATA_DEPTH, LATCHED_DEPTH, Topic
 from humansim_ros.data.messages import SCENE_TIME as SCENE_TIME
 
 
-def _profile(depth: int, durability: QoSDurabilityPolicy) -> QoSProfile:
+def _profile(depth: int, latched: bool = False, reliable: bool = True, **more: Any) -> QoSProfile:
     return QoSProfile(
         depth=depth,
         history=QoSHistoryPolicy.KEEP_LAST,
-        reliability=QoSReliabilityPolicy.RELIABLE,
-        durability=durability,
+        reliability=QoSReliabilityPolicy.RELIABLE if reliable else QoSReliabilityPolicy.BEST_EFFORT,
+        durability=QoSDurabilityPolicy.TRANSIENT_LOCAL if latched else QoSDurabilityPolicy.VOLATILE,
+        **more,
     )
 
 
 #: Profile of publishers of frame data, as camera drivers use it. It matches reliable and best-effort
 #: subscribers.
-DATA = _profile(DATA_DEPTH, QoSDurabilityPolicy.VOLATILE)
+DATA = _profile(DATA_DEPTH)
 
 #: Profile of subscriptions between nodes of this package. A late node finds only the newest frames in its
 #: queue.
-NEWEST = _profile(3, QoSDurabilityPolicy.VOLATILE)
+NEWEST = _profile(3)
 
 #: Profile of publishers of messages that are sent once. Nodes that join later get the last message.
-LATCHED = _profile(LATCHED_DEPTH, QoSDurabilityPolicy.TRANSIENT_LOCAL)
+LATCHED = _profile(LATCHED_DEPTH, latched=True)
 
 #: Topic with liveliness, by which the motion player learns within half a second that a camera process has
 #: died. A restarted player also gets the newest report from it. ``frame_done`` offers neither, since other
 #: nodes may report there, too.
 CAMERA_ALIVE = "_camera_alive"
-ALIVE = QoSProfile(
-    depth=1,
-    history=QoSHistoryPolicy.KEEP_LAST,
-    reliability=QoSReliabilityPolicy.RELIABLE,
-    durability=QoSDurabilityPolicy.TRANSIENT_LOCAL,
+ALIVE = _profile(
+    1,
+    latched=True,
     liveliness=QoSLivelinessPolicy.AUTOMATIC,
     liveliness_lease_duration=Duration(seconds=0.5),
 )
@@ -58,7 +57,7 @@ FRAME_DONE = "frame_done"
 DONE = DATA
 #: Profile of subscriptions to these reports. Each camera process sends one per frame. If a report is lost,
 #: the next one replaces it.
-REPORTS = _profile(50, QoSDurabilityPolicy.VOLATILE)
+REPORTS = _profile(50)
 
 
 def offered_profile(topic: Topic[Any]) -> QoSProfile:
@@ -79,7 +78,7 @@ def subscription_profile(offers: Sequence[QoSProfile]) -> QoSProfile:
     latched = bool(offers) and all(
         offer.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL for offer in offers
     )
-    return _profile_of(reliable, latched, RECORDED_DEPTH)
+    return _profile(RECORDED_DEPTH, latched, reliable)
 
 
 def recorded_qos(offers: Sequence[QoSProfile]) -> tuple[Qos, ...]:
@@ -102,13 +101,4 @@ def publisher_profile(recorded: Sequence[Qos]) -> QoSProfile:
     latched = any(qos.transient_local for qos in recorded)
     # late subscribers get the last messages of all publishers, which one publisher replaces
     depth = sum(max(1, qos.depth) for qos in recorded if qos.transient_local)
-    return _profile_of(reliable, latched, min(depth, RECORDED_DEPTH) if latched else PLAYED_DEPTH)
-
-
-def _profile_of(reliable: bool, latched: bool, depth: int) -> QoSProfile:
-    return QoSProfile(
-        depth=depth,
-        history=QoSHistoryPolicy.KEEP_LAST,
-        reliability=QoSReliabilityPolicy.RELIABLE if reliable else QoSReliabilityPolicy.BEST_EFFORT,
-        durability=QoSDurabilityPolicy.TRANSIENT_LOCAL if latched else QoSDurabilityPolicy.VOLATILE,
-    )
+    return _profile(min(depth, RECORDED_DEPTH) if latched else PLAYED_DEPTH, latched, reliable)

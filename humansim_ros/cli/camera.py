@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import typer
 
 from humansim_ros.cli.options import parse_size
-from humansim_ros.cli.output import check_output, print_text, print_warning, report_write_errors, to_json
+from humansim_ros.cli.output import check_output, print_text, print_warning, to_json
 from humansim_ros.errors import CameraError, HumansimError, HumansimWarning
+from humansim_ros.files.reading import make_folder
 
 if TYPE_CHECKING:
     from humansim_ros.cameras.camera import Camera, Ideal
@@ -259,7 +260,7 @@ def idealize(
         names = ", ".join(list(real)[:8])
         raise CameraError(f"choose the camera of the images with --camera: one of {names}", path=file)
     ideals = {name: make_ideal(one, square, not keep_center, fit) for name, one in real.items()}
-    _make_folder(output)
+    make_folder(output)
     _write_ideal(file, output, calibration, {name: ideal.camera for name, ideal in ideals.items()})
     _convert_images(next(iter(ideals.values())), images or [], output, nearest)
 
@@ -350,13 +351,6 @@ def plot(
     drawing = coverage_image(cameras, height, stature, area) if coverage else rig_image(cameras)
     write_png(output, drawing)
     print_text(f"wrote {output}")
-
-
-def _make_folder(folder: Path) -> None:
-    with report_write_errors(folder):
-        if folder.exists() and not folder.is_dir():
-            raise HumansimError("this is a file: give a folder", path=folder)
-        folder.mkdir(parents=True, exist_ok=True)
 
 
 # -- idealize
@@ -454,7 +448,7 @@ def _write_rig(
     from humansim_ros.files.reading import write_file
 
     folder = output / "camera_info"
-    _make_folder(folder)
+    make_folder(folder)
     low = min(camera.center[2] for camera in cameras.values())
     if low <= 0:
         print_warning(f"the lowest camera is {-low:.2f} m below the floor")

@@ -39,18 +39,11 @@ def check_output(output: Path | None, suffix: str | None = None) -> None:
         others, what = _KINDS[suffix]
         if output.suffix.lower() not in (suffix, *others):
             raise HumansimError(f"{what} {suffix} file: give it this suffix", path=output)
-    with report_write_errors(output):
+    try:
         if output.is_dir():
             raise HumansimError("this is a folder: give a file in it", path=output)
         if not output.resolve().parent.is_dir():
             raise HumansimError("its folder does not exist", path=output)
-
-
-@contextmanager
-def report_write_errors(output: Path) -> Iterator[None]:
-    """Convert system errors about an output to HumansimError with the path of the output."""
-    try:
-        yield
     except OSError as reason:
         raise HumansimError(f"cannot be written: {reason.strerror or reason}", path=output) from None
 

@@ -362,7 +362,8 @@ def test_a_done_callback_comes_when_all_members_have_finished_the_last_step(stag
     assert stage.sees(lambda: stage.stamps)
     player.playing.pause(True)
     done: list[int] = []
-    player.playing.step(2, lambda: done.append(stage.stamps[-1]))
+    player.playing.step()
+    player.playing.step(lambda: done.append(stage.stamps[-1]))
     for frame in range(3):
         assert not done
         stage.finish(stamp_of(frame))
@@ -465,7 +466,7 @@ def test_a_frame_that_is_sent_again_has_the_same_images_and_flow(ros: None, tmp_
     client.spin_until_matched(player, *skinners, *rig.nodes)
     for frame in range(3):
         done: list[int] = []
-        player.playing.step(1, lambda done=done: done.append(1))
+        player.playing.step(lambda done=done: done.append(1))
         assert client.spin_until(lambda done=done: done), frame
     last = stamp_of(2)
     assert client.spin_until(lambda: all(images[topic, last] for topic in topics))

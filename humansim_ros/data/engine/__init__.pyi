@@ -16,6 +16,7 @@ from humansim_ros.data.engine.work import WorkPlan as WorkPlan
 from humansim_ros.data.engine.work import WorkProgress as WorkProgress
 from humansim_ros.data.engine.work import WorkShard as WorkShard
 from humansim_ros.data.engine.work import Written as Written
+from humansim_ros.data.engine.work import differences as differences
 from humansim_ros.data.engine.work import shards_of as shards_of
 from humansim_ros.data.engine.writing import CONTINUES as CONTINUES
 from humansim_ros.data.engine.writing import TEMPORARY as TEMPORARY

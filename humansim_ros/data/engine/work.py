@@ -274,14 +274,18 @@ def check_key(plan: WorkPlan, there: Mapping[str, Any], folder: str) -> None:
     Raises:
         HumansimError: ``plan.error``, which names the differences.
     """
-    key = json.loads(key_text(plan))
-    texts = [
-        _difference(name, there.get(name), key.get(name))
-        for name in {**there, **key}
-        if there.get(name) != key.get(name)
-    ]
-    if texts:
-        raise plan.error(f"this folder has another {plan.what}: {'; '.join(texts)}", path=folder)
+    if text := differences(there, json.loads(key_text(plan))):
+        raise plan.error(f"this folder has another {plan.what}: {text}", path=folder)
+
+
+def differences(there: Mapping[str, Any], here: Mapping[str, Any]) -> str:
+    """Describe in words how the key of a product in a folder differs from the wanted key. Empty if they are
+    equal."""
+    return "; ".join(
+        _difference(name, there.get(name), here.get(name))
+        for name in {**there, **here}
+        if there.get(name) != here.get(name)
+    )
 
 
 def _difference(name: str, there: Any, here: Any) -> str:

@@ -21,6 +21,7 @@ from humansim_ros.files.reading.files import cache_folder as cache_folder
 from humansim_ros.files.reading.files import decode_text as decode_text
 from humansim_ros.files.reading.files import exists as exists
 from humansim_ros.files.reading.files import expand_user as expand_user
+from humansim_ros.files.reading.files import make_folder as make_folder
 from humansim_ros.files.reading.files import missing_file as missing_file
 from humansim_ros.files.reading.files import only_one_process as only_one_process
 from humansim_ros.files.reading.files import open_file as open_file

@@ -380,6 +380,16 @@ def write_file(path: str | os.PathLike[str], content: str | bytes) -> None:
         temporary.write_bytes(content.encode() if isinstance(content, str) else content)
 
 
+def make_folder(path: str | os.PathLike[str]) -> None:
+    """Make a folder and its parents, unless they exist. Raises HumansimError if it cannot be made."""
+    try:
+        Path(path).mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        raise HumansimError("this is a file: give a folder", path=path) from None
+    except OSError as reason:
+        raise HumansimError(f"cannot be written: {reason.strerror or reason}", path=path) from None
+
+
 @contextmanager
 def _beside(target: Path) -> Iterator[Path]:
     """Temporary path in the folder of ``target``, renamed to it after the block."""

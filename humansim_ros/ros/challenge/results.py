@@ -112,6 +112,11 @@ class Report:
         return cls(tracker, f"{suite.name} {suite.version}", settings, suite.breaks_below, axes)
 
     @property
+    def key(self) -> Mapping[str, Any]:
+        """Everything that the results depend on."""
+        return {"tracker": self.tracker, "suite": self.suite, **self.settings}
+
+    @property
     def baseline(self) -> CaseResult | None:
         """Result of the case without a difficulty."""
         return self.results.get(BASELINE)

@@ -16,10 +16,10 @@ from typing import Any
 
 import yaml
 
-from humansim_ros.data.engine import JobProcesses, WorkProgress
+from humansim_ros.data.engine import JobProcesses, WorkProgress, differences
 from humansim_ros.data.evaluation import axes_matrix, chosen_set
 from humansim_ros.errors import ChallengeError, HumansimError, printable
-from humansim_ros.files.reading import write_file
+from humansim_ros.files.reading import make_folder, write_file
 from humansim_ros.ros.challenge.case import CaseNodes, CaseOrder
 from humansim_ros.ros.challenge.options import ChallengeOptions
 from humansim_ros.ros.challenge.results import RESULTS, CaseResult, Report
@@ -194,31 +194,17 @@ def open_report(suite: Suite, options: ChallengeOptions, folder: Path, resume: b
         axes_matrix(options.axes)
     new = Report.of_suite(suite, options.tracker, options.settings)
     if not (folder / RESULTS).exists():
-        _make_folder(folder / CASES)
+        make_folder(folder / CASES)
         return new
     if not resume:
         raise ChallengeError(
             "the folder has results: give --resume to keep them and go on, or another folder", path=folder
         )
     old = Report.read(folder)
-    for what, was, wanted in (
-        ("tracker", old.tracker, new.tracker),
-        ("suite", old.suite, new.suite),
-        ("settings", dict(old.settings), dict(new.settings)),
-    ):
-        if was != wanted:
-            raise ChallengeError(
-                f"these are results of another {what} ({was}, not {wanted}): give another folder", path=folder
-            )
-    _make_folder(folder / CASES)
+    if text := differences(old.key, new.key):
+        raise ChallengeError(f"this folder has another challenge: {text}; give another folder", path=folder)
+    make_folder(folder / CASES)
     return replace(new, results=old.results)
-
-
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as reason:
-        raise ChallengeError(f"cannot be made: {reason.strerror or reason}", path=folder) from None
 
 
 def run_challenge(

@@ -201,10 +201,9 @@ class LockstepPlaying(Playing):
         self._is_paused = paused
         self._advance()
 
-    def step(self, frames: int = 1, done: Callable[[], object] | None = None) -> Tick:
-        """Play some frames during a pause, one after the other. Returns the last frame. ``done``: called when
-        all members have finished this last frame."""
-        self._steps.extend([*[None] * (frames - 1), done])
+    def step(self, done: Callable[[], object] | None = None) -> Tick:
+        """Play a frame during a pause, and return it. ``done``: called when all members have finished it."""
+        self._steps.append(done)
         tick = self._planned(len(self._steps))
         self._advance()
         return tick

@@ -84,13 +84,10 @@ class Playing(ABC):
         """Pause, or continue."""
 
     @abstractmethod
-    def step(self, frames: int = 1, done: Callable[[], object] | None = None) -> Tick:
-        """Play some frames during a pause. At most ``MAX_WAITING`` may wait (see :attr:`waiting`).
+    def step(self, done: Callable[[], object] | None = None) -> Tick:
+        """Play a frame during a pause, and return it. At most ``MAX_WAITING`` may wait (see :attr:`waiting`).
 
-        ``done``: called when the frames are finished.
-
-        Returns:
-            The last of these frames.
+        ``done``: called when the frame is finished.
         """
 
     @abstractmethod
@@ -196,7 +193,7 @@ class StampedSteps:
         if time.monotonic() >= step.deadline:
             self.cancel(self._failure(step))
         elif step.tick is None and self._topics.is_connected(self.topic):
-            step.tick = self._player.playing.step(1, lambda: self._on_played(step))
+            step.tick = self._player.playing.step(lambda: self._on_played(step))
 
     def _failure(self, step: _Step) -> str:
         limit = f"within {self._timeout:g} s (step_timeout)"

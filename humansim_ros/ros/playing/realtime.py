@@ -211,14 +211,13 @@ class RealtimePlaying(Playing):
         """Pause, or continue."""
         self.clock.pause(paused)
 
-    def step(self, frames: int = 1, done: Callable[[], object] | None = None) -> Tick:
-        """Send some frames during a pause, as soon as the cameras have time for them.
+    def step(self, done: Callable[[], object] | None = None) -> Tick:
+        """Send a frame during a pause, as soon as the cameras have time for it. Returns the frame.
 
-        ``done``: called when all are sent.
+        ``done``: called when it is sent.
         """
-        for left in reversed(range(frames)):
-            tick = self.clock.step(self._stamp_now())
-            self._send_at_once(tick, None if left else done)
+        tick = self.clock.step(self._stamp_now())
+        self._send_at_once(tick, done)
         return tick
 
     def seek(self, seconds: float) -> Tick:

@@ -538,7 +538,7 @@ class StepRun:
             except RosError as error:
                 self.end(Refusal(f"{error}, after {self.finished} steps"))
         else:
-            playing.step(1, lambda: self._player.run_soon(self._finish_step))
+            playing.step(lambda: self._player.run_soon(self._finish_step))
 
     def _on_stamped(self, _: Tick | None, failure: str) -> None:
         if failure:

@@ -27,6 +27,7 @@ from humansim_ros.data.messages import (
     to_nanoseconds,
 )
 from humansim_ros.errors import HumansimError, RosError
+from humansim_ros.files.reading import make_folder
 from humansim_ros.render.pictures import write_mp4, write_png
 from humansim_ros.ros.processes.lockstep_settings import TimeOptions
 from humansim_ros.ros.processes.node_processes import scene_processes
@@ -70,12 +71,7 @@ def record_demo(scene_path: Path, output: Path, duration: float, video: str = "w
     """
     console = Console()
     scene = Scene.load(scene_path)
-    try:
-        output.mkdir(parents=True, exist_ok=True)
-    except OSError as reason:
-        raise HumansimError(
-            f"cannot create the folder for the pictures: {reason.strerror}", path=output
-        ) from None
+    make_folder(output)
     processes = scene_processes(scene_path, time=TimeOptions(lockstep=False))
     prepare_transport(len(processes) + 1, network=False)
     with Supervisor(processes) as nodes, _Recorder(scene) as recorder:

@@ -25,6 +25,7 @@ from humansim_ros.ros.processes import (
     WRONG_INPUT,
     EvaluateOptions,
     LockstepSummary,
+    PlayOptions,
     RecordOptions,
     RestartFile,
     Stopped,
@@ -243,15 +244,7 @@ def bench(
     print_text(to_json(result.to_dict()) if as_json else result.text())
 
 
-def play(
-    bag: Path,
-    clock: float = 0.0,
-    rate: float = 1.0,
-    loop: bool = False,
-    start_offset: float = 0.0,
-    topics: list[str] | None = None,
-    network: bool = False,
-) -> None:
+def play(bag: Path, *, options: PlayOptions, network: bool = False) -> None:
     """Publish the messages of a bag again, with recorded stamps, types and quality of service.
 
     The space bar pauses, Ctrl-C stops.
@@ -263,11 +256,11 @@ def play(
     import rclpy
     from rclpy.signals import SignalHandlerOptions
 
-    from humansim_ros.ros.tools import BagPlayer, PlayOptions
+    from humansim_ros.ros.tools import BagPlayer
 
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     try:
-        player = BagPlayer(bag, PlayOptions(clock, rate, loop, start_offset, topics or ()))
+        player = BagPlayer(bag, options)
         try:
             print_text(f"playing {len(player.topics)} topics of {bag}, {player.seconds:.1f} s")
             with pressed_keys() as key:

@@ -119,7 +119,8 @@ def listen(ros: None) -> Iterator[Callable[..., Listener]]:
 
 def play(folder: Path, key: Callable[[], str] = lambda: "", **options: Any) -> int:
     """Play a bag; returns the number of messages."""
-    from humansim_ros.ros.tools.bag_player import BagPlayer, PlayOptions
+    from humansim_ros.ros.processes import PlayOptions
+    from humansim_ros.ros.tools.bag_player import BagPlayer
 
     player = BagPlayer(folder, PlayOptions(**options))
     try:
@@ -378,7 +379,8 @@ def test_a_camera_renders_a_played_bag_as_it_renders_the_live_topics(ros: None, 
     from humansim_ros.data.messages.headers import scene_time_message
     from humansim_ros.data.messages.humans import joints_message, vertices_message
     from humansim_ros.ros.nodes.camera import CameraNode
-    from humansim_ros.ros.tools.bag_player import BagPlayer, PlayOptions
+    from humansim_ros.ros.processes import PlayOptions
+    from humansim_ros.ros.tools.bag_player import BagPlayer
 
     scene = Scene.load(write_scene(tmp_path))
     with Simulation(scene, channels=("rgb",)) as simulation:

@@ -8,18 +8,10 @@ from typing import Any
 
 @dataclass(frozen=True)
 class ChallengeOptions:
-    """How a tracker is run.
+    """How a tracker is run: options of ``humansim challenge``, with help texts, limits and units in
+    config/command_line.json.
 
-    Attributes:
-        tracker: Command line that starts the tracker.
-        topic: Topic of the estimate.
-        keypoints: Keypoint set of the estimate. If None, the joint names in its messages determine the set.
-        timeout: Seconds that a frame waits for the tracker.
-        start_within: The tracker must publish its topic within this time, seconds.
-        is_realtime: Whether frames follow the wall clock.
-        is_quick: Whether the short form of the suite is run.
-        scale: Length of a unit of the estimate, metres.
-        axes: Axes of the estimate. If None, the axes of ``map``.
+    Without a keypoint set, the joint names in the messages decide; without axes, those of ``map`` are meant.
     """
 
     tracker: str

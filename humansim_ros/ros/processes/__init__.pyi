@@ -6,6 +6,7 @@ from humansim_ros.ros.processes.node_processes import relative_namespace as rela
 from humansim_ros.ros.processes.node_processes import scene_processes as scene_processes
 from humansim_ros.ros.processes.node_starter import NodeStarter as NodeStarter
 from humansim_ros.ros.processes.run_options import EvaluateOptions as EvaluateOptions
+from humansim_ros.ros.processes.run_options import PlayOptions as PlayOptions
 from humansim_ros.ros.processes.run_options import RecordOptions as RecordOptions
 from humansim_ros.ros.processes.runtime import make_executor as make_executor
 from humansim_ros.ros.processes.runtime import prepare_logs as prepare_logs

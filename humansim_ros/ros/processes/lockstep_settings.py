@@ -32,16 +32,9 @@ class TimeOptions:
     """Options on how time advances. They replace values of the section ``time`` of a scene
     (docs/lockstep.md).
 
-    If a value is None, the value of the scene holds. Raises RosError for a value that is not valid.
-
-    Attributes:
-        lockstep: Whether time advances in lockstep. If False, in real time.
-        frames: Number of frames.
-        wait_for: Names of nodes that frames wait for, and topics after ``topic:``.
-        timeout: Seconds after which a frame waits no longer.
-        on_timeout: ``stop`` or ``continue``.
-        pace: Most frames per second of the wall clock.
-        summary: File for a summary at the end.
+    All are options of ``humansim run``, with help texts, limits and units in config/command_line.json, except
+    ``summary``, a file for a summary at the end. If a value is None, the value of the scene holds. Raises
+    RosError for a value that is not valid.
     """
 
     lockstep: bool | None = None

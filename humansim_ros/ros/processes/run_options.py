@@ -101,15 +101,14 @@ def true_or_false(name: str, text: str) -> bool:
     return word == "true"
 
 
+# Help texts, limits and units of all fields are in config/command_line.json, in the rows of these names.
+
+
 @dataclass(frozen=True)
 class RecordOptions:
-    """What is recorded of a run (docs/recording.md).
+    """What is recorded of a run (docs/recording.md): options of ``humansim run`` with ``--record``.
 
-    Attributes:
-        folder: Folder of the bag. It must not exist.
-        topics: Names and patterns of topics. If empty, the latched topics of the scene, and those that
-            ``humansim demo`` shows.
-        compression: ``none``, ``zstd`` or ``lz4``.
+    Without topics, the latched topics of the scene, and those that ``humansim demo`` shows.
     """
 
     launch_group: ClassVar[str] = "record"
@@ -120,15 +119,8 @@ class RecordOptions:
 
 @dataclass(frozen=True)
 class EvaluateOptions:
-    """An estimate that is evaluated in a run (docs/evaluation.md).
-
-    Attributes:
-        topic: Topic of the estimate. ``*`` stands for the name of a person.
-        keypoints: Keypoint set of the estimate. If empty, joints of the skeleton.
-        scale: Length of a unit of the estimate, metres.
-        axes: Axes of the estimate. If empty, the axes of ``map``.
-        output: JSON file for the result. If None, no file is written.
-    """
+    """An estimate that is evaluated in a run (docs/evaluation.md): options of ``humansim run`` with
+    ``--estimate``."""
 
     launch_group: ClassVar[str] = "evaluate"
     topic: str
@@ -136,3 +128,14 @@ class EvaluateOptions:
     scale: float = 1.0
     axes: str = ""
     output: Path | None = None
+
+
+@dataclass(frozen=True)
+class PlayOptions:
+    """How a bag is played: options of ``humansim play``. Without topics, all are played."""
+
+    clock: float = 0.0
+    rate: float = 1.0
+    loop: bool = False
+    start_offset: float = 0.0
+    topics: Sequence[str] = ()

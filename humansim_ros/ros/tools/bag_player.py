@@ -8,7 +8,6 @@ import warnings
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +23,7 @@ from humansim_ros.ros.graph.graph import TopicChoice, similar
 from humansim_ros.ros.graph.guarded_node import GuardedNode
 from humansim_ros.ros.graph.qos import publisher_profile
 from humansim_ros.ros.processes.lockstep_settings import CLOCK_SEARCH
+from humansim_ros.ros.processes.run_options import PlayOptions
 from humansim_ros.ros.processes.runtime import make_executor
 
 CLOCK_TOPIC = "/clock"
@@ -44,25 +44,6 @@ _STEP = 0.02
 _LATE, _MAX_LATE = 0.1, 1.0
 #: Most topics that a line names.
 _MAX_NAMED = 3
-
-
-@dataclass(frozen=True)
-class PlayOptions:
-    """Options of a bag player.
-
-    Attributes:
-        clock: Messages per second on ``/clock``. If 0, ``/clock`` is not published.
-        rate: Recorded seconds per second.
-        loop: Whether playing begins again at the end.
-        start_offset: Number of recorded seconds that are skipped at the start.
-        topics: Names and patterns of topics to play. If empty, all topics.
-    """
-
-    clock: float = 0.0
-    rate: float = 1.0
-    loop: bool = False
-    start_offset: float = 0.0
-    topics: Sequence[str] = ()
 
 
 class Pace:

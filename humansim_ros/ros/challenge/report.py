@@ -12,21 +12,10 @@ from humansim_ros.files.reading import write_file
 from humansim_ros.ros.challenge.results import CaseResult, Report
 from humansim_ros.ros.challenge.suite import STRENGTHS
 
-#: Width and margin of the picture, pixels.
-WIDTH, _MARGIN = 1180, 40
-#: Left edges of the tiles of cases and of the curves; width, height and distance of tiles, pixels.
-_TILES, _CURVES, _TILE, _HEIGHT, _GAP = 250, 812, 180, 30, 6
-#: Width of a curve, pixels.
-_CURVE = 96
-#: Heights of the head of the picture, and of the heading of a group of axes, pixels.
-_HEAD, _GROUP = 176, 40
-_INK, _PALE, _BACK = "#1d2433", "#6b7385", "#f3f5f8"
 #: Colours by share of the baseline's score. They also differ in lightness.
 _SCALE = ((0.0, "#b3324b"), (0.45, "#e0693f"), (0.7, "#f2b84b"), (0.85, "#7fb77e"), (1.0, "#1f8a84"))
-#: Colours of the trackers.
-_TRACKERS = ("#1f4e9c", "#c2561a")
-#: Most characters of a command line, and of the label of a tile, that are shown.
-_MAX_COMMAND, _MAX_LABEL = 100, 21
+#: Most characters of a command line that are shown.
+_MAX_COMMAND = 100
 #: File names of the picture and of the HTML page in the folder of a report.
 PICTURE, PAGE = "challenge.svg", "index.html"
 
@@ -34,60 +23,31 @@ PICTURE, PAGE = "challenge.svg", "index.html"
 def picture(report: Report, other: Report | None = None) -> Markup:
     """Picture of the results as SVG. ``other``: report of a second tracker, shown below the first."""
     reports = [report] if other is None else [report, other]
-    y = _HEAD + 26 * (len(reports) - 1)
-    groups = []
-    for name, axes in _groups(report).items():
-        heading, shown = y + 26, []
-        y += _GROUP
-        for axis in axes:
-            shown.append(_axis(reports, axis, y))
-            y += len(reports) * (_HEIGHT + 2) + _GAP + (4 if len(reports) > 1 else 0)
-        groups.append({"name": name.upper(), "y": heading, "axes": shown})
+    groups: dict[str, list[dict[str, Any]]] = {}
+    for name, info in report.axes.items():
+        if report.of_axis(name):
+            rows = [_row(each, name) for each in reports]
+            groups.setdefault(info.group, []).append(
+                {"title": info.title, "labels": info.labels, "rows": rows}
+            )
     cases = sum(1 for each in report.results.values() if each.strength)
     quick = ", quick" if report.settings.get("is_quick") else ""
     return drawing(
         "challenge",
-        width=WIDTH,
-        height=y + 66,
-        margin=_MARGIN,
-        tiles=_TILES,
-        tile_width=_TILE,
-        tile_height=_HEIGHT,
-        curves=_CURVES,
-        curve_width=_CURVE,
-        ink=_INK,
-        pale=_PALE,
-        back=_BACK,
         suite=f"suite {report.suite}{quick} · {cases} cases",
-        trackers=[_tracker(each, index, len(reports)) for index, each in enumerate(reports)],
+        trackers=[_tracker(each) for each in reports],
         groups=groups,
-        scale=[color_of(index / 59) for index in range(60)],
+        limit=report.breaks_below,
+        color_of=color_of,
         legend=f"✕ broken: failed, or score or IDF1 below {report.breaks_below:.0%} of the baseline · "
         "score: joints within 150 mm × real people among the found ones, %",
     )
 
 
-def _groups(report: Report) -> dict[str, list[str]]:
-    groups: dict[str, list[str]] = {}
-    for name, info in report.axes.items():
-        if report.of_axis(name):
-            groups.setdefault(info.group, []).append(name)
-    return groups
-
-
-def _tracker(report: Report, index: int, count: int) -> dict[str, Any]:
-    """What the head of the picture shows of a tracker: command, baseline, and robustness as a ring."""
+def _tracker(report: Report) -> dict[str, Any]:
+    """What the head of the picture shows of a tracker."""
     name = report.tracker if len(report.tracker) <= _MAX_COMMAND else f"{report.tracker[:_MAX_COMMAND]}…"
-    ring = _TRACKERS[index] if count > 1 else color_of((report.points or 0.0) / 100)
-    return {
-        "color": _TRACKERS[index],
-        "name": f"{'AB'[index]}  {name}" if count > 1 else name,
-        "baseline": _baseline_words(report.baseline),
-        "points": report.points,
-        "x": WIDTH - _MARGIN - 52 - 130 * (count - 1 - index),
-        "ring": ring,
-        "label": f"{'AB'[index]}: robustness" if count > 1 else "robustness",
-    }
+    return {"name": name, "baseline": _baseline_words(report.baseline), "points": report.points}
 
 
 def _baseline_words(base: CaseResult | None) -> str:
@@ -104,59 +64,28 @@ def _baseline_words(base: CaseResult | None) -> str:
     return " · ".join(words)
 
 
-def _axis(reports: Sequence[Report], axis: str, y: int) -> dict[str, Any]:
-    """Title of an axis, and a row of the picture for each report. ``y``: upper end of the first row."""
-    info, rows = reports[0].axes[axis], []
-    for index, report in enumerate(reports):
-        results = {each.strength: each for each in report.of_axis(axis)}
-        top, broken = y + index * (_HEIGHT + 2), report.breaks_at(axis)
-        labels = info.labels if index == 0 else ("",) * STRENGTHS
-        limit, points = _curve(report, axis, top)
-        rows.append(
-            {
-                "y": top,
-                "tiles": [_tile(report, results.get(n), labels[n - 1], n) for n in range(1, STRENGTHS + 1)],
-                "letter": "AB"[index] if len(reports) > 1 else "",
-                "color": _TRACKERS[index],
-                "limit": limit,
-                "points": points,
-                "words": "holds" if broken is None else f"breaks at {broken.label}",
-                "words_color": _PALE if broken is None else _SCALE[0][1],
-                "words_weight": "400" if broken is None else "600",
-            }
-        )
-    return {"title": info.title, "middle": y + len(reports) * (_HEIGHT + 2) / 2 + 5, "rows": rows}
-
-
-def _tile(report: Report, result: CaseResult | None, label: str, strength: int) -> dict[str, Any]:
-    short = label if len(label) <= _MAX_LABEL else f"{label[: _MAX_LABEL - 1]}…"
-    place = {"x": _TILES + (strength - 1) * (_TILE + _GAP), "label": short}
-    if result is None:
-        return {**place, "number": None}
-    share = _share(report, result)
-    mark = "✕ " if report.is_broken(result) else ""
-    return {
-        **place,
-        "title": f"{result.label}: {result.failure or f'score {result.score:.0f}'}",
-        "fill": color_of(share),
-        "ink": "#ffffff" if share < 0.5 or share > 0.93 else _INK,
-        "number": mark + (f"{result.score:.0f}" if not result.failure else "failed"),
+def _row(report: Report, axis: str) -> dict[str, Any]:
+    """What a row of the picture shows of a tracker: tiles by strength, the curve of its scores, and where
+    it breaks. Scores are shares of the score of the baseline."""
+    results, broken = report.of_axis(axis), report.breaks_at(axis)
+    tiles = {
+        each.strength: {
+            "title": f"{each.label}: {each.failure or f'score {each.score:.0f}'}",
+            "share": _share(report, each),
+            "number": "failed" if each.failure else f"{each.score:.0f}",
+            "is_broken": report.is_broken(each),
+        }
+        for each in results
     }
-
-
-def _curve(report: Report, axis: str, y: int) -> tuple[float, list[tuple[float, float, str]]]:
-    """Height of the limit below which a tracker is broken; place and colour of each score, from the baseline
-    on, over the strength of a difficulty."""
-    base, bottom, height = report.baseline, y + _HEIGHT - 5, _HEIGHT - 10
-    points = [
-        (
-            _CURVES + _CURVE * each.strength / STRENGTHS,
-            bottom - height * min(1.0, _share(report, each)),
-            _SCALE[0][1] if report.is_broken(each) else _INK,
-        )
-        for each in ([base] if base is not None else []) + report.of_axis(axis)
+    curve = [
+        (each.strength / STRENGTHS, min(1.0, _share(report, each)), report.is_broken(each))
+        for each in ([] if report.baseline is None else [report.baseline]) + results
     ]
-    return bottom - height * report.breaks_below, points
+    return {
+        "tiles": [tiles.get(strength) for strength in range(1, STRENGTHS + 1)],
+        "curve": curve,
+        "breaks_at": None if broken is None else broken.label,
+    }
 
 
 def _share(report: Report, result: CaseResult) -> float:

@@ -197,7 +197,7 @@ class _Recorder(Listener):
                 self.sheet = self._for_sheet.frame(stamp)
             if topic.endswith("/image_raw"):
                 quality = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
-                picture = cv2.imencode(".jpg", _fitted(content, _VIDEO_SIZE), quality)[1]
+                picture = cv2.imencode(".jpg", Tile(content, camera).draw(_VIDEO_SIZE), quality)[1]
                 self.thumbnails.add(camera, stamp, picture)
         self.messages[topic] += 1
         self.bytes[topic] += len(data)
@@ -275,17 +275,6 @@ def _video(scene: Scene, recorder: _Recorder) -> Iterator[Image]:
         rows = [np.concatenate(images[i : i + columns], axis=1) for i in range(0, len(images), columns)]
         periods = 1 if following is None else round((following - stamp) * 1e-9 / scene.period)
         yield from [np.concatenate(rows)] * max(1, periods)
-
-
-def _fitted(image: Image, size: tuple[int, int]) -> Image:
-    """RGB image, scaled to fit a size (width, height) and centred on black."""
-    width, height = size
-    factor = min(width / image.shape[1], height / image.shape[0])
-    inner = (max(1, round(image.shape[1] * factor)), max(1, round(image.shape[0] * factor)))
-    out = np.zeros((height, width, 3), np.uint8)
-    x, y = (width - inner[0]) // 2, (height - inner[1]) // 2
-    out[y : y + inner[1], x : x + inner[0]] = cv2.resize(image, inner, interpolation=cv2.INTER_AREA)
-    return out
 
 
 def _topic_table(recorder: _Recorder, seconds: float) -> Table:

@@ -19,6 +19,7 @@ import yaml
 from conftest import ROOT
 from waiting import PATIENCE, wait_until
 
+from humansim_ros.data.messages.camera_topics import MEASURED_DEPTH
 from humansim_ros.render.interface.channels import CHANNEL_TABLE
 
 README = (ROOT / "README.md").read_text()
@@ -122,6 +123,7 @@ def test_the_page_of_topics_lists_topics_that_the_nodes_have() -> None:
     source = "".join(path.read_text() for path in (ROOT / "humansim_ros").rglob("*.py"))
     topics = [channel.topic.format(body="<name>") for channel in CHANNEL_TABLE.values()]
     topics += [channel.rectified_topic for channel in CHANNEL_TABLE.values()]
+    topics += [f"{space}/image_raw" for space in MEASURED_DEPTH]
     source += " ".join([*topics, *(f"{topic.rpartition('/')[0]}/camera_info" for topic in topics)])
     for topic in re.findall(r"`/<camera>/([a-z_/]+)`", page):
         assert topic in source, topic

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import select
 import shlex
-import shutil
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -18,7 +17,7 @@ import typer
 
 from humansim_ros.cli.output import check_output, print_error, print_text, to_json
 from humansim_ros.cli.scene import SceneOptions, warn_about_mistakes
-from humansim_ros.errors import RosError, some_of
+from humansim_ros.errors import RosError
 from humansim_ros.files.reading import resource_path
 from humansim_ros.ros.processes import (
     QUIT,
@@ -35,10 +34,6 @@ from humansim_ros.ros.processes import (
 if TYPE_CHECKING:
     from humansim_ros.ros.processes import EndedProcess, Supervisor
     from humansim_ros.scene.core import Scene
-
-
-#: Most topics of a kind that a line names.
-_MAX_NAMED = 4
 
 
 @dataclass(frozen=True)
@@ -67,6 +62,7 @@ def run(
     from humansim_ros.files.reading import temporary_folder
     from humansim_ros.ros.processes import NodeStarter, relative_namespace, scene_processes
 
+    start = time.monotonic()
     with temporary_folder() as folder, ExitStack() as stack:
         given_path = path = scene or resource_path("config/scenes/demo.yaml")
         if changes:
@@ -75,12 +71,15 @@ def run(
         starter = stack.enter_context(NodeStarter(str(path.resolve())))
         from humansim_ros.data.messages import check_adapters
         from humansim_ros.ros.processes import Supervisor, prepare_transport
+        from humansim_ros.ros.tools import FirstImages
         from humansim_ros.scene.core import BRIDGE_NODE, Scene
 
         _check_machine()
         loaded = changes.load(given_path, path) if changes else Scene.load(path)
         namespace = relative_namespace(options.namespace)
         _describe(loaded, namespace)
+        if not changes:
+            _print_ways_to_see(scene)
         warn_about_mistakes(loaded, changes)
         time_options = _in_time(time_options, loaded, folder)
         check_output(None if evaluate is None else evaluate.output)
@@ -97,13 +96,12 @@ def run(
         names = [name for process in processes for name in process.visible_nodes]
         check_adapters(loaded, installed=BRIDGE_NODE in names)
         transport = prepare_transport(len(processes) + 1, options.network)
-        with Supervisor(processes, starter=starter) as nodes:
+        cameras = [name for name in loaded.cameras if name in names]
+        first = FirstImages(cameras, list(loaded.actors), start, namespace)
+        helpers = [("humansim_ros.ros.tools.first_images", first.to_argument())] if cameras else []
+        with Supervisor(processes, starter=starter, helpers=helpers) as nodes:
             print_text(f"starting {', '.join(names)}; Ctrl-C stops")
             print_text(transport.reach)
-            if cameras := [name for name in loaded.cameras if name in names]:
-                _print_topics(cameras, list(loaded.actors), namespace)
-            if not changes:
-                _print_ways_to_see(scene)
             dead = _wait(nodes, options, time_options.summary)
         summary = _summary(time_options.summary)
     if summary is not None:
@@ -203,17 +201,6 @@ def _describe(scene: Any, namespace: str) -> None:
     for name, camera in scene.scene_cameras.items():
         width, height = camera.camera.size
         print_text(f"{name}: {width}x{height}" + ("" if camera.timing.is_full else f", {camera.timing}"))
-
-
-def _print_topics(cameras: Sequence[str], humans: Sequence[str], namespace: str) -> None:
-    """Print the topics of images and of the truth, and a command that shows that images arrive."""
-    space = f"/{namespace}" if namespace else ""
-    images = [f"{space}/{camera}/image_raw" for camera in cameras]
-    truth = [f"{space}/humans/{human}/joints" for human in humans]
-    domain, also = os.environ.get("ROS_DOMAIN_ID", "0"), some_of(truth, _MAX_NAMED)
-    print_text(f"ROS domain {domain}: images on {some_of(images, _MAX_NAMED)}{also and f'; truth on {also}'}")
-    view = f"humansim view --ros{f' --namespace {namespace}' if namespace else ''}"
-    print_text(f"next, in another terminal: {f'ros2 topic hz {images[0]}' if shutil.which('ros2') else view}")
 
 
 def _print_ways_to_see(scene: Path | None) -> None:

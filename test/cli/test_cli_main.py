@@ -16,7 +16,7 @@ from humansim_ros import HumansimError, Scene, __version__, load_human
 from humansim_ros.cli.human import BUILT_IN_FACTS, built_in_humans, describe_human
 from humansim_ros.cli.main import COMMANDS, GROUPS, main
 from humansim_ros.cli.options import join_numbers, parse_size
-from humansim_ros.cli.run import _describe, _print_topics, _print_ways_to_see
+from humansim_ros.cli.run import _describe, _print_ways_to_see
 
 
 def humansim(*arguments: str, capsys: pytest.CaptureFixture[str], patch: pytest.MonkeyPatch) -> str:
@@ -37,24 +37,6 @@ def test_a_run_says_which_commands_show_the_scene(
     assert all(
         line[2:3] == ([] if scene is None and line[1] == "view" else [scene or "-o"]) for line in words
     )
-
-
-def test_a_run_names_domain_topics_and_a_next_command(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.setenv("ROS_DOMAIN_ID", "42")
-    monkeypatch.setenv("PATH", str(tmp_path))
-    _print_topics([f"camera_{n}" for n in range(1, 7)], ["anna"], "")
-    text = capsys.readouterr().out
-    assert "ROS domain 42" in text and "/camera_1/image_raw" in text and "and 2 more" in text
-    assert "truth on /humans/anna/joints" in text
-    assert text.endswith("in another terminal: humansim view --ros\n")
-    (tmp_path / "ros2").write_text("#!/bin/sh\n")
-    (tmp_path / "ros2").chmod(0o755)
-    _print_topics(["camera_1"], ["anna"], "lab")
-    inside = capsys.readouterr().out
-    assert "images on /lab/camera_1/image_raw; truth on /lab/humans/anna/joints" in inside
-    assert "ros2 topic hz /lab/camera_1/image_raw" in inside
 
 
 @pytest.mark.parametrize("command", [(), *map(str.split, (*COMMANDS, *GROUPS))], ids=" ".join)

@@ -23,6 +23,7 @@ from humansim_ros.data import messages
 from humansim_ros.data.messages.humans import motion_message
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
 from humansim_ros.ros.nodes.skinner import SkinnerNode, SourceLog
+from humansim_ros.ros.tools.first_images import FirstImages
 from humansim_ros.scene.core.live import LiveRetargeter
 
 SECOND = 1_000_000_000
@@ -230,6 +231,26 @@ def test_silence_of_a_live_source_is_said_once_with_topic_and_command() -> None:
     assert "follows" in lines[1] and "keeps its last pose" in lines[2]
 
 
+def test_the_report_of_the_first_images_names_domain_topics_and_a_next_command(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    first = FirstImages([f"camera_{n}" for n in range(1, 7)], ["anna"], 0.0)
+    monkeypatch.setenv("ROS_DOMAIN_ID", "42")
+    monkeypatch.setenv("PATH", str(tmp_path))
+    text = first.report(2.14)
+    assert text.startswith("all 6 cameras deliver, after 2.1 s\n")
+    assert "ROS domain 42" in text and "/camera_1/image_raw" in text and "and 2 more" in text
+    assert "/humans/anna/joints" in text
+    assert text.endswith("in another terminal: humansim view --ros")
+    (tmp_path / "ros2").write_text("#!/bin/sh\n")
+    (tmp_path / "ros2").chmod(0o755)
+    assert "ros2 topic hz /camera_1/image_raw" in first.report(2.14)
+    inside = FirstImages(["camera_1"], ["anna"], 0.0, "lab").report(2.14)
+    assert "images on /lab/camera_1/image_raw; truth on /lab/humans/anna/joints" in inside
+    assert "ros2 topic hz /lab/camera_1/image_raw" in inside
+    assert "1 of 6 cameras" in first.progress(first.cameras[1:], 4.0)
+
+
 @pytest.mark.slow
 @pytest.mark.nightly
 def test_run_live_says_what_it_waits_for_and_follows_the_example(ros: None, tmp_path: Path) -> None:
@@ -254,6 +275,7 @@ def test_run_live_says_what_it_waits_for_and_follows_the_example(ros: None, tmp_
             [sys.executable, "examples/live_mocap.py", "walk", "live"], env=environment, cwd=ROOT
         )
         assert client.spin_until(lambda: "follows" in output.read_text()), output.read_text()
+        assert client.spin_until(lambda: "front delivers, after" in output.read_text())
         seen = client.received["/humans/live/joints"]
         places = set()
 

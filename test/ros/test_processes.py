@@ -61,7 +61,7 @@ def wait_for_nodes(process: subprocess.Popen[str], number: int) -> dict[int, str
     client = Client("onlooker")
 
     def answering() -> int:
-        return len(set(client.node.get_node_names()) - {"onlooker"})
+        return len(set(client.node.get_node_names()) - {"onlooker", "humansim_run"})
 
     ready = client.spin_until(lambda: len(nodes()) == number and answering() >= number)
     assert ready, f"{len(nodes())} of {number} nodes run, {answering()} answer"

@@ -17,6 +17,9 @@ from humansim_ros.ros.processes.node_processes import WARNINGS_SHOWN, NodeProces
 from humansim_ros.ros.processes.node_starter import NodeStarter, StartedNode
 from humansim_ros.ros.processes.stop_signals import PARENT_PID
 
+#: A helper process must stop within this time after SIGTERM, seconds.
+_STOP_LIMIT = 6.0
+
 
 @dataclass(frozen=True)
 class EndedProcess:
@@ -51,6 +54,8 @@ class Supervisor:
         environment: Additional environment variables of the nodes.
         starter: Process that starts nodes, and may already be loading the scene. If None, or if the process
             has ended or loads another scene, a new process is started. It ends with the nodes.
+        helpers: Further processes, given as Python module and arguments. They start before the nodes, and may
+            end at any time.
     """
 
     def __init__(
@@ -58,6 +63,7 @@ class Supervisor:
         processes: Sequence[NodeProcess],
         environment: Mapping[str, str] | None = None,
         starter: NodeStarter | None = None,
+        helpers: Sequence[Sequence[str]] = (),
     ) -> None:
         self._processes = {process.node_name: process for process in processes}
         threads = render_threads(processes)
@@ -65,11 +71,18 @@ class Supervisor:
         self._environment = {**os.environ, **threads, **own, **(environment or {})}
         self._running: dict[str, StartedNode] = {}
         self._started: dict[str, float] = {}
+        self._commands = [[sys.executable, "-m", *helper] for helper in helpers]
+        self._helpers: list[subprocess.Popen[bytes]] = []
         self._starter = starter
         self._shared_memory = SharedMemoryFiles()
 
     def __enter__(self) -> Supervisor:
         try:
+            # in a session of its own: Ctrl-C reaches only the parent, which stops the nodes in order
+            self._helpers = [
+                subprocess.Popen(command, env=self._environment, start_new_session=True)
+                for command in self._commands
+            ]
             for name in self._processes:
                 self._start_node(name)
         except BaseException:
@@ -87,9 +100,13 @@ class Supervisor:
         """Process ids by node name."""
         return {name: process.pid for name, process in self._running.items()}
 
+    @property
+    def _all(self) -> list[StartedNode | subprocess.Popen[bytes]]:
+        return [*self._helpers, *self._running.values()]
+
     def dead(self) -> EndedProcess | None:
         """A process that has ended unexpectedly; None if all processes run."""
-        self._shared_memory.note(self.pids.values())
+        self._shared_memory.note(process.pid for process in self._all)
         for name, process in self._running.items():
             code = process.poll()
             if code is not None:
@@ -142,8 +159,8 @@ class Supervisor:
     def stop(self) -> None:
         """Send SIGTERM to all nodes, then SIGKILL to those that still run. After a stop signal, SIGKILL
         follows at once. Nodes with ``stops_last`` are stopped after the others have ended."""
-        pids = list(self.pids.values())
-        last = {name for name in self._running if self._processes[name].stops_last}
+        pids = [process.pid for process in self._all]
+        last = {process.pid for name, process in self._running.items() if self._processes[name].stops_last}
         self._shared_memory.note(pids, now=True)
         try:
             if last:
@@ -156,16 +173,15 @@ class Supervisor:
             self._shared_memory.remove(pids)
             remove_dead_files()  # of nodes that were killed while they started
 
-    def _send(self, number: signal.Signals, but: Collection[str] = ()) -> None:
-        """Send a signal to all running nodes, except those in ``but``, and wait for their end."""
-        alive = {
-            name: node for name, node in self._running.items() if name not in but and node.poll() is None
-        }
-        for process in alive.values():
+    def _send(self, number: signal.Signals, but: Collection[int] = ()) -> None:
+        """Send a signal to all running processes, except those in ``but``, and wait for their end."""
+        alive = [each for each in self._all if each.poll() is None and each.pid not in but]
+        for process in alive:
             process.send_signal(number)
+        limits = {process.pid: self._processes[name].stop_limit for name, process in self._running.items()}
         sent = time.monotonic()
-        for name, process in alive.items():
-            deadline = sent + self._processes[name].stop_limit
+        for process in alive:
+            deadline = sent + limits.get(process.pid, _STOP_LIMIT)
             with suppress(subprocess.TimeoutExpired):
                 process.wait(max(0.0, deadline - time.monotonic()))
 

@@ -28,12 +28,14 @@ class Listener:
 
     Attributes:
         node: The node.
+        subscriptions: Subscriptions by topic.
         silent: Topics that have sent nothing yet.
     """
 
     def __init__(self, name: str) -> None:
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         self.node = GuardedNode(name)
+        self.subscriptions: dict[str, Any] = {}
         self.silent: list[str] = []
         self._executor = make_executor()
         self._executor.add_node(self.node)
@@ -61,7 +63,9 @@ class Listener:
                 self.silent.remove(topic)
 
         self.silent.append(topic)
-        self.node.create_subscription(kind, topic, on_data, qos_profile_sensor_data, raw=True)
+        self.subscriptions[topic] = self.node.create_subscription(
+            kind, topic, on_data, qos_profile_sensor_data, raw=True
+        )
 
     def spin(self, seconds: float) -> None:
         """Receive messages for some seconds."""

@@ -139,7 +139,7 @@ def test_a_run_goes_on_without_a_member_that_never_comes(ros: None, tmp_path: Pa
         (("--realtime", "--frames", "3"), "--frames goes with --lockstep only"),
         (("--wait-for", "a b"), "'a b' is neither the name of a node"),
         (("--wait-for", "topic:"), "is neither the name of a node"),
-        (("--on-timeout", "explode"), "stop or continue"),
+        (("--on-timeout", "explode"), "there are stop, continue"),
         (("--timeout", "0"), "--timeout"),
     ],
 )
